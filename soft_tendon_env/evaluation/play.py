@@ -16,16 +16,14 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.envs.episodes import episodes_of
+from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.options import refuse_bank
 from soft_tendon_env.envs.single import TendonRodEnv
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
 from soft_tendon_env.evaluation.conditions import SEEDS
 from soft_tendon_env.evaluation.metrics import STILL, Episode, EpisodeScore, score
-from soft_tendon_env.evaluation.replay import check_replayed, reached_goal
 from soft_tendon_env.evaluation.summaries import tracking_cost
 from soft_tendon_env.policies.controller_policy import RowMemory
-from soft_tendon_env.policies.own_policy import OwnPolicy, unchanged
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.checks import checked_type
 from soft_tendon_env.tools.types import Array
@@ -116,27 +114,14 @@ def play_steps(policy: Policy, env: Env, seeds: Sequence[int]) -> Iterator[Step]
 
 
 def play(policy: Policy, env: Env, seeds: Sequence[int]) -> list[Episode]:
-    """Episodes of these seeds, played to their ends; a row that ends waits for the others. Those of an OwnPolicy are played again without
-    it. Raises EntrantError where it has changed more than its actions."""
-    if not isinstance(policy, OwnPolicy):
-        return _played(policy, env, seeds)[0]
-    episodes = episodes_of(env)
-    task, options = episodes.task, episodes.options.model_copy(deep=True)
-    with unchanged(policy.name):
-        found, actions = _played(policy, env, seeds)
-    check_replayed(policy.name, task, options, found, actions)
-    return found
-
-
-def _played(policy: Policy, env: Env, seeds: Sequence[int]) -> tuple[list[Episode], list[Array]]:
-    """Episodes of these seeds, and the actions (rows, n_a) of every step."""
-    episodes, rows, actions = episodes_of(env), range(len(seeds)), list[Array]()
+    """Episodes of these seeds, played to their ends; a row that ends waits for the others."""
+    episodes, rows = episodes_of(env), range(len(seeds))
     course: list[tuple[Array, ...]] = []  # reward, violation, seconds, target, tension, errors of all rows, after every step
     ends: dict[int, dict[str, Any]] = {}
     for k, step in enumerate(play_steps(policy, env, seeds)):
         memories = step.state if isinstance(step.state, tuple) and len(step.state) == len(rows) else (None,) * len(rows)
-        actions += [np.atleast_2d(step.action)] if k else []
-        violation = [k > 0 and row not in ends and asks_too_much(actions[-1][row], memories[row], episodes.limits) for row in rows]
+        action = np.atleast_2d(step.action)
+        violation = [k > 0 and row not in ends and asks_too_much(action[row], memories[row], episodes.limits) for row in rows]
         errors, seconds = np.array([*episodes.errors.values()]), np.full(len(rows), step.seconds)
         course.append((step.reward, np.array(violation), seconds, episodes.target_pose.copy(), episodes.tension.copy(), errors.T))
         for row in map(int, np.flatnonzero(step.ended)):
@@ -153,7 +138,14 @@ def _played(policy: Policy, env: Env, seeds: Sequence[int]) -> tuple[list[Episod
         length = episodes.model.length
         return Episode(seed, episodes.period, length, named, reward[1:], tension, violation[1:], seconds[1:], moved, **end)
 
-    return [episode(row, seed, **ends[row]) for row, seed in enumerate(seeds)], actions
+    return [episode(row, seed, **ends[row]) for row, seed in enumerate(seeds)]
+
+
+def reached_goal(episodes: Episodes, row: int) -> bool | None:
+    """Whether a row is truly at its goal, whatever its sensors say; None where there is none."""
+    if not episodes.task.goal:
+        return None
+    return bool(episodes.errors["position_error"][row] <= episodes.options.threshold and not episodes.diverged[row])
 
 
 def asks_too_much(action: Any, memory: Any, limits: Array) -> bool:

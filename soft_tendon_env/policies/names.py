@@ -12,7 +12,6 @@ import importlib.util
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Union
@@ -38,7 +37,7 @@ from soft_tendon_env.policies.agent_files import (
 )
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.estimators import ESTIMATORS
-from soft_tendon_env.policies.own_policy import MAY_SET, OwnPolicy, own_environment, unchanged
+from soft_tendon_env.policies.own_policy import MAY_SET, OwnPolicy, own_environment
 from soft_tendon_env.policies.protocol import FunctionPolicy, Policy
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, read_toml
@@ -231,8 +230,7 @@ class Own(PolicyName):
     def maker(self) -> Callable[..., Any]:
         """The callable. Raises ValueError where there is none."""
         try:
-            with unchanged(self.text) if self.module not in sys.modules else nullcontext():
-                made = getattr(importlib.import_module(self.module), self.name)
+            made = getattr(importlib.import_module(self.module), self.name)
         except (ImportError, AttributeError) as error:
             text = f"policy is {self.text!r}: it should be module:name of what makes a policy from an environment; {error}"
             raise ValueError(text) from error
@@ -255,8 +253,7 @@ class Own(PolicyName):
         return {**own, **given}
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
-        with unchanged(self.text):
-            made = self.maker(own_environment(env, scene))
+        made = self.maker(own_environment(env, scene))
         if not (hasattr(made, "predict") or callable(made)):
             text = f"{self.name} should make an object with predict, or a function of observations, not {type(made).__name__}"
             raise ValueError(f"policy is {self.text!r}: {text}")

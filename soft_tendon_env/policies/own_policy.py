@@ -1,13 +1,9 @@
-"""Policies of one's own as entrants: what they are made with, and what tells that they have changed more than their actions.
+"""Policies of one's own as entrants: the environment that they are made with, and the checks of their actions.
 
-They run in the process that plays them, where nothing can be hidden from who looks for it. So they get an environment of their own, and
-what they might still reach is compared afterwards: the package here, the environment that they played in by `evaluation.replay`.
+They run in the process that plays them. The environment that they get shares nothing with the one in which they are judged.
 """
 
-import sys
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import gymnasium as gym
@@ -21,9 +17,6 @@ from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_array
 from soft_tendon_env.tools.messages import UserError
 
-PACKAGE = __name__.partition(".")[0]
-CONSTANT = (bool, int, float, str, tuple)
-ATTRIBUTE = (property, classmethod, staticmethod)
 MAY_SET = (*INTERFACE, "contact_sections")
 """Options that a policy may set: what it observes, and how its actions are read."""
 
@@ -46,33 +39,11 @@ def own_environment(env: Any, scene: Scene | None = None) -> Any:
         return gym.make_vec(IDS[episodes.task.name], num_envs=episodes.size, threads=1, **options)
 
 
-def constants() -> dict[tuple[str, ...], Any]:
-    """Functions, classes, their attributes and the constants of the package's modules, by module and name."""
-    found: dict[tuple[str, ...], Any] = {}
-    for module in [name for name in sys.modules if name.split(".")[0] == PACKAGE]:
-        for name, value in list(vars(sys.modules[module]).items()):
-            if callable(value) or isinstance(value, CONSTANT):
-                found[module, name] = value
-            if isinstance(value, type) and value.__module__ == module:
-                found |= {(module, name, own): of for own, of in vars(value).items() if callable(of) or isinstance(of, ATTRIBUTE)}
-    return found
-
-
 class EntrantError(UserError, ValueError):
     """A policy of one's own did what an entrant should not."""
 
     def __str__(self) -> str:
         return "policy is {!r}, {}".format(*self.args)
-
-
-@contextmanager
-def unchanged(policy: str) -> Iterator[None]:
-    """Raises EntrantError where the package is another behind a policy's code than before it."""
-    before = constants()
-    yield
-    after = constants()
-    if changed := [name for name, value in before.items() if after.get(name) is not value]:
-        raise EntrantError(policy, f"which changes {'.'.join(changed[0])}: it should leave the package as it is")
 
 
 class OwnPolicy:

@@ -1,6 +1,5 @@
-"""Policies of one's own as entrants: honest ones are judged as they act, and whatever others do is without effect, or told."""
+"""Policies of one's own as entrants: what they do to their environment or observations has no effect, and errors name them."""
 
-import gc
 import pickle
 import sys
 import time
@@ -11,8 +10,8 @@ import pytest
 
 from soft_tendon_env.control import CONTROLLERS, Decision, Entry
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.envs.episodes import Episodes, episodes_of
-from soft_tendon_env.evaluation import evaluate, evaluate_rows, metrics
+from soft_tendon_env.envs.episodes import episodes_of
+from soft_tendon_env.evaluation import evaluate, evaluate_rows
 from soft_tendon_env.evaluation.entrants import believed_scene
 from soft_tendon_env.policies import load_policy, policy_options
 from soft_tendon_env.policies.names import PolicyName
@@ -50,23 +49,6 @@ def by_environment(self, observation):
     self.env.reset(seed=0)
 
 
-def by_gc(self, observation):
-    self.found = getattr(self, "found", None) or [one for one in gc.get_objects() if type(one) is Episodes]
-    for found in self.found:
-        put_target_on_tip(found)
-
-
-def by_frames(self, observation):
-    frame = sys._getframe()
-    while frame := frame.f_back:
-        if isinstance(found := frame.f_locals.get("episodes"), Episodes):
-            put_target_on_tip(found)
-
-
-def by_patch(self, observation):
-    metrics.SETTLED = 1.0
-
-
 def scores_of(monkeypatch, rows=False, task="TipPose", arm=ARM, **members):
     """Records of the episodes of an Honest with other members, less the time of an action."""
     module = type(sys)("entrants_of_mine")
@@ -96,8 +78,6 @@ def test_what_is_not_that_of_the_judged_episode_has_no_effect(monkeypatch, cheat
 @pytest.mark.cases(
     "members, said",
     [
-        *(({"cheat": cheat}, "reached into the environment .* at 0.0[24] s of the episode of seed [35]") for cheat in (by_gc, by_frames)),
-        ({"cheat": by_patch}, "changes soft_tendon_env.evaluation.metrics.SETTLED: it should leave"),
         ({"act": lambda self, action: (action + np.nan, None)}, r"whose action should be finite, but action\[0.* is nan"),
         ({"act": lambda self, action: (action + np.inf, None)}, "whose action should be finite"),
         ({"act": lambda self, action: (action[..., :2], None)}, r"whose action should have shape \((2, )?3,?\), not"),
@@ -106,7 +86,6 @@ def test_what_is_not_that_of_the_judged_episode_has_no_effect(monkeypatch, cheat
     ],
 )
 def test_what_no_entrant_should_do_is_told_by_its_name(monkeypatch, members, said, rows):
-    monkeypatch.setattr(metrics, "SETTLED", metrics.SETTLED)  # and is put back
     with pytest.raises(EntrantError, match=f"policy is 'entrants_of_mine:mine', .*{said}"):
         scores_of(monkeypatch, rows, **members)
 
@@ -127,20 +106,6 @@ def test_a_policy_may_be_whole_numbers_beyond_its_bounds_and_reuse_an_array(monk
         return self.kept, None
 
     assert len(scores_of(monkeypatch, act=reuse)) == 2
-
-
-@pytest.mark.cases("task", ["Shape", "Reach"])
-def test_every_task_is_replayed_also_where_arms_end_early(monkeypatch, task):
-    arm = {**ARM, "tip_speed_limit": 0.02}
-    act = lambda self, action: (action, None)  # noqa: E731
-    options, observation = {"observation": ["tip_position"]}, lambda self, seen, *rest, **named: Honest.predict(self, _flat(seen))
-    for rows in (False, True):
-        found = scores_of(monkeypatch, rows, task, arm, act=act, options=options, predict=observation)
-        assert any(record["diverged"] and record["steps"] < 10 for record in found)
-
-
-def _flat(seen):
-    return seen["observation"] if isinstance(seen, dict) else seen
 
 
 @pytest.mark.cases(
