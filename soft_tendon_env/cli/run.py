@@ -24,6 +24,7 @@ from soft_tendon_env.robots.clock import take_priority
 from soft_tendon_env.robots.environment import PATIENCE, SETTLE, RobotEnv
 from soft_tendon_env.robots.log import check_log
 from soft_tendon_env.robots.protocol import Robot, load_robot
+from soft_tendon_env.robots.reach import NEAR, distances
 from soft_tendon_env.robots.rest import REST, Rest
 from soft_tendon_env.robots.run import Report, rehearse, run_policy
 from soft_tendon_env.robots.simulated import OF_ARM
@@ -31,8 +32,8 @@ from soft_tendon_env.tools.messages import UserError
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 SIMULATED = "soft_tendon_env.robots:SimulatedRobot"
-REACH = 1.02
-"""Distance of a target from the base, over the arm's length, up to which the arm may stretch to it."""
+LOOKS = 5
+"""Number of times at which it is asked whether the target is within reach."""
 STOPPED = "stopped: the log has every period until then, and the report says how the tendons were let go"
 
 
@@ -88,7 +89,7 @@ def run(arguments: Sequence[str]) -> None:
         env = gym.make(IDS[task], max_episode_steps=steps, **options)
         policy = named.load(env)
         rehearse(policy, env, settings.seed)
-        _tell_of_reach(env, steps)
+        _tell_of_reach(env, settings.seconds)
         if settings.priority is not None:
             take_priority(settings.priority)
         real = _connected(settings, env, options)
@@ -119,15 +120,17 @@ def _connected(settings: Run, env: gym.Env[Any, Any], options: dict[str, Any]) -
         raise
 
 
-def _tell_of_reach(env: gym.Env[Any, Any], steps: int) -> None:
-    """Say where the target of the episode that was begun lies further from the base than the arm is long."""
+def _tell_of_reach(env: gym.Env[Any, Any], seconds: float) -> None:
+    """Say where the arm cannot hold its tip at the target of the episode that was begun; shapes of the arm it can."""
     episodes = episodes_of(env)
-    distance = np.linalg.norm(episodes.target_at(0, episodes.period * np.arange(steps + 1)).tip_pose[:, :3, 3], axis=1)
-    beyond, length = distance > REACH * episodes.model.length, episodes.model.length
-    if beyond.any():
-        when = "always" if beyond.all() else f"for {100 * beyond.mean():.0f} % of the time"
-        text = f"up to {1e3 * distance.max():.0f} mm from the base of an arm of {1e3 * length:.0f} mm, and {when} out of reach"
-        print(f"note: the target is {text}: choose another --target, or give it sizes that fit the arm", file=sys.stderr)
+    model, target = episodes.model, episodes.target_at(0, np.linspace(0.0, seconds, LOOKS))
+    if target.q.size:
+        return
+    missed, position = distances(model, episodes.limits, target.tip_pose[:, :3, 3]), target.tip_pose[:, :3, 3]
+    if missed.max() > NEAR * model.length:
+        away = f"{1e3 * np.linalg.norm(position, axis=1).max():.0f} mm from the base of an arm of {1e3 * model.length:.0f} mm"
+        text = f"tensions within their limits hold the tip no nearer than {1e3 * missed.max():.0f} mm to it"
+        print(f"note: the target is out of reach: it is up to {away}, and {text}", file=sys.stderr)
 
 
 def _tell(report: Report, first: int) -> None:

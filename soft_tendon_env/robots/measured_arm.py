@@ -23,7 +23,7 @@ from soft_tendon_env.robots.clock import Pacer
 from soft_tendon_env.robots.log import RobotLog
 from soft_tendon_env.robots.protocol import COMMANDS, Measurement, Robot
 from soft_tendon_env.robots.replay import ReplayRobot
-from soft_tendon_env.robots.rest import READINGS, Rest, speed_of, window_of
+from soft_tendon_env.robots.rest import READINGS, WOBBLE, Rest, motion_of, window_of
 from soft_tendon_env.robots.safety import RobotStopped, SafeRobot
 from soft_tendon_env.tools.messages import describe
 from soft_tendon_env.tools.types import Array
@@ -31,7 +31,7 @@ from soft_tendon_env.tools.types import Array
 FIELDS: Mapping[str, str] = {**dict.fromkeys(TIP, "tip_pose"), **PARAMETERS}
 """Fields of a Measurement by the observation groups that are made of them."""
 LOOKS = 10
-"""How often in the window of its speed an arm is looked at, whether it rests."""
+"""How often in the window of its speed an arm is looked at, whether it rests; it does when it did twice on end."""
 
 
 class MeasuredArm(Arms):
@@ -95,7 +95,7 @@ class MeasuredArm(Arms):
         """The last readings of the arm at rest under the first command, which rises evenly from slack. Raises RobotStopped."""
         period, slack, bound = self.pacer.period, self.robot.slack, self._rest.speed * self.model.length
         rise, window = max(round(self._rise / period), 1), max(round(self._window / period), READINGS)
-        held: deque[tuple[int, Measurement]] = deque()  # new ones, by their period
+        held, was_still = deque[tuple[int, Measurement]](), False  # new ones, by their period
         for k in itertools.count(1 - rise):
             self.robot.write(slack + min((k + rise) / rise, 1.0) * (self._command - slack))
             self.pacer.wait()
@@ -109,11 +109,13 @@ class MeasuredArm(Arms):
             if k < window or k % max(window // LOOKS, 1) or len(held) < READINGS:
                 continue
             positions = np.array([own.tip_pose[:3, 3] for _, own in held if own.tip_pose is not None])
-            speed = speed_of(positions, period * (held[-1][0] - held[0][0]) / (len(held) - 1))
-            if speed <= bound:
+            motion = motion_of(positions, period * (held[-1][0] - held[0][0]) / (len(held) - 1))
+            is_still = motion.speed <= bound or motion.spread <= WOBBLE * bound
+            if is_still and was_still:
                 break
-            if period * k >= self._rest.wait:
-                self._stop(self._restless(speed, period * k))
+            if period * k >= self._rest.wait and not is_still:
+                self._stop(self._restless(motion.speed, period * k))
+            was_still = is_still
         return [own for _, own in held]
 
     def _restless(self, speed: float, waited: float) -> str:

@@ -12,6 +12,8 @@ WINDOW = 2.0
 """Least time [s] over which the speed is measured: at 50 Hz and with noise of 2 mm, it shows a drift of 1.5 mm/s."""
 READINGS = 20
 """Least number of readings of which the speed is measured."""
+WOBBLE = 0.15
+"""Time [s] whose way at the greatest speed of rest is the greatest spread of rest: of fast small motion, as filtered sensors show it."""
 STANDS_OUT = 33.0
 """Power of a mode over the median of all, from which on it is motion: one of 10,000 modes of white noise has as much."""
 
@@ -19,8 +21,8 @@ STANDS_OUT = 33.0
 class Rest(NamedTuple):
     """Greatest speed of an arm at rest, and the longest time for which it is waited for.
 
-    speed: of the tip, root mean square over the window, as a share of the arm's length per second. At 0.005 a swing of 1.5 s has an
-    amplitude of 0.2 % of the length. wait: [s] under the first command.
+    speed: of the tip, root mean square over the window, as a share of the arm's length per second; at 0.005 a tip that stays within
+    0.075 % of the length, root mean square, is at rest too. wait: [s] under the first command.
     """
 
     speed: float = 0.005
@@ -39,13 +41,20 @@ def window_of(model: Model) -> float:
     return max(WINDOW, float(np.pi * np.sqrt(slowest)))
 
 
-def speed_of(position: Array, period: float) -> float:
-    """Root mean square speed [m/s] of a point that was measured m times, at positions (m, 3) [m] one period [s] apart.
+class Motion(NamedTuple):
+    """Motion of a point over some time, root mean square: its speed [m/s], and its distance from the mean [m]."""
 
-    Differences of noisy samples are mostly noise: 1 mm at 50 Hz makes 70 mm/s. So the speed is that of the cosine modes that stand out of
+    speed: float
+    spread: float
+
+
+def motion_of(position: Array, period: float) -> Motion:
+    """Motion of a point that was measured m times, at positions (m, 3) [m] one period [s] apart.
+
+    Differences of noisy samples are mostly noise: 1 mm at 50 Hz makes 70 mm/s. So the motion is that of the cosine modes that stand out of
     the noise, whose power is about the same in all modes.
     """
-    power = scipy.fft.dct(position, axis=0, norm="ortho")[1:] ** 2
+    power = scipy.fft.dct(position, axis=0, norm="ortho")[1:] ** 2 / len(position)
+    power = np.sum(power, axis=1, where=power > STANDS_OUT * np.median(power, axis=0))
     rate = np.pi * np.arange(1, len(position)) / (len(position) * period)
-    moves = power > STANDS_OUT * np.median(power, axis=0)
-    return float(np.sqrt(np.sum((rate[:, None] ** 2 * power)[moves]) / len(position)))
+    return Motion(float(np.sqrt(np.sum(rate**2 * power))), float(np.sqrt(np.sum(power))))
