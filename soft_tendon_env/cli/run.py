@@ -24,10 +24,10 @@ from soft_tendon_env.robots.clock import take_priority
 from soft_tendon_env.robots.environment import PATIENCE, SETTLE, RobotEnv
 from soft_tendon_env.robots.log import check_log
 from soft_tendon_env.robots.protocol import Robot, load_robot
-from soft_tendon_env.robots.reach import NEAR, distances
 from soft_tendon_env.robots.rest import REST, Rest
 from soft_tendon_env.robots.run import Report, rehearse, run_policy
 from soft_tendon_env.robots.simulated import OF_ARM
+from soft_tendon_env.robots.workspace import NEAR, distances
 from soft_tendon_env.tools.messages import UserError
 from soft_tendon_env.tools.types import NotNegative, Positive
 
@@ -110,7 +110,7 @@ def _connected(settings: Run, env: gym.Env[Any, Any], options: dict[str, Any]) -
     connected: Robot | RobotEnv = load_robot(settings.robot, {**of_arm, **settings.robot_options})
     try:
         safe = {"rate": settings.rate, "settle": settings.settle, "patience": settings.patience, "dry": settings.dry_run}
-        rest = Rest(settings.rest_speed, settings.rest_wait)
+        rest = Rest(speed=settings.rest_speed, wait=settings.rest_wait)
         connected = RobotEnv(env, connected, rest=rest, log=settings.out, **safe)  # type: ignore[arg-type] # each is of its type
         if settings.record is None:
             return connected
@@ -123,13 +123,12 @@ def _connected(settings: Run, env: gym.Env[Any, Any], options: dict[str, Any]) -
 def _tell_of_reach(env: gym.Env[Any, Any], seconds: float) -> None:
     """Say where the arm cannot hold its tip at the target of the episode that was begun; shapes of the arm it can."""
     episodes = episodes_of(env)
-    model, target = episodes.model, episodes.target_at(0, np.linspace(0.0, seconds, LOOKS))
-    if target.q.size:
-        return
-    missed, position = distances(model, episodes.limits, target.tip_pose[:, :3, 3]), target.tip_pose[:, :3, 3]
-    if missed.max() > NEAR * model.length:
-        away = f"{1e3 * np.linalg.norm(position, axis=1).max():.0f} mm from the base of an arm of {1e3 * model.length:.0f} mm"
-        text = f"tensions within their limits hold the tip no nearer than {1e3 * missed.max():.0f} mm to it"
+    target, length = episodes.target_at(0, np.linspace(0.0, seconds, LOOKS)), episodes.model.length
+    positions = target.tip_pose[: 0 if target.q.size else LOOKS, :3, 3]
+    missed = distances(episodes.model, episodes.limits, positions).max(initial=0.0)
+    if missed > NEAR * length:
+        away = f"{1e3 * np.linalg.norm(positions, axis=1).max():.3g} mm from the base of an arm of {1e3 * length:.3g} mm"
+        text = f"tensions within their limits hold the tip no nearer than {1e3 * missed:.3g} mm to it"
         print(f"note: the target is out of reach: it is up to {away}, and {text}", file=sys.stderr)
 
 

@@ -75,16 +75,12 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         limits = np.stack([actions.least, actions.greatest], axis=1)
         sensors, fastest = episodes.sensors.size, None if rate is None else checked_number("rate", rate, 1e-9, "a positive number, or None")
         rise = checked_number("settle", settle, 0.0, "a number of seconds, at least 0")
-        still = checked_type("rest", rest, Rest, "such as Rest(speed=0.005, wait=60.0)")
-        still = Rest(
-            checked_number("rest.speed", still.speed, 1e-9, "a positive share of the length per second"),
-            checked_number("rest.wait", still.wait, 0.0, "a number of seconds, at least 0"),
-        )
+        checked_type("rest", rest, Rest, "such as Rest(speed=0.005, wait=60.0)")
         self._safe = SafeRobot(robot, limits, sensors, period, fastest, checked_count("patience", patience, 1), dry)
         self._log = None if log is None else RobotLog(Path(log), robot.command_unit, self._safe.senses, len(limits), sensors)
         if rise and fastest is not None:  # the pretension is not there before the rate has led to it
             rise = max(rise, float(np.abs(episodes.start_command - self._safe.slack).max()) / fastest)
-        self._arm = MeasuredArm(episodes, self._safe, rise, still, self._log)
+        self._arm = MeasuredArm(episodes, self._safe, rise, rest, self._log)
         self._last: Any = None
         episodes.attach(self._arm)
 

@@ -16,6 +16,7 @@ What is measured has the zeros of the arm at rest. Columns of what an arm does n
 
 import contextlib
 import csv
+import itertools
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -50,7 +51,8 @@ def check_log(path: Path) -> None:
     if path.suffix != ".csv":
         raise ValueError(f"the log is {path}: it should be a file *.csv, to which every row goes as soon as it is there")
     if path.exists():
-        raise FileExistsError(f"the log {path} is there already, and no log is overwritten: give another name, or move the file")
+        free = next(name for k in itertools.count(2) if not (name := path.with_stem(f"{path.stem}_{k}")).exists())
+        raise FileExistsError(f"the log {path} is there already, and no log is overwritten: give another name, such as {free}")
 
 
 class RobotLog:

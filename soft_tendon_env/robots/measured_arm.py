@@ -109,12 +109,12 @@ class MeasuredArm(Arms):
             if k < window or k % max(window // LOOKS, 1) or len(held) < READINGS:
                 continue
             positions = np.array([own.tip_pose[:3, 3] for _, own in held if own.tip_pose is not None])
-            motion = motion_of(positions, period * (held[-1][0] - held[0][0]) / (len(held) - 1))
-            is_still = motion.speed <= bound or motion.spread <= WOBBLE * bound
+            speed, spread = motion_of(positions, period * (held[-1][0] - held[0][0]) / (len(held) - 1))
+            is_still = speed <= bound or spread <= WOBBLE * bound
             if is_still and was_still:
                 break
             if period * k >= self._rest.wait and not is_still:
-                self._stop(self._restless(motion.speed, period * k))
+                self._stop(self._restless(speed, period * k))
             was_still = is_still
         return [own for _, own in held]
 
@@ -122,8 +122,9 @@ class MeasuredArm(Arms):
         """Cause of the stop of an arm whose tip goes on to move at a speed [m/s]."""
         length, rest = self.model.length, self._rest
         found = f"its tip moves at {speed:.3g} m/s, {speed / length:.2g} of its length per second, {waited:g} s after the first command"
-        allowed = f"at rest it moves at no more than {rest.speed:g} ({rest.speed * length:.3g} m/s)"
-        return f"the arm does not come to rest: {found}; {allowed}. Wait longer (rest wait), allow more (rest speed), or damp the arm"
+        allowed = f"at rest it is at most {rest.speed:g} ({rest.speed * length:.3g} m/s)"
+        todo = "Wait longer or allow more, by Rest(wait=.., speed=..) or --rest-wait and --rest-speed, or damp the arm"
+        return f"the arm does not come to rest: {found}; {allowed}. {todo}"
 
     def _stop(self, cause: str) -> NoReturn:
         raise RobotStopped(self.robot.stop(cause).cause)

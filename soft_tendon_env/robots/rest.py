@@ -1,12 +1,11 @@
 """Rest of an arm: speed of its tip over the last seconds, told from the noise of whatever measures it."""
 
-from typing import NamedTuple
-
 import numpy as np
 import scipy.fft
 
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.tools.types import Array
+from soft_tendon_env.tools.configuration import Configuration
+from soft_tendon_env.tools.types import Array, NotNegative, Positive
 
 WINDOW = 2.0
 """Least time [s] over which the speed is measured: at 50 Hz and with noise of 2 mm, it shows a drift of 1.5 mm/s."""
@@ -18,15 +17,17 @@ STANDS_OUT = 33.0
 """Power of a mode over the median of all, from which on it is motion: one of 10,000 modes of white noise has as much."""
 
 
-class Rest(NamedTuple):
+class Rest(Configuration):
     """Greatest speed of an arm at rest, and the longest time for which it is waited for.
 
-    speed: of the tip, root mean square over the window, as a share of the arm's length per second; at 0.005 a tip that stays within
-    0.075 % of the length, root mean square, is at rest too. wait: [s] under the first command.
+    Attributes:
+        speed: of the tip, root mean square over the window, as a share of the arm's length per second. At 0.005 a tip that stays within
+            0.075 % of the length, root mean square, is at rest too.
+        wait: time [s] under the first command.
     """
 
-    speed: float = 0.005
-    wait: float = 60.0
+    speed: Positive = 0.005
+    wait: NotNegative = 60.0
 
 
 REST = Rest()
@@ -41,15 +42,8 @@ def window_of(model: Model) -> float:
     return max(WINDOW, float(np.pi * np.sqrt(slowest)))
 
 
-class Motion(NamedTuple):
-    """Motion of a point over some time, root mean square: its speed [m/s], and its distance from the mean [m]."""
-
-    speed: float
-    spread: float
-
-
-def motion_of(position: Array, period: float) -> Motion:
-    """Motion of a point that was measured m times, at positions (m, 3) [m] one period [s] apart.
+def motion_of(position: Array, period: float) -> tuple[float, float]:
+    """Speed [m/s], and distance from the mean [m], root mean square, of a point measured at positions (m, 3) [m] one period [s] apart.
 
     Differences of noisy samples are mostly noise: 1 mm at 50 Hz makes 70 mm/s. So the motion is that of the cosine modes that stand out of
     the noise, whose power is about the same in all modes.
@@ -57,4 +51,4 @@ def motion_of(position: Array, period: float) -> Motion:
     power = scipy.fft.dct(position, axis=0, norm="ortho")[1:] ** 2 / len(position)
     power = np.sum(power, axis=1, where=power > STANDS_OUT * np.median(power, axis=0))
     rate = np.pi * np.arange(1, len(position)) / (len(position) * period)
-    return Motion(float(np.sqrt(np.sum(rate**2 * power))), float(np.sqrt(np.sum(power))))
+    return float(np.sqrt(np.sum(rate**2 * power))), float(np.sqrt(np.sum(power)))

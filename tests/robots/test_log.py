@@ -186,7 +186,8 @@ def test_no_log_is_overwritten(arm_of_test, drawing, tmp_path):
     assert len(path.read_text().splitlines()) == 3, "rows are there before the next period"
     env.close()
     text = path.read_text()
-    with pytest.raises(FileExistsError, match="no log is overwritten"):
+    path.with_name("run_2.csv").touch()
+    with pytest.raises(FileExistsError, match=r"no log is overwritten: give another name, such as .*/run_3\.csv"):
         RobotEnv(drawing(), arm_of_test(), log=path)
     assert path.read_text() == text
 

@@ -9,6 +9,7 @@ from soft_tendon_env.robots import Measurement, Rest, RobotEnv, RobotStopped, Si
 from soft_tendon_env.robots.rest import REST, motion_of, window_of
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import rod_length
+from soft_tendon_env.tools.configuration import ConfigurationError
 
 LENGTH = 0.3
 HANGING = {"effects.gravity.acceleration": [9.81, 0.0, 0.0]}
@@ -73,10 +74,10 @@ def test_rest_is_found_in_noise(motion, rest, seconds, arm_of_test, drawing):
     "motion, rest, message",
     [
         (swing(0.01), REST, r"its tip moves at 0\.0132 m/s, 0\.044 of its length per second, 60 s after the first command"),
-        (both(swing(0.01), noise(2e-3)), REST, r"at rest it moves at no more than 0\.005 \(0\.0015 m/s\)"),
+        (both(swing(0.01), noise(2e-3)), REST, r"at rest it is at most 0\.005 \(0\.0015 m/s\)\. Wait longer or allow more"),
         (swing(0.004, 10.0), Rest(wait=7.0), "7 s after the first command"),
         (lambda time: np.array([0.0, 0.01 * LENGTH * time, 0.0]), REST, r"0\.01 of its length per second"),
-        (swing(0.05), Rest(speed=0.2, wait=0.0), r"2 s after the first command; .* no more than 0\.2 \(0\.06 m/s\)"),
+        (swing(0.05), Rest(speed=0.2, wait=0.0), r"2 s after the first command; at rest it is at most 0\.2 \(0\.06 m/s\)"),
     ],
 )
 def test_an_arm_that_does_not_rest_is_let_go(motion, rest, message, arm_of_test, drawing):
@@ -107,10 +108,12 @@ def test_a_slow_rate_is_no_rest_before_the_pretension(arm_of_test, drawing):
     env.close()
 
 
-@pytest.mark.parametrize("rest, error", [((0.1, 3.0), TypeError), (Rest(speed=0.0), ValueError), (Rest(wait=-1.0), ValueError)])
-def test_rest_that_cannot_be_is_refused(rest, error, arm_of_test, drawing):
-    with pytest.raises(error, match="rest"):
-        RobotEnv(drawing(), arm_of_test(), rest=rest)
+def test_rest_that_cannot_be_is_refused(arm_of_test, drawing):
+    with pytest.raises(TypeError, match=r"rest should be a Rest \(such as Rest\(speed=0.005, wait=60.0\)\), not tuple"):
+        RobotEnv(drawing(), arm_of_test(), rest=(0.1, 3.0))
+    for wrong, message in (({"speed": 0.0}, "speed is 0.0: it should be greater than 0"), ({"wait": -1.0}, "wait is -1.0")):
+        with pytest.raises(ConfigurationError, match=message):
+            Rest(**wrong)
 
 
 def test_motion_is_told_from_noise():
@@ -136,7 +139,7 @@ def test_the_window_holds_half_a_swing(drawing):
 
 @pytest.mark.cases(
     "scene, changes, reach",
-    [("three_tendon", HANGING, 0.4), ("four_tendon", {}, 0.2), ("catheter", {}, 0.5), ("underwater", {}, 0.5)],
+    [("three_tendon", HANGING, 0.4), ("four_tendon", {}, 0.2), ("catheter", {}, 0.5)],
 )
 def test_episodes_that_follow_begin_as_still_as_the_first(scene, changes, reach, drawing):
     """Expected: drifts below 0.2 % of the length in 0.3 s, and the same zeros; after 2 s without looking it was up to 80 mm."""
@@ -158,9 +161,7 @@ def test_episodes_that_follow_begin_as_still_as_the_first(scene, changes, reach,
 @pytest.mark.cases(
     "scene, changes, episodes, deviation, within",
     [
-        ("three_tendon", HANGING, 1, 0.0, 1e-3),
-        ("three_tendon", HANGING, 4, 0.0, 3e-3),
-        ("three_tendon", {}, 2, 1e-3, 0.02),
+        ("three_tendon", HANGING, 3, 0.0, 3e-3),
         ("four_tendon", {}, 3, 1e-3, 0.01),
     ],
 )
