@@ -78,9 +78,9 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         checked_type("rest", rest, Rest, "such as Rest(speed=0.005, wait=60.0)")
         self._safe = SafeRobot(robot, limits, sensors, period, fastest, checked_count("patience", patience, 1), dry)
         self._log = None if log is None else RobotLog(Path(log), robot.command_unit, self._safe.senses, len(limits), sensors)
-        if rise and fastest is not None:  # the pretension is not there before the rate has led to it
+        if fastest is not None:  # the pretension is not there before the rate has led to it
             rise = max(rise, float(np.abs(episodes.start_command - self._safe.slack).max()) / fastest)
-        self._arm = MeasuredArm(episodes, self._safe, rise, rest, self._log)
+        self._arm = MeasuredArm(episodes, self._safe, settle == 0.0, rise, rest, self._log)
         self._last: Any = None
         episodes.attach(self._arm)
 

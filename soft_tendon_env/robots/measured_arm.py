@@ -40,15 +40,16 @@ class MeasuredArm(Arms):
     Args:
         episodes: of the environment, begun never.
         robot: see SafeRobot.
-        rise: time [s] in which the command rises from slack; 0: the first episode finds it at rest, and its sensors have their zeros.
+        is_there: the first episode finds it at rest under the first command, and its sensors have their zeros.
+        rise: time [s] in which the command rises from slack.
         rest: see Rest.
         log: of every period, or None.
     """
 
-    def __init__(self, episodes: Episodes, robot: SafeRobot, rise: float, rest: Rest, log: RobotLog | None) -> None:
+    def __init__(self, episodes: Episodes, robot: SafeRobot, is_there: bool, rise: float, rest: Rest, log: RobotLog | None) -> None:
         super().__init__(episodes.model, 1, episodes.period, np.empty(0), episodes.sensors)
         self.robot, self.pacer, self._log, self._rise, self._rest = robot, Pacer(robot.clock, episodes.period), log, rise, rest
-        self._window, self._is_there = window_of(episodes.model), not rise
+        self._window, self._is_there, self._has_zeros = window_of(episodes.model), is_there, is_there
         self._recorded = robot.robot if isinstance(robot.robot, ReplayRobot) else None
         self._command, self._actuation = episodes.start_command, episodes.actuation
         self.zero: dict[str, Array] = {}
@@ -68,7 +69,7 @@ class MeasuredArm(Arms):
         else:
             held = self._at_rest()
             rest = {name: getattr(self.reading, name)[0].copy() for name in ("tendon_length", "strain") if name in self.robot.senses}
-            if self._rise:
+            if not self._has_zeros:
                 self.zero = {name: own - np.mean([getattr(at, name) for at in held], axis=0) for name, own in rest.items()}
             self.pacer.start()
         self._is_there = False
