@@ -18,6 +18,7 @@ from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.metrics import root_mean_square
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName, episode_steps
+from soft_tendon_env.model.inverse_statics import tension_for_tip_position
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.recording import RecordRollout
 from soft_tendon_env.robots.clock import take_priority
@@ -27,13 +28,12 @@ from soft_tendon_env.robots.protocol import Robot, load_robot
 from soft_tendon_env.robots.rest import REST, Rest
 from soft_tendon_env.robots.run import Report, rehearse, run_policy
 from soft_tendon_env.robots.simulated import OF_ARM
-from soft_tendon_env.robots.workspace import NEAR, distances
 from soft_tendon_env.tools.messages import UserError
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 SIMULATED = "soft_tendon_env.robots:SimulatedRobot"
-LOOKS = 5
-"""Number of times at which it is asked whether the target is within reach."""
+LOOKS, NEAR = 5, 0.02
+"""Number of times at which it is asked whether the target is within reach, and how near the tip should come, in lengths of the arm."""
 STOPPED = "stopped: the log has every period until then, and the report says how the tendons were let go"
 
 
@@ -123,13 +123,15 @@ def _connected(settings: Run, env: gym.Env[Any, Any], options: dict[str, Any]) -
 def _tell_of_reach(env: gym.Env[Any, Any], seconds: float) -> None:
     """Say where the arm cannot hold its tip at the target of the episode that was begun; shapes of the arm it can."""
     episodes = episodes_of(env)
-    target, length = episodes.target_at(0, np.linspace(0.0, seconds, LOOKS)), episodes.model.length
-    positions = target.tip_pose[: 0 if target.q.size else LOOKS, :3, 3]
-    missed = distances(episodes.model, episodes.limits, positions).max(initial=0.0)
-    if missed > NEAR * length:
-        away = f"{1e3 * np.linalg.norm(positions, axis=1).max():.3g} mm from the base of an arm of {1e3 * length:.3g} mm"
-        text = f"tensions within their limits hold the tip no nearer than {1e3 * missed:.3g} mm to it"
-        print(f"note: the target is out of reach: it is up to {away}, and {text}", file=sys.stderr)
+    target, model = episodes.target_at(0, np.linspace(0.0, seconds, LOOKS)), episodes.model
+    (low, high), length = episodes.limits.T, 1e3 * model.length
+    for position in np.unique(target.tip_pose[: 0 if target.q.size else LOOKS, :3, 3], axis=0):
+        found = tension_for_tip_position(model, position, limits=(low, high), tolerance=NEAR * model.length)
+        if not found.reachable:
+            away = f"{1e3 * np.linalg.norm(position):.4g} mm from the base of an arm of {length:.4g} mm"
+            text = f"tensions within their limits hold the tip no nearer than {1e3 * found.position_error:.3g} mm to it"
+            print(f"note: the target is out of reach: it comes to be {away}, and {text}", file=sys.stderr)
+            return
 
 
 def _tell(report: Report, first: int) -> None:

@@ -69,10 +69,10 @@ AHEAD = [[1, 0, 0, 0.18], [0, 1, 0, 0.0], [0, 0, 1, 0], [0, 0, 0, 1]]
 @pytest.mark.cases(
     "target, note",
     [
-        ({"type": "circle", "centre": [0.95, 0.0, 0.0], "radius": 0.25}, "up to 982 mm from the base of an arm of 300 mm"),
+        ({"type": "circle", "centre": [0.95, 0.0, 0.0], "radius": 0.25}, "982.3 mm from the base of an arm of 300 mm, and tensions"),
         (
             {"type": "hold", "pose": AHEAD},
-            "up to 180 mm from the base of an arm of 300 mm, and tensions within their limits hold the tip no",
+            "180 mm from the base of an arm of 300 mm, and tensions within their limits hold the tip no",
         ),
         ({"type": "circle", "centre": [0.29, 0.0, 0.0], "radius": 0.05}, ""),
         ({"type": "hold", "tension": [2.0, 0.0, 0.0]}, ""),
