@@ -108,7 +108,8 @@ def row_of(fault: str, arguments: argparse.Namespace, seconds: float) -> tuple[o
     rehearse(policy, env)
     robot = Faulty(**ARM, sensors=options.get("sensors", 0), model_error="stiffness-20%")
     log = arguments.out / f"robot_{fault.replace(' ', '_')}.csv"
-    real = RobotEnv(env, robot, settle=0.5, log=log)
+    log.unlink(missing_ok=True)
+    real = RobotEnv(env, robot, settle=0.0, log=log)  # it is at rest
     if fault in FAULTS:
         robot.fault, robot.begins = fault, perf_counter() + 1.0
     report = ended(lambda: run_policy(Failing(policy, robot), real, seconds), real)

@@ -1,31 +1,39 @@
 """`soft-tendon run`: a policy on a robot, real, simulated or replayed, with a log and a report of its timing."""
 
 import signal
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.cli.errors import require
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
+from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.metrics import root_mean_square
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName, episode_steps
+from soft_tendon_env.model.inverse_statics import tension_for_tip_position
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.recording import RecordRollout
 from soft_tendon_env.robots.clock import take_priority
 from soft_tendon_env.robots.environment import PATIENCE, SETTLE, RobotEnv
-from soft_tendon_env.robots.protocol import load_robot
+from soft_tendon_env.robots.log import check_log
+from soft_tendon_env.robots.protocol import Robot, load_robot
+from soft_tendon_env.robots.rest import REST, Rest
 from soft_tendon_env.robots.run import Report, rehearse, run_policy
 from soft_tendon_env.robots.simulated import OF_ARM
 from soft_tendon_env.tools.messages import UserError
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 SIMULATED = "soft_tendon_env.robots:SimulatedRobot"
+LOOKS, NEAR = 5, 0.02
+"""Number of times at which it is asked whether the target is within reach, and how near the tip should come, in lengths of the arm."""
 STOPPED = "stopped: the log has every period until then, and the report says how the tendons were let go"
 
 
@@ -40,12 +48,14 @@ class Run(EpisodeSettings):
         task: name of the task: TipPose, Reach, or one that was registered.
         seed: of the target.
         rate: greatest change of a command in a second [N/s], with displacement-driven arms [m/s]; any by default.
-        settle: time [s] to bring the arm to the pretension and to rest, where lengths and strains get their zeros; 0 where it is there.
+        settle: time [s] to bring the arm to the pretension; at rest there, lengths and strains get their zeros. 0 where it is there.
+        rest_speed: greatest speed of the tip of an arm at rest, as a share of the arm's length per second.
+        rest_wait: longest time [s] for which rest is waited for.
         patience: control periods without a new reading, or behind the deadlines, after which the tendons go slack.
         dry_run: send nothing to the robot, and read alone.
         priority: real-time priority, 1 to 99, before all other processes of the machine; by default none.
         record: file for the Rerun viewer: what is measured of the tip over the arm as it is simulated under the commands that were sent.
-        out: log, a .csv or .parquet file; the report is the .json file beside it.
+        out: log, a new .csv file; the report is the .json file beside it.
     """
 
     policy: str
@@ -55,6 +65,8 @@ class Run(EpisodeSettings):
     seed: Seed = 0
     rate: Positive | None = None
     settle: NotNegative = SETTLE
+    rest_speed: Positive = REST.speed
+    rest_wait: NotNegative = REST.wait
     patience: int = Field(default=PATIENCE, ge=1)
     dry_run: bool = False
     priority: int | None = Field(default=None, ge=1, le=99)
@@ -70,19 +82,23 @@ def run(arguments: Sequence[str]) -> None:
     with parser.mistakes():
         if settings.record is not None:
             require("recording")
+        check_log(out)
         steps = episode_steps(settings.seconds, settings.skip, settings.options)
         named = PolicyName.parse(settings.policy, task)
         options = named.options(settings.options)
         env = gym.make(IDS[task], max_episode_steps=steps, **options)
         policy = named.load(env)
         rehearse(policy, env, settings.seed)
+        _tell_of_reach(env, settings.seconds)
         if settings.priority is not None:
             take_priority(settings.priority)
         real = _connected(settings, env, options)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # whatever ends the process lets the tendons go
     print(f"{settings.policy} on {settings.robot}, {settings.seconds:g} s; {machine()}\n")
     report = run_policy(policy, real, settings.seconds, settings.seed, out.with_suffix(".json"))
-    print(f"written: {out}\n")
+    if out.exists():
+        print(f"written: {out}")
+    print()
     _tell(report, round(settings.skip / episodes_of(real).period))
     if not report.finished:
         raise UserError(f"the robot was stopped: {report.stop.cause}")
@@ -91,23 +107,39 @@ def run(arguments: Sequence[str]) -> None:
 def _connected(settings: Run, env: gym.Env[Any, Any], options: dict[str, Any]) -> gym.Env[Any, Any]:
     """The environment, with these options, and its robot. Raises ValueError, TypeError, OSError, and closes the robot then."""
     of_arm = {name: options[name] for name in OF_ARM if name in options and settings.robot == SIMULATED}
-    robot = load_robot(settings.robot, {**of_arm, **settings.robot_options})
+    connected: Robot | RobotEnv = load_robot(settings.robot, {**of_arm, **settings.robot_options})
     try:
         safe = {"rate": settings.rate, "settle": settings.settle, "patience": settings.patience, "dry": settings.dry_run}
-        real = RobotEnv(env, robot, log=settings.out, **safe)  # type: ignore[arg-type] # each is of its type
+        rest = Rest(speed=settings.rest_speed, wait=settings.rest_wait)
+        connected = RobotEnv(env, connected, rest=rest, log=settings.out, **safe)  # type: ignore[arg-type] # each is of its type
         if settings.record is None:
-            return real
-        return RecordRollout(real, settings.record, flush_period=None)  # writing meanwhile would take longer than a period
+            return connected
+        return RecordRollout(connected, settings.record, flush_period=None)  # writing meanwhile would take longer than a period
     except BaseException:
-        robot.close()
+        connected.close()
         raise
+
+
+def _tell_of_reach(env: gym.Env[Any, Any], seconds: float) -> None:
+    """Say where the arm cannot hold its tip at the target of the episode that was begun; shapes of the arm it can."""
+    episodes = episodes_of(env)
+    target, model = episodes.target_at(0, np.linspace(0.0, seconds, LOOKS)), episodes.model
+    (low, high), length = episodes.limits.T, 1e3 * model.length
+    for position in np.unique(target.tip_pose[: 0 if target.q.size else LOOKS, :3, 3], axis=0):
+        found = tension_for_tip_position(model, position, limits=(low, high), tolerance=NEAR * model.length)
+        if not found.reachable:
+            away = f"{1e3 * np.linalg.norm(position):.4g} mm from the base of an arm of {length:.4g} mm"
+            text = f"tensions within their limits hold the tip no nearer than {1e3 * found.position_error:.3g} mm to it"
+            print(f"note: the target is out of reach: it comes to be {away}, and {text}", file=sys.stderr)
+            return
 
 
 def _tell(report: Report, first: int) -> None:
     """Print errors from the `first` period on, timing, and how the tendons were let go."""
     for name, values in report.errors.items():
         if values[first:].size:
-            print(f"{name.replace('_', ' ')}: {root_mean_square(values[first:]):.4g} (root mean square, as measured)")
+            unit = error_unit(name)
+            print(f"{unit.label}: {unit.text(root_mean_square(values[first:]))} (root mean square, as measured)")
     print(report.timing)
     let_go = "slack" if report.stop.slack else f"not slack, the robot does not answer: {report.stop.failures[-1]}"
     print(f"{report.stop.cause}: tendons {let_go} after {1e3 * report.stop.seconds:.0f} ms")

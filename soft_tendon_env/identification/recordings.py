@@ -145,6 +145,8 @@ def _period(rows: Sequence[_Row]) -> float:
         return 0.0
     times = np.array([row.number("time") for row in rows])
     if len(times) < 2:
+        if times[0] < 0.0:  # a log that was cut off behind the row at rest, which is a hold
+            return 0.0
         raise ValueError(f"{rows[0].where}: a motion should have at least two samples")
     period = float((times[-1] - times[0]) / (len(times) - 1))
     off = np.abs(times - times[0] - period * np.arange(len(times)))

@@ -7,6 +7,7 @@ from soft_tendon_env.robots.environment import RobotEnv
 from soft_tendon_env.robots.log import LoggedRun, read_log
 from soft_tendon_env.robots.protocol import Measurement, Robot, load_robot
 from soft_tendon_env.robots.replay import ReplayRobot
+from soft_tendon_env.robots.rest import Rest
 from soft_tendon_env.robots.run import Report, rehearse, run_policy
 from soft_tendon_env.robots.safety import RobotStopped, Stop
 from soft_tendon_env.robots.simulated import SimulatedRobot
@@ -20,6 +21,7 @@ __all__ = [
     "Measurement",
     "ReplayRobot",
     "Report",
+    "Rest",
     "Robot",
     "RobotEnv",
     "RobotStopped",

@@ -19,13 +19,14 @@ from soft_tendon_env.robots.clock import Timing
 from soft_tendon_env.robots.log import RobotLog
 from soft_tendon_env.robots.measured_arm import MeasuredArm, misfit
 from soft_tendon_env.robots.protocol import Robot, check_robot
+from soft_tendon_env.robots.rest import REST, Rest
 from soft_tendon_env.robots.safety import RobotStopped, SafeRobot, Stop
 from soft_tendon_env.tools.checks import checked_count, checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
-SETTLE = 2.0
-"""Time [s] in which an arm is brought to where episodes begin, and comes to rest there."""
+SETTLE = 1.0
+"""Time [s] in which an arm is brought to where episodes begin."""
 PATIENCE = 3
 """Control periods without a new reading, or behind the deadlines, after which an arm is let go."""
 
@@ -33,17 +34,18 @@ PATIENCE = 3
 class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
     """A robot in place of the simulated arm of an environment with one arm, made by `gym.make`.
 
-    `reset` brings the robot from slack tendons to the first command, the pretension, within `settle` [s], and makes what it then measures
-    the zero of tendon lengths and strains. Commands stay within the environment's limits, and change by at most `rate` [N/s, or m/s] where
-    that is given. After `patience` periods without a new reading or behind the deadlines, or an error of the robot, the tendons are slack
-    within RAMP and the episode is truncated, `info["stopped"]` says why; `reset` begins again. `close` lets the tendons go and closes the
-    robot.
+    `reset` brings the robot from slack tendons to the first command, the pretension, within `settle` [s], waits until it is at rest, see
+    Rest, and makes what it then measures the zero of tendon lengths and strains. Commands stay within the environment's limits, and change
+    by at most `rate` [N/s, or m/s] where that is given. After `patience` periods without a new reading or behind the deadlines, or an error
+    of the robot, the tendons are slack within RAMP and the episode is truncated, `info["stopped"]` says why; `reset` begins again. `close`
+    lets the tendons go and closes the robot.
 
     Args:
         env: what it observes and how actions are read; its options say the scene, `control_period` and `tension_limits`.
         robot: see Robot.
-        settle: 0 for one that is where episodes begin, and whose sensors have their zeros.
-        log: file of the periods, see log.py; None: none.
+        settle: 0 for one that is at rest where episodes begin when the first one does, and whose sensors have their zeros.
+        rest: speed of an arm at rest, and how long it is waited for; a ReplayRobot begins at once.
+        log: new CSV file of the periods, see log.py; None: none. A file that is there is not overwritten.
         dry: send nothing to the robot, and read alone.
 
     Raises ConfigurationError where the robot does not fit the environment, TypeError, ValueError, OSError.
@@ -56,6 +58,7 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         *,
         rate: float | None = None,
         settle: float = SETTLE,
+        rest: Rest = REST,
         patience: int = PATIENCE,
         log: str | Path | None = None,
         dry: bool = False,
@@ -71,10 +74,13 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         period, actions = episodes.period, episodes.actions
         limits = np.stack([actions.least, actions.greatest], axis=1)
         sensors, fastest = episodes.sensors.size, None if rate is None else checked_number("rate", rate, 1e-9, "a positive number, or None")
-        settled = checked_number("settle", settle, 0.0, "a number of seconds, at least 0")
+        rise = checked_number("settle", settle, 0.0, "a number of seconds, at least 0")
+        checked_type("rest", rest, Rest, "such as Rest(speed=0.005, wait=60.0)")
         self._safe = SafeRobot(robot, limits, sensors, period, fastest, checked_count("patience", patience, 1), dry)
         self._log = None if log is None else RobotLog(Path(log), robot.command_unit, self._safe.senses, len(limits), sensors)
-        self._arm = MeasuredArm(episodes, self._safe, settled, self._log)
+        if fastest is not None:  # the pretension is not there before the rate has led to it
+            rise = max(rise, float(np.abs(episodes.start_command - self._safe.slack).max()) / fastest)
+        self._arm = MeasuredArm(episodes, self._safe, settle == 0.0, rise, rest, self._log)
         self._last: Any = None
         episodes.attach(self._arm)
 

@@ -1,4 +1,4 @@
-"""Log of a run: one row a control period, in CSV or Parquet, as `soft-tendon identify` and `ReplayRobot` read it.
+"""Log of a run: one row a control period, in CSV, as `soft-tendon identify` and `ReplayRobot` read it.
 
     hold                 name of the motion, the file's, with a number behind it where there are several
     time                 beginning of the period [s], from that of the run
@@ -14,15 +14,18 @@ A motion's first row, one period before time 0, has the command under which the 
 What is measured has the zeros of the arm at rest. Columns of what an arm does not sense are not there.
 """
 
+import contextlib
 import csv
+import itertools
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.robots.protocol import COMMANDS, Measurement, Unit
-from soft_tendon_env.tools.tables import SUFFIXES, pyarrow, rows_of
+from soft_tendon_env.tools.tables import rows_of
 from soft_tendon_env.tools.types import Array
 
 STRAINS = ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")
@@ -43,28 +46,31 @@ def columns_of(unit: Unit, senses: tuple[str, ...], tendons: int, sensors: int) 
     return {**commands, **{name: own for name, own in each.items() if name in senses}}
 
 
-class RobotLog:
-    """Writes a log. A CSV file has every row as soon as it is there, whatever comes after; a Parquet file appears when it is closed.
+def check_log(path: Path) -> None:
+    """Raises ValueError for a file that is no .csv, and FileExistsError for one that is there: no log is overwritten."""
+    if path.suffix != ".csv":
+        raise ValueError(f"the log is {path}: it should be a file *.csv, to which every row goes as soon as it is there")
+    if path.exists():
+        free = next(name for k in itertools.count(2) if not (name := path.with_stem(f"{path.stem}_{k}")).exists())
+        raise FileExistsError(f"the log {path} is there already, and no log is overwritten: give another name, such as {free}")
 
-    Raises ValueError for other suffixes, and for Parquet without PyArrow; OSError.
+
+class RobotLog:
+    """Writes a log, which has every row as soon as it is there, whatever comes after. Without any row there is no file in the end.
+
+    Raises as `check_log`, and OSError.
     """
 
     def __init__(self, path: Path, unit: Unit, senses: tuple[str, ...], tendons: int, sensors: int) -> None:
+        check_log(path)
         self.path, self._senses, self._motions = path, senses, 0
-        if path.suffix not in SUFFIXES:
-            raise ValueError(f"the log is {path}: it should be a file {' or '.join(f'*{suffix}' for suffix in SUFFIXES)}")
         self._columns = columns_of(unit, senses, tendons, sensors)
         names = [name for own in self._columns.values() for name in own]
         self._header = ["hold", "time", "measured_time", *names]
         self._rest: list[Any] | None = None
-        self._kept: list[list[Any]] | None = [] if path.suffix == ".parquet" else None
-        if self._kept is not None:
-            pyarrow()
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = open(path, "w", encoding="utf-8", newline="")
-        if self._kept is None:
-            self._writer = csv.writer(self._file, lineterminator="\n")
-            self._write(self._header)
+        self._file = open(path, "x", encoding="utf-8", newline="")
+        self._writer = csv.writer(self._file, lineterminator="\n")
 
     def begin(self, period: float, measured: Measurement, command: Array) -> None:
         """Another motion begins, at time 0, from rest under a command (n_a,), with what is measured there; period: of control [s]."""
@@ -72,11 +78,13 @@ class RobotLog:
         self._rest = self._row(-period, measured, command, command)
 
     def append(self, time: float, measured: Measurement, commanded: Array, sent: Array) -> None:
-        """A period that begins at a time [s], with what was measured then, and the commands (n_a,) that followed."""
+        """A period that begins at a time [s], with what was measured then, and the commands (n_a,) that followed. Raises OSError."""
+        rows = [self._row(time, measured, commanded, sent)]
         if self._rest is not None:
-            self._write(self._rest)
+            rows = [*([] if self._motions else [self._header]), self._rest, *rows]
             self._rest, self._motions = None, self._motions + 1
-        self._write(self._row(time, measured, commanded, sent))
+        self._writer.writerows(rows)
+        self._file.flush()
 
     def _row(self, time: float, measured: Measurement, commanded: Array, sent: Array) -> list[Any]:
         values = {"sent": sent, "commanded": commanded, **{name: getattr(measured, name) for name in self._senses}}
@@ -85,38 +93,25 @@ class RobotLog:
         numbers = np.concatenate([values[name].ravel() for name in self._columns]).tolist()
         return [self._hold, round(time, 9), measured.time, *numbers]
 
-    def _write(self, row: list[Any]) -> None:
-        if self._kept is not None:
-            self._kept.append(row)
-            return
-        self._writer.writerow(row)
-        self._file.flush()
-
     def close(self) -> None:
-        """Completes the file; once."""
+        """Closes the file; once."""
         if self._file.closed:
             return
-        self._file.close()
-        if self._kept is not None:
-            arrow = pyarrow()
-            content = [list(values) for values in zip(*self._kept, strict=True)] or [[] for _ in self._header]
-            arrow.parquet.write_table(arrow.table(dict(zip(self._header, content, strict=True))), self.path)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
+        with contextlib.suppress(OSError):  # of a full disk: what is left was told of when it was written
+            self._file.close()
+        if not self._motions:
+            self.path.unlink(missing_ok=True)
 
 
 class LoggedRun(NamedTuple):
-    """A log as arrays, one entry a period from time 0 on."""
+    """A log as arrays, one entry a period from time 0 of its episode on."""
 
     unit: Unit
     time: Array  # (m,) [s]
     sent: Array  # (m, n_a)
     commanded: Array  # (m, n_a)
     measured: tuple[Measurement, ...]
+    episode: NDArray[np.int64]  # (m,) from 0 on
 
     @property
     def senses(self) -> tuple[str, ...]:
@@ -133,7 +128,9 @@ def read_log(path: str | Path) -> LoggedRun:
     if unit is None or (missing := [name for name in needed if name not in table]):
         lacks = "tension_0 or displacement_0" if unit is None else ", ".join(missing)
         raise ValueError(f"{path} is no log of a run: it has no column {lacks}")
-    table = {name: values[table["time"] >= 0.0] for name, values in table.items()}
+    episode = np.cumsum(np.diff(table["time"], prepend=np.inf) <= 0.0) - 1
+    counts = table["time"] >= 0.0
+    table = {name: values[counts] for name, values in table.items()}
     if not table["time"].size:
         raise ValueError(f"{path} has no rows beneath the first line: there is nothing to replay")
     tendons, sensors = (_count(table, start) for start in ("commanded_{}", "strain_{}_torsion"))
@@ -144,7 +141,7 @@ def read_log(path: str | Path) -> LoggedRun:
     values = {name: np.stack([table[column] for column in own], axis=1) for name, own in there.items()}
     sent, commanded = values.pop("sent"), values.pop("commanded")
     measured = [_measurement(time, {name: own[k] for name, own in values.items()}) for k, time in enumerate(table["measured_time"])]
-    return LoggedRun(unit, table["time"], sent, commanded, tuple(measured))
+    return LoggedRun(unit, table["time"], sent, commanded, tuple(measured), episode[counts])
 
 
 def _measurement(time: float, values: dict[str, Array]) -> Measurement:

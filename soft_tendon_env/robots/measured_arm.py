@@ -3,7 +3,10 @@
 The simulated arm goes on beside it under the commands that were sent: it is what recordings show, and nothing of it is observed.
 """
 
+import itertools
+from collections import deque
 from collections.abc import Mapping
+from typing import NoReturn
 
 import numpy as np
 
@@ -19,78 +22,121 @@ from soft_tendon_env.policies.regimes import TARGET_GROUPS
 from soft_tendon_env.robots.clock import Pacer
 from soft_tendon_env.robots.log import RobotLog
 from soft_tendon_env.robots.protocol import COMMANDS, Measurement, Robot
-from soft_tendon_env.robots.safety import SafeRobot
+from soft_tendon_env.robots.replay import ReplayRobot
+from soft_tendon_env.robots.rest import READINGS, WOBBLE, Rest, motion_of, window_of
+from soft_tendon_env.robots.safety import RobotStopped, SafeRobot
+from soft_tendon_env.tools.messages import describe
 from soft_tendon_env.tools.types import Array
 
 FIELDS: Mapping[str, str] = {**dict.fromkeys(TIP, "tip_pose"), **PARAMETERS}
 """Fields of a Measurement by the observation groups that are made of them."""
-STILL = 0.5
-"""Share of the time to settle in which the arm is held still; before that the command rises evenly."""
+LOOKS = 10
+"""How often in the window of its speed an arm is looked at, whether it rests; it does when it did twice on end."""
 
 
 class MeasuredArm(Arms):
-    """One row, the robot. `place` brings it to where episodes begin, and makes that the zero of lengths and strains.
+    """One row, the robot. `place` brings it to rest where episodes begin, and makes that the zero of lengths and strains.
 
     Args:
         episodes: of the environment, begun never.
         robot: see SafeRobot.
-        settle: time [s] to get there and come to rest; 0: it is there, and its sensors have their zeros.
+        is_there: the first episode finds it at rest under the first command, and its sensors have their zeros.
+        rise: time [s] in which the command rises from slack.
+        rest: see Rest.
         log: of every period, or None.
     """
 
-    def __init__(self, episodes: Episodes, robot: SafeRobot, settle: float, log: RobotLog | None) -> None:
+    def __init__(self, episodes: Episodes, robot: SafeRobot, is_there: bool, rise: float, rest: Rest, log: RobotLog | None) -> None:
         super().__init__(episodes.model, 1, episodes.period, np.empty(0), episodes.sensors)
-        self.robot, self.pacer, self._log, self._settle = robot, Pacer(robot.clock, episodes.period), log, settle
+        self.robot, self.pacer, self._log, self._rise, self._rest = robot, Pacer(robot.clock, episodes.period), log, rise, rest
+        self._window, self._is_there, self._has_zeros = window_of(episodes.model), is_there, is_there
+        self._recorded = robot.robot if isinstance(robot.robot, ReplayRobot) else None
         self._command, self._actuation = episodes.start_command, episodes.actuation
         self.zero: dict[str, Array] = {}
         """Values by field that are added to what the robot measures, so that it reads as the model at rest."""
 
     def place(self, members: Indices, q: Array, tension: Array | None = None) -> None:
-        """Let the robot begin, from slack tendons. Raises RobotStopped."""
+        """Let the robot begin, from slack tendons. Raises RobotStopped, also where it does not come to rest."""
         super().place(members, q, tension)
-        rest = {name: getattr(self.reading, name)[0].copy() for name in ("tendon_length", "strain")}
         self.robot.begin()
         self.pacer.start()
         self.zero = {}
-        if self._settle:
-            held = self._settled()
-            self.zero = {
-                name: rest[name] - np.mean([getattr(own, name) for own in held], axis=0) for name in rest if name in self.robot.senses
-            }
-            self.pacer.start()
-        else:
+        if self._recorded is not None:
+            self._recorded.begin()
+        if self._is_there or self._recorded is not None:
             self.robot.write(self._command)
-        self._take(self.robot.read())
+            held = [self.robot.read()]
+        else:
+            held = self._at_rest()
+            rest = {name: getattr(self.reading, name)[0].copy() for name in ("tendon_length", "strain") if name in self.robot.senses}
+            if not self._has_zeros:
+                self.zero = {name: own - np.mean([getattr(at, name) for at in held], axis=0) for name, own in rest.items()}
+            self.pacer.start()
+        self._is_there = False
+        self._take(held[-1])
         if self._log is not None:
-            self._log.begin(self.pacer.period, self._now, self._command)
+            self._log.begin(self.pacer.period, self._zeroed(held[-2:][0]), self._command)
 
     def step(self, command: Array, members: Indices, durations: Array | None = None, tape: Tape | None = None) -> None:
         """Send the command of a period (1, parts, n_a), which becomes what was sent, and measure at its end. Raises RobotStopped."""
         asked = command[0, -1].copy()
         sent = self.robot.write(asked)
         if self._log is not None:
-            self._log.append(self.pacer.period * self.pacer.count, self._now, asked, sent)
+            try:
+                self._log.append(self.pacer.period * self.pacer.count, self._now, asked, sent)
+            except OSError as error:
+                self._stop(f"the log {self._log.path} cannot be written: {describe(error)}")
         command[:], self._actuation.command[0] = sent, sent
         super().step(command, members, durations, tape)
         self.outcome.status[:] = OK  # a robot does not diverge
         self.robot.look_at_lateness(self.pacer.wait())
         self._take(self.robot.read())
 
-    def _settled(self) -> list[Measurement]:
-        """Measurements of the arm held at the first command, to which it is brought from slack."""
-        periods = max(2, round(self._settle / self.pacer.period))
-        held = []
-        for k in range(1, periods + 1):
-            share = min(k / ((1.0 - STILL) * periods), 1.0)
-            self.robot.write(self.robot.slack + share * (self._command - self.robot.slack))
+    def _at_rest(self) -> list[Measurement]:
+        """The last readings of the arm at rest under the first command, which rises evenly from slack. Raises RobotStopped."""
+        period, slack, bound = self.pacer.period, self.robot.slack, self._rest.speed * self.model.length
+        rise, window = max(round(self._rise / period), 1), max(round(self._window / period), READINGS)
+        held, was_still = deque[tuple[int, Measurement]](), False  # new ones, by their period
+        for k in itertools.count(1 - rise):
+            self.robot.write(slack + min((k + rise) / rise, 1.0) * (self._command - slack))
             self.pacer.wait()
             measured = self.robot.read()
-            held += [measured] if 2 * k > (2.0 - STILL) * periods else []  # the last of those at which it is still
-        return held
+            if k <= 0:
+                continue
+            if not held or measured.time != held[-1][1].time:
+                held.append((k, measured))
+            while len(held) > READINGS and held[0][0] <= k - window:
+                held.popleft()
+            if k < window or k % max(window // LOOKS, 1) or len(held) < READINGS:
+                continue
+            positions = np.array([own.tip_pose[:3, 3] for _, own in held if own.tip_pose is not None])
+            speed, spread = motion_of(positions, period * (held[-1][0] - held[0][0]) / (len(held) - 1))
+            is_still = speed <= bound or spread <= WOBBLE * bound
+            if is_still and was_still:
+                break
+            if period * k >= self._rest.wait and not is_still:
+                self._stop(self._restless(speed, period * k))
+            was_still = is_still
+        return [own for _, own in held]
+
+    def _restless(self, speed: float, waited: float) -> str:
+        """Cause of the stop of an arm whose tip goes on to move at a speed [m/s]."""
+        length, rest = self.model.length, self._rest
+        found = f"its tip moves at {speed:.3g} m/s, {speed / length:.2g} of its length per second, {waited:g} s after the first command"
+        allowed = f"at rest it is at most {rest.speed:g} ({rest.speed * length:.3g} m/s)"
+        todo = "Wait longer or allow more, by Rest(wait=.., speed=..) or --rest-wait and --rest-speed, or damp the arm"
+        return f"the arm does not come to rest: {found}; {allowed}. {todo}"
+
+    def _stop(self, cause: str) -> NoReturn:
+        raise RobotStopped(self.robot.stop(cause).cause)
+
+    def _zeroed(self, measured: Measurement) -> Measurement:
+        """A measurement with the zeros of the arm at rest."""
+        return measured._replace(**{name: getattr(measured, name) + zero for name, zero in self.zero.items()})
 
     def _take(self, measured: Measurement) -> None:
         """Make a measurement the reading, with the zeros of the arm at rest."""
-        self._now = measured._replace(**{name: getattr(measured, name) + zero for name, zero in self.zero.items()})
+        self._now = self._zeroed(measured)
         self.reading.tension[:] = np.nan  # unless it is measured
         for name in self.robot.senses:
             getattr(self.reading, name)[0] = getattr(self._now, name)

@@ -1,12 +1,15 @@
 """`soft-tendon run`: a log and a report of a run; what stops it is said in one line."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
+import gymnasium as gym
 import pytest
 
 from soft_tendon_env.cli.main import main
+from soft_tendon_env.cli.run import _tell_of_reach
 from soft_tendon_env.robots import load_robot, read_log
 
 ARM = ["--scene", "three_tendon", "--fidelity", "fast"]
@@ -32,7 +35,8 @@ def test_a_run_leaves_a_log_and_a_report(tmp_path, capsys):
     out = tmp_path / "a" / "run.csv"
     main(["run", "filtered:tracking", *ARM, *STEPPED, "--seconds", "1", "--skip", "0.4", "--settle", "0.2", "--out", str(out)])
     said = capsys.readouterr().out
-    assert "position error: 0.0" in said and "50 periods, 0 overruns" in said and "the run ended: tendons slack after" in said
+    assert re.search(r"^position error: [\d.]+ mm \(root mean square", said, re.M) and re.search(r"^angle error: [\d.]+ deg", said, re.M)
+    assert f"written: {out}\n" in said and "50 periods, 0 overruns" in said and "the run ended: tendons slack after" in said
     report = json.loads(out.with_suffix(".json").read_text())
     assert len(read_log(out).time) == report["timing"]["periods"] == 50
     assert report["stop"]["slack"] and len(report["zero"]["tendon_length"]) == 3 and report["rms"]["position_error"] > 0.0
@@ -45,7 +49,41 @@ def test_a_robot_that_does_not_answer_ends_it_in_one_line(tmp_path, capsys):
     assert "the robot was stopped: reading failed: ConnectionError, the arm is deaf" in str(exit.value.code)
     report = json.loads(out.with_suffix(".json").read_text())
     assert report["stop"]["slack"] and report["rms"]["position_error"] is None
-    assert "position error" not in capsys.readouterr().out  # there was none
+    said = capsys.readouterr().out
+    assert "position error" not in said and f"written: {out}\n" not in said and not out.exists()  # there was none
+
+
+def test_a_log_that_is_there_is_refused_before_anything_moves(tmp_path, capsys):
+    out = tmp_path / "run.csv"
+    out.write_text("hold,time\n")
+    for path, message in ((out, "is there already, and no log is overwritten"), (tmp_path / "a.parquet", "should be a file *.csv")):
+        with pytest.raises(SystemExit) as exit:
+            main(["run", "no policy", "--out", str(path)])
+        assert exit.value.code == 2 and message in capsys.readouterr().err
+    assert out.read_text() == "hold,time\n"
+
+
+AHEAD = [[1, 0, 0, 0.18], [0, 1, 0, 0.0], [0, 0, 1, 0], [0, 0, 0, 1]]
+
+
+@pytest.mark.cases(
+    "target, note",
+    [
+        ({"type": "circle", "centre": [0.95, 0.0, 0.0], "radius": 0.25}, "982.3 mm from the base of an arm of 300 mm, and tensions"),
+        (
+            {"type": "hold", "pose": AHEAD},
+            "180 mm from the base of an arm of 300 mm, and tensions within their limits hold the tip no",
+        ),
+        ({"type": "circle", "centre": [0.29, 0.0, 0.0], "radius": 0.05}, ""),
+        ({"type": "hold", "tension": [2.0, 0.0, 0.0]}, ""),
+    ],
+)
+def test_a_target_out_of_reach_gets_a_word(target, note, capsys):
+    env = gym.make("TendonRod-TipPose-v0", scene="three_tendon", fidelity="fast", target=target)
+    env.reset(seed=0)
+    _tell_of_reach(env, 8.0)
+    said = capsys.readouterr().err
+    assert note in said and bool(said) == bool(note)
 
 
 def test_robots_of_this_folder_are_found(tmp_path, monkeypatch):

@@ -71,6 +71,7 @@ def test_every_end_lets_the_tendons_go(faults, policy, raised, cause, sent, arm_
     log = read_log(tmp_path / "run.csv")
     np.testing.assert_allclose(log.time, 0.02 * np.arange(sent), atol=1e-9)
     assert (log.sent == log.commanded).all() and (log.sent.max(axis=1) > 1.0).all()
+    (tmp_path / "run.csv").unlink()
 
 
 def assert_let_go(stop, arm, cause):
