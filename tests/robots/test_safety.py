@@ -1,19 +1,35 @@
 """Whatever ends a run, the tendons go slack within 100 ms, the robot is closed, and the log has every period until then."""
 
+import itertools
+import json
+import re
 import signal
+import sys
 import threading
+import time
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.robots import RobotEnv, RobotStopped, read_log, run_policy
+from soft_tendon_env.robots import RobotEnv, RobotStopped, SimulatedRobot, read_log, run_policy
 from soft_tendon_env.robots.protocol import Measurement
-from soft_tendon_env.robots.safety import RAMP
+from soft_tendon_env.robots.reach import reach_of
+from soft_tendon_env.robots.safety import RAMP, TRYING, SafeRobot
+from soft_tendon_env.robots.signals import SIGNALS
 
 SOON = 0.1
 """Time [s] within which tendons should be slack."""
+POSE = np.eye(4)
+POSE[0, 3] = 0.3
 PULLS = np.array([0.5, -0.5, 0.0], dtype=np.float32)
+
+
+def posed(at=(0.3, 0.0, 0.0), turned=POSE[:3, :3], row=(0.0, 0.0, 0.0, 1.0), time=1.0):
+    """Measurement of a tip."""
+    pose = np.vstack([np.column_stack([turned, at]), row])
+    return Measurement(time, tip_pose=pose, tendon_length=np.zeros(3))
 
 
 class Pulling:
@@ -46,8 +62,9 @@ def out_of_reach():
     raise ValueError("the target is out of reach")
 
 
-def interrupt():
-    signal.raise_signal(signal.SIGINT)
+def interrupt(*names):
+    for name in names:
+        signal.raise_signal(signal.Signals[name])
 
 
 @pytest.mark.cases(
@@ -56,7 +73,10 @@ def interrupt():
         ({}, Pulling(), None, "the run ended", 30),
         ({"read": at(12, lost)}, Pulling(), None, "reading failed: OSError, /dev/ttyUSB0: Input/output error", 11),
         ({}, Pulling(at(8, out_of_reach)), ValueError, "ValueError, the target is out of reach", 7),
-        ({}, Pulling(at(8, interrupt)), KeyboardInterrupt, "Ctrl-C", 7),
+        ({}, Pulling(at(8, partial(interrupt, "SIGINT"))), KeyboardInterrupt, "interrupted by SIGINT (Ctrl-C)", 7),
+        ({}, Pulling(at(9, partial(interrupt, "SIGHUP", "SIGINT", "SIGTERM"))), KeyboardInterrupt, "interrupted by SIGHUP", 8),
+        ({}, Pulling(at(5, partial(interrupt, "SIGTSTP"))), KeyboardInterrupt, "interrupted by SIGTSTP", 4),
+        ({"read": at(6, partial(sys.exit, 3))}, Pulling(), SystemExit, "SystemExit, 3", 5),
     ],
 )
 def test_every_end_lets_the_tendons_go(faults, policy, raised, cause, sent, arm_of_test, drawing, tmp_path):
@@ -87,7 +107,20 @@ def test_a_port_that_is_lost_is_tried_again(arm_of_test, drawing):
     assert report.stop.slack and report.stop.seconds <= SOON and arm.is_slack
     arm = arm_of_test(write=at(5, lost))
     report = run_policy(Pulling(), RobotEnv(drawing(), arm, settle=0.0), 0.6)
-    assert not report.stop.slack and not report.finished and report.stop.seconds <= SOON and arm.closed
+    assert not report.stop.slack and not report.finished and arm.closed
+    assert TRYING <= report.stop.seconds <= TRYING + SOON and 20 < len(report.stop.failures) < 50
+
+
+def test_every_later_stop_tries_again(arm_of_test, drawing):
+    arm = arm_of_test()
+    env = RobotEnv(drawing(), arm, settle=0.0)
+    env.reset(seed=0)
+    env.step(np.ones(3))
+    arm.faults["write"] = at(0, lost)
+    assert not env.stop("somebody pressed the button").slack
+    del arm.faults["write"]
+    env.close()
+    assert arm.is_slack and env.stopped.slack and env.stopped.cause == "somebody pressed the button"
 
 
 @pytest.mark.cases("patience", [1, 3])
@@ -137,14 +170,102 @@ def test_the_watchdog_lets_go_where_something_hangs(what, arm_of_test, drawing, 
 
     arm = arm_of_test(real_time=True, **({} if what == "policy" else {what: hang}))
     env = RobotEnv(drawing(), arm, settle=0.0, patience=15)  # which a busy machine does not use up
-    loop = threading.Thread(target=run_policy, args=(Pulling(hang if what == "policy" else lambda count: None), env, 5.0))
+    loop = threading.Thread(target=run_policy, args=(Pulling(hang if what == "policy" else lambda count: None), env, 5.0), daemon=True)
     loop.start()
-    while not ((stop := env.stopped) and stop.slack and "no reading" in stop.cause):
-        assert loop.is_alive()
-    assert arm.is_slack and not after_hanging  # while it still hangs
+    if what == "policy":  # which nothing can end, and the others are left behind
+        wait_until(lambda: env.stopped and env.stopped.slack and "no reading" in env.stopped.cause)
+    else:
+        loop.join(20.0)
+        assert arm.closed and f"ms: {what} does not return" in env.stopped.cause
+    assert arm.is_slack and env.stopped.slack and not after_hanging  # while it still hangs
     gate.set()
-    loop.join()
-    assert arm.is_slack and arm.closed and env.stopped is stop
+    loop.join(20.0)
+    wait_until(lambda: after_hanging and arm.is_slack)
+    assert arm.closed and not loop.is_alive()
+
+
+def wait_until(holds):
+    until = time.monotonic() + 20.0
+    while not holds():
+        assert time.monotonic() < until
+        time.sleep(0.01)
+
+
+def test_a_robot_that_takes_no_command_any_more_is_reported(arm_of_test, drawing, gate, tmp_path):
+    arm = arm_of_test(real_time=True, write=lambda count: gate.wait(30.0) if count >= 8 else None)
+    report = run_policy(Pulling(), RobotEnv(drawing(), arm, settle=0.0, patience=15), 5.0, report=tmp_path / "run.json")
+    assert "write does not return" in report.stop.cause and not report.stop.slack and not report.finished
+    assert len(report.stop.failures) > 10 and set(report.stop.failures) == {"TimeoutError, write does not return"}
+    assert TRYING <= report.stop.seconds < 3.0 * TRYING and arm.closed  # and no thread but daemons is left
+    assert not json.loads((tmp_path / "run.json").read_text())["stop"]["slack"]
+    assert all(thread.daemon for thread in threading.enumerate() if thread is not threading.main_thread())
+
+
+def at_instruction(place, act):
+    """Trace function that acts once this thread comes to an instruction of the robots' modules, by number, and every tenth after it."""
+    count = itertools.count(1)
+
+    def trace(frame, event, argument):
+        if "soft_tendon_env/robots" not in (file := frame.f_code.co_filename) or file.endswith("clock.py"):
+            return None
+        frame.f_trace_opcodes = True
+        if event == "opcode" and (now := next(count)) >= place and (now - place) % 10 == 0:
+            act()
+        return trace
+
+    return trace
+
+
+def raise_interrupt():
+    raise KeyboardInterrupt
+
+
+def test_interrupts_between_any_two_instructions(arm_of_test, drawing):
+    """As of handlers of one's own, in whatever lets the tendons go."""
+    env, interrupted = drawing(), True
+    limits = np.stack([env.unwrapped.episodes.actions.least, env.unwrapped.episodes.actions.greatest], axis=1)
+    reach = reach_of(env.unwrapped.episodes)
+    places = itertools.count(1, 5)
+    while interrupted:
+        arm, interrupted = arm_of_test(), False
+        robot = SafeRobot(arm, limits, 0, reach, None, 3, False)
+        robot.begin()
+        robot.write(np.full(3, 2.0))
+        try:
+            sys.settrace(at_instruction(next(places), raise_interrupt))
+            robot.write(np.full(3, 3.0))
+            robot.read()
+            robot.stop("somebody pressed the button")
+        except KeyboardInterrupt:
+            interrupted = True
+        finally:
+            sys.settrace(None)
+        robot.close()
+        assert arm.is_slack and arm.closed and robot.stopped.slack
+    assert next(places) > 300
+
+
+@pytest.mark.cases("place", [10, 100, 700, 1500, 3000, 5000])
+def test_signals_at_any_moment_of_a_run(place, arm_of_test, drawing, tmp_path):
+    arm, path = arm_of_test(), tmp_path / "run.json"
+    env = RobotEnv(drawing(), arm, settle=0.0)
+    tracer = sys.gettrace()
+    with pytest.raises(KeyboardInterrupt, match="interrupted by SIG"), SIGNALS.held():
+        sys.settrace(at_instruction(place, partial(interrupt, "SIGTERM", "SIGINT")))
+        try:
+            run_policy(Pulling(), env, 0.2, report=path)
+        finally:
+            sys.settrace(tracer)
+    assert not arm.sent or arm.is_slack
+    assert arm.closed and json.loads(path.read_text())["stop"]["slack"]
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    path.unlink()
+
+
+def test_signals_that_are_ignored_stay_ignored(arm_of_test, drawing):
+    """As SIGHUP under nohup."""
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    assert run_policy(Pulling(at(3, partial(interrupt, "SIGHUP"))), RobotEnv(drawing(), arm_of_test(), settle=0.0), 0.2).finished
 
 
 @pytest.mark.cases(
@@ -152,7 +273,14 @@ def test_the_watchdog_lets_go_where_something_hangs(what, arm_of_test, drawing, 
     [
         (Measurement(1.0, tip_pose=np.full((4, 4), np.nan), tendon_length=np.zeros(3)), "measurement.tip_pose should be finite"),
         (Measurement(1.0, tip_pose=np.eye(4), tendon_length=np.zeros(2)), "measurement.tendon_length should have shape (3,), not (2,)"),
-        (Measurement(1.0, tip_pose=2.0 * np.eye(4), tendon_length=np.zeros(3)), "measurement.tip_pose should be a pose"),
+        (posed(row=[0.1, 0.0, 0.2, 1.0]), "with a rotation R: its last row is [0.1, 0, 0.2, 1]"),
+        (posed(turned=1.02 * np.eye(3)), "R R^T is off the identity by 0.0404"),
+        (posed(turned=np.diag([1.0, -1.0, 1.0])), "R is mirrored"),
+        (Measurement(1.0, tip_pose=POSE.T, tendon_length=np.zeros(3)), "its last row is [0.3, 0, 0, 1], it is transposed"),
+        (posed(at=(180.0, 90.0, 0.0)), "puts the tip 201 m from the base, and the arm reaches 0.375 m: it seems to be in mm"),
+        (posed(at=(20.0, -15.0, 0.0)), "puts the tip 25 m from the base, and the arm reaches 0.375 m: it seems to be in cm"),
+        (posed(at=(0.3, 0.0, 0.4)), "puts the tip 0.5 m from the base, and the arm reaches 0.375 m: is it in the scene's world frame?"),
+        (posed()._replace(time="12:30"), "measurement.time should be a finite number of seconds"),
         (Measurement(1.0, tip_pose=np.eye(4)), "measurement.tendon_length"),
         (None, "read should return a Measurement, not NoneType"),
     ],
@@ -165,6 +293,77 @@ def test_measurements_that_cannot_be_stop_the_robot(measured, cause, arm_of_test
         env.reset()
     assert cause in str(stopped.value) and arm.is_slack
     env.close()
+
+
+@pytest.mark.cases(
+    "frame, cause",
+    [
+        (lambda count: 12 - count % 2, r"no reading for [68]0 ms: times of measurements go back, by 1 s"),
+        (lambda count: 5 if count > 12 else 12, r"no reading for [68]0 ms: times of measurements go back, by 7 s"),
+        (lambda count: 12, r"no reading for [68]0 ms"),
+    ],
+)
+def test_times_of_measurements_grow(frame, cause, arm_of_test, drawing):
+    arm = arm_of_test()
+    arm.read = lambda read=arm.read: read()._replace(time=min(arm.counts["read"], frame(arm.counts["read"])))
+    report = run_policy(Pulling(), RobotEnv(drawing(), arm, settle=0.0), 0.6)
+    assert re.fullmatch(cause, report.stop.cause) and report.stop.slack and 13 <= report.timing.periods <= 16
+
+
+def test_a_tip_that_jumps_stops_the_robot(arm_of_test, drawing):
+    arm, other = arm_of_test(), posed(at=(0.05, 0.25, 0.0)).tip_pose
+    arm.read = lambda read=arm.read: read()._replace(tip_pose=other if arm.counts["read"] == 9 else POSE)
+    report = run_policy(Pulling(), RobotEnv(drawing(tension_limits=(0.0, 2.0)), arm, settle=0.0), 0.6)
+    assert "measurement.tip_pose jumps by 0.354 m in 0.02 s, and the arm can move 0.0" in report.stop.cause
+    assert report.stop.slack and report.timing.periods == 8
+
+
+@pytest.mark.parametrize("scene", ["three_tendon", "helical", "four_tendon"])
+def test_no_motion_of_an_arm_is_a_jump(scene):
+    """From limit to limit at random, with the noise of a poor tracker; numbers as float32 and in lists."""
+    arm = {"scene": scene, "fidelity": "fast"}
+    robot = SimulatedRobot(**arm, real_time=False, randomize={"stiffness": 0.7, "noise": {"position": 2e-3, "rotation": 0.02}})
+    robot.read = lambda read=robot.read: (lambda own: own._replace(tip_pose=own.tip_pose.astype(np.float32).tolist()))(read())
+    env = RobotEnv(gym.make("TendonRod-Reach-v0", observation=["tip_position"], **arm), robot, settle=0.0)
+    env.reset(seed=0)
+    for action in np.random.default_rng(1).choice([-1.0, 1.0], (50, *env.action_space.shape)).repeat(4, axis=0):
+        assert not env.step(action)[3], env.stopped
+    env.close()
+
+
+@pytest.mark.cases(
+    "returned, kept",
+    [
+        (lambda command: 40.0 * command + 12.0, None),  # steps of motors
+        (lambda command: 0.5 * np.round(command / 0.5), [0.5, 2.5, 3.0]),  # whole ones, in newtons
+        (lambda command: None, None),
+        (lambda command: [2000, 3000, 3000], None),
+    ],
+)
+def test_what_write_returns_moves_no_limit(returned, kept, arm_of_test, drawing, tmp_path):
+    arm = arm_of_test()
+    arm.write = lambda command, write=arm.write: returned(write(command))
+    env = RobotEnv(drawing(tension_limits=(0.0, 3.2)), arm, settle=0.0, rate=25.0, log=tmp_path / "run.csv")
+    env.reset(seed=0)
+    for _ in range(12):
+        env.step([-0.6, 0.5, 1.0])
+    sent = np.array([command for _, command in arm.sent])
+    assert np.abs(np.diff(sent, axis=0)).max() <= 25.0 * 0.02 + 1e-12
+    np.testing.assert_allclose(sent[-1], [0.64, 2.4, 3.2], atol=1e-12)
+    env.close()
+    np.testing.assert_allclose(read_log(tmp_path / "run.csv").sent[-1], sent[-1] if kept is None else kept)
+    assert_let_go(env.stopped, arm, "the run ended")
+    (tmp_path / "run.csv").unlink()
+
+
+@pytest.mark.cases(
+    "returned, message", [(np.zeros(2), "shape (3,), not (2,)"), (np.full(3, np.nan), "should be finite"), ("ok", "array of numbers")]
+)
+def test_what_write_cannot_return_stops_the_robot(returned, message, arm_of_test, drawing):
+    arm = arm_of_test()
+    arm.write = lambda command, write=arm.write: (write(command), returned)[1]
+    report = run_policy(Pulling(), RobotEnv(drawing(), arm, settle=0.0), 0.6)
+    assert message in report.stop.cause and report.stop.slack and arm.is_slack
 
 
 def test_commands_stay_within_limits_and_rate(arm_of_test, drawing):
