@@ -4,15 +4,12 @@ import threading
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 
-
-class Call(NamedTuple):
-    """A call that was asked for: its name in messages, the function, and where its result, or what it raised, goes."""
-
-    name: str
-    function: Callable[[], Any]
-    answer: "SimpleQueue[tuple[Any, BaseException | None]]"
+Answer = SimpleQueue[tuple[Any, BaseException | None]]
+"""Where the result of a call, or what it raised, goes."""
+Calls = SimpleQueue[tuple[str, Callable[[], Any], Answer] | None]
+"""Calls by their names in messages; None: no more."""
 
 
 class Line:
@@ -24,21 +21,21 @@ class Line:
 
     def __init__(self, late: Callable[[], object]) -> None:
         self._late = late
-        self._busy: tuple[Call, float] | None = None  # and since when
+        self._busy: tuple[str, Answer, float] | None = None  # the call that goes on, since when
         self._begin()
 
     def ask(self, limit: float, name: str, function: Callable[[], Any]) -> Any:
         """Result of a call, after those before it. Raises what it raises, TimeoutError where there is none after `limit` [s]."""
-        call, calls = Call(name, function, SimpleQueue()), self._calls
-        calls.put(call)
+        answer, calls = Answer(), self._calls
+        calls.put((name, function, answer))
         try:
-            found, error = call.answer.get(timeout=limit)
+            found, error = answer.get(timeout=limit)
         except Empty:
             busy, late = self._busy, TimeoutError(f"{self.hanging(0.0) or name} does not return")
             if calls is self._calls:
                 self._begin()
                 if busy is not None:
-                    busy[0].answer.put((None, late))  # whoever waits for that goes on
+                    busy[1].put((None, late))  # whoever waits for that goes on
             raise late from None
         if error is not None:
             raise error
@@ -47,26 +44,27 @@ class Line:
     def hanging(self, limit: float) -> str:
         """Name of a call that has gone on for longer than `limit` [s]; "": none."""
         busy = self._busy
-        return busy[0].name if busy is not None and perf_counter() - busy[1] > limit else ""
+        return busy[0] if busy is not None and perf_counter() - busy[2] > limit else ""
 
     def end(self) -> None:
         """Ends the thread."""
         self._calls.put(None)
 
     def _begin(self) -> None:
-        self._calls: SimpleQueue[Call | None] = SimpleQueue()
+        self._calls = Calls()
         threading.Thread(target=self._serve, args=(self._calls,), name="robot", daemon=True).start()
 
-    def _serve(self, calls: "SimpleQueue[Call | None]") -> None:
+    def _serve(self, calls: Calls) -> None:
         while (call := calls.get()) is not None:
-            self._busy = call, perf_counter()
-            answer: tuple[Any, BaseException | None]
+            name, function, answer = call
+            self._busy = name, answer, perf_counter()
+            found, raised = None, None
             try:
-                answer = call.function(), None
+                found = function()
             except BaseException as error:  # KeyboardInterrupt too: whoever asked gets it
-                answer = None, error
+                raised = error
             if calls is not self._calls:
                 self._late()
                 return
             self._busy = None
-            call.answer.put(answer)
+            answer.put((found, raised))

@@ -4,6 +4,7 @@ import itertools
 import json
 import re
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -13,23 +14,14 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.robots import RobotEnv, RobotStopped, SimulatedRobot, read_log, run_policy
-from soft_tendon_env.robots.protocol import Measurement
+from soft_tendon_env.robots import RobotEnv, read_log, run_policy
 from soft_tendon_env.robots.reach import reach_of
 from soft_tendon_env.robots.safety import RAMP, TRYING, SafeRobot
 from soft_tendon_env.robots.signals import SIGNALS
 
 SOON = 0.1
 """Time [s] within which tendons should be slack."""
-POSE = np.eye(4)
-POSE[0, 3] = 0.3
 PULLS = np.array([0.5, -0.5, 0.0], dtype=np.float32)
-
-
-def posed(at=(0.3, 0.0, 0.0), turned=POSE[:3, :3], row=(0.0, 0.0, 0.0, 1.0), time=1.0):
-    """Measurement of a tip."""
-    pose = np.vstack([np.column_stack([turned, at]), row])
-    return Measurement(time, tip_pose=pose, tendon_length=np.zeros(3))
 
 
 class Pulling:
@@ -63,8 +55,12 @@ def out_of_reach():
 
 
 def interrupt(*names):
-    for name in names:
-        signal.raise_signal(signal.Signals[name])
+    """Signals that come at once."""
+    numbers = [signal.Signals[name] for name in names]
+    signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
+    for number in numbers:
+        signal.raise_signal(number)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, numbers)
 
 
 @pytest.mark.cases(
@@ -169,7 +165,7 @@ def test_the_watchdog_lets_go_where_something_hangs(what, arm_of_test, drawing, 
             after_hanging.append(count)
 
     arm = arm_of_test(real_time=True, **({} if what == "policy" else {what: hang}))
-    env = RobotEnv(drawing(), arm, settle=0.0, patience=15)  # which a busy machine does not use up
+    env = RobotEnv(drawing(), arm, settle=0.0, patience=40)  # which a busy machine does not use up
     loop = threading.Thread(target=run_policy, args=(Pulling(hang if what == "policy" else lambda count: None), env, 5.0), daemon=True)
     loop.start()
     if what == "policy":  # which nothing can end, and the others are left behind
@@ -193,9 +189,9 @@ def wait_until(holds):
 
 def test_a_robot_that_takes_no_command_any_more_is_reported(arm_of_test, drawing, gate, tmp_path):
     arm = arm_of_test(real_time=True, write=lambda count: gate.wait(30.0) if count >= 8 else None)
-    report = run_policy(Pulling(), RobotEnv(drawing(), arm, settle=0.0, patience=15), 5.0, report=tmp_path / "run.json")
+    report = run_policy(Pulling(), RobotEnv(drawing(), arm, settle=0.0, patience=40), 5.0, report=tmp_path / "run.json")
     assert "write does not return" in report.stop.cause and not report.stop.slack and not report.finished
-    assert len(report.stop.failures) > 10 and set(report.stop.failures) == {"TimeoutError, write does not return"}
+    assert len(report.stop.failures) > 3 and set(report.stop.failures) == {"TimeoutError, write does not return"}
     assert TRYING <= report.stop.seconds < 3.0 * TRYING and arm.closed  # and no thread but daemons is left
     assert not json.loads((tmp_path / "run.json").read_text())["stop"]["slack"]
     assert all(thread.daemon for thread in threading.enumerate() if thread is not threading.main_thread())
@@ -268,117 +264,31 @@ def test_signals_that_are_ignored_stay_ignored(arm_of_test, drawing):
     assert run_policy(Pulling(at(3, partial(interrupt, "SIGHUP"))), RobotEnv(drawing(), arm_of_test(), settle=0.0), 0.2).finished
 
 
-@pytest.mark.cases(
-    "measured, cause",
-    [
-        (Measurement(1.0, tip_pose=np.full((4, 4), np.nan), tendon_length=np.zeros(3)), "measurement.tip_pose should be finite"),
-        (Measurement(1.0, tip_pose=np.eye(4), tendon_length=np.zeros(2)), "measurement.tendon_length should have shape (3,), not (2,)"),
-        (posed(row=[0.1, 0.0, 0.2, 1.0]), "with a rotation R: its last row is [0.1, 0, 0.2, 1]"),
-        (posed(turned=1.02 * np.eye(3)), "R R^T is off the identity by 0.0404"),
-        (posed(turned=np.diag([1.0, -1.0, 1.0])), "R is mirrored"),
-        (Measurement(1.0, tip_pose=POSE.T, tendon_length=np.zeros(3)), "its last row is [0.3, 0, 0, 1], it is transposed"),
-        (posed(at=(180.0, 90.0, 0.0)), "puts the tip 201 m from the base, and the arm reaches 0.375 m: it seems to be in mm"),
-        (posed(at=(20.0, -15.0, 0.0)), "puts the tip 25 m from the base, and the arm reaches 0.375 m: it seems to be in cm"),
-        (posed(at=(0.3, 0.0, 0.4)), "puts the tip 0.5 m from the base, and the arm reaches 0.375 m: is it in the scene's world frame?"),
-        (posed()._replace(time="12:30"), "measurement.time should be a finite number of seconds"),
-        (Measurement(1.0, tip_pose=np.eye(4)), "measurement.tendon_length"),
-        (None, "read should return a Measurement, not NoneType"),
-    ],
-)
-def test_measurements_that_cannot_be_stop_the_robot(measured, cause, arm_of_test, drawing):
-    arm = arm_of_test()
-    arm.read = lambda: measured
-    env = RobotEnv(drawing(), arm, settle=0.0)
-    with pytest.raises(RobotStopped, match="reading failed") as stopped:
-        env.reset()
-    assert cause in str(stopped.value) and arm.is_slack
-    env.close()
+CHILD = """
+import sys, time, gymnasium, numpy as np
+from soft_tendon_env.robots import Measurement, RobotEnv
+class Arm:
+    command_unit, senses, calls = "N", ("tip_pose",), 0
+    def read(self): return Measurement(time.perf_counter(), tip_pose=np.diag([1.0, 1.0, 1.0, 1.0]))
+    def write(self, command):
+        print(command.max(), flush=True)
+        self.calls += 1
+        if self.calls == int(sys.argv[1]): time.sleep(1e6)
+    def close(self): pass
+env = gymnasium.make("TendonRod-Reach-v0", scene="three_tendon", fidelity="fast", observation=["tip_position"])
+env = RobotEnv(env, Arm(), settle=0.0, patience=50)
+env.reset(seed=0)
+for _ in range(20): print(env.step(np.ones(3))[4].get("stopped", ""))
+raise ValueError("and nothing is closed")
+"""
 
 
-@pytest.mark.cases(
-    "frame, cause",
-    [
-        (lambda count: 12 - count % 2, r"no reading for [68]0 ms: times of measurements go back, by 1 s"),
-        (lambda count: 5 if count > 12 else 12, r"no reading for [68]0 ms: times of measurements go back, by 7 s"),
-        (lambda count: 12, r"no reading for [68]0 ms"),
-    ],
-)
-def test_times_of_measurements_grow(frame, cause, arm_of_test, drawing):
-    arm = arm_of_test()
-    arm.read = lambda read=arm.read: read()._replace(time=min(arm.counts["read"], frame(arm.counts["read"])))
-    report = run_policy(Pulling(), RobotEnv(drawing(), arm, settle=0.0), 0.6)
-    assert re.fullmatch(cause, report.stop.cause) and report.stop.slack and 13 <= report.timing.periods <= 16
-
-
-def test_a_tip_that_jumps_stops_the_robot(arm_of_test, drawing):
-    arm, other = arm_of_test(), posed(at=(0.05, 0.25, 0.0)).tip_pose
-    arm.read = lambda read=arm.read: read()._replace(tip_pose=other if arm.counts["read"] == 9 else POSE)
-    report = run_policy(Pulling(), RobotEnv(drawing(tension_limits=(0.0, 2.0)), arm, settle=0.0), 0.6)
-    assert "measurement.tip_pose jumps by 0.354 m in 0.02 s, and the arm can move 0.0" in report.stop.cause
-    assert report.stop.slack and report.timing.periods == 8
-
-
-@pytest.mark.parametrize("scene", ["three_tendon", "helical", "four_tendon"])
-def test_no_motion_of_an_arm_is_a_jump(scene):
-    """From limit to limit at random, with the noise of a poor tracker; numbers as float32 and in lists."""
-    arm = {"scene": scene, "fidelity": "fast"}
-    robot = SimulatedRobot(**arm, real_time=False, randomize={"stiffness": 0.7, "noise": {"position": 2e-3, "rotation": 0.02}})
-    robot.read = lambda read=robot.read: (lambda own: own._replace(tip_pose=own.tip_pose.astype(np.float32).tolist()))(read())
-    env = RobotEnv(gym.make("TendonRod-Reach-v0", observation=["tip_position"], **arm), robot, settle=0.0)
-    env.reset(seed=0)
-    for action in np.random.default_rng(1).choice([-1.0, 1.0], (50, *env.action_space.shape)).repeat(4, axis=0):
-        assert not env.step(action)[3], env.stopped
-    env.close()
-
-
-@pytest.mark.cases(
-    "returned, kept",
-    [
-        (lambda command: 40.0 * command + 12.0, None),  # steps of motors
-        (lambda command: 0.5 * np.round(command / 0.5), [0.5, 2.5, 3.0]),  # whole ones, in newtons
-        (lambda command: None, None),
-        (lambda command: [2000, 3000, 3000], None),
-    ],
-)
-def test_what_write_returns_moves_no_limit(returned, kept, arm_of_test, drawing, tmp_path):
-    arm = arm_of_test()
-    arm.write = lambda command, write=arm.write: returned(write(command))
-    env = RobotEnv(drawing(tension_limits=(0.0, 3.2)), arm, settle=0.0, rate=25.0, log=tmp_path / "run.csv")
-    env.reset(seed=0)
-    for _ in range(12):
-        env.step([-0.6, 0.5, 1.0])
-    sent = np.array([command for _, command in arm.sent])
-    assert np.abs(np.diff(sent, axis=0)).max() <= 25.0 * 0.02 + 1e-12
-    np.testing.assert_allclose(sent[-1], [0.64, 2.4, 3.2], atol=1e-12)
-    env.close()
-    np.testing.assert_allclose(read_log(tmp_path / "run.csv").sent[-1], sent[-1] if kept is None else kept)
-    assert_let_go(env.stopped, arm, "the run ended")
-    (tmp_path / "run.csv").unlink()
-
-
-@pytest.mark.cases(
-    "returned, message", [(np.zeros(2), "shape (3,), not (2,)"), (np.full(3, np.nan), "should be finite"), ("ok", "array of numbers")]
-)
-def test_what_write_cannot_return_stops_the_robot(returned, message, arm_of_test, drawing):
-    arm = arm_of_test()
-    arm.write = lambda command, write=arm.write: (write(command), returned)[1]
-    report = run_policy(Pulling(), RobotEnv(drawing(), arm, settle=0.0), 0.6)
-    assert message in report.stop.cause and report.stop.slack and arm.is_slack
-
-
-def test_commands_stay_within_limits_and_rate(arm_of_test, drawing):
-    arm = arm_of_test()
-    env = RobotEnv(drawing(tension_limits=(0.5, 3.0)), arm, settle=0.4, rate=10.0)
-    env.reset(seed=0)
-    for _ in range(30):
-        observation, *_ = env.step([1.0, -1.0, 5.0])
-    sent = np.array([command for _, command in arm.sent])
-    assert np.abs(np.diff(sent, axis=0)).max() <= 10.0 * 0.02 + 1e-12
-    np.testing.assert_allclose(sent[-1], [3.0, 0.5, 3.0], atol=1e-12)
-    values = env.unwrapped.episodes.layout.values(observation[None])
-    np.testing.assert_allclose(values["command"][0], sent[-1], rtol=1e-6)
-    env.close()
-    assert arm.is_slack  # beneath the limits, which are for control
+@pytest.mark.slow
+@pytest.mark.parametrize("hangs, stop", [(0, ""), (9, "no reading for"), (21, "no reading for")])
+def test_the_end_of_the_interpreter_lets_go(hangs, stop):
+    ended = subprocess.run([sys.executable, "-c", CHILD, str(hangs)], capture_output=True, text=True, timeout=60)
+    assert "and nothing is closed" in ended.stderr and stop in ended.stdout
+    assert [float(line) for line in ended.stdout.splitlines() if re.fullmatch(r"[0-9.]+", line)][-1] == 0.0
 
 
 def test_a_dry_run_sends_nothing(arm_of_test, drawing, tmp_path):
