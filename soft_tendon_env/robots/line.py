@@ -7,7 +7,7 @@ from time import perf_counter
 from typing import Any
 
 Answer = SimpleQueue[tuple[Any, BaseException | None]]
-"""Where the result of a call, or what it raised, goes."""
+"""Queue for the result of a call, or for what it raised."""
 Calls = SimpleQueue[tuple[str, Callable[[], Any], Answer] | None]
 """Calls by their names in messages; None: no more."""
 
