@@ -1,6 +1,5 @@
 """`soft-tendon run`: a policy on a robot, real, simulated or replayed, with a log and a report of its timing."""
 
-import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -93,7 +92,6 @@ def run(arguments: Sequence[str]) -> None:
         if settings.priority is not None:
             take_priority(settings.priority)
         real = _connected(settings, env, options)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # whatever ends the process lets the tendons go
     print(f"{settings.policy} on {settings.robot}, {settings.seconds:g} s; {machine()}\n")
     report = run_policy(policy, real, settings.seconds, settings.seed, out.with_suffix(".json"))
     if out.exists():

@@ -81,6 +81,7 @@ class Episodes:
         self.actuation = Actuation(options, commands, self.start_command, share, rows, self.arms.substeps)
         self.actions = self.actuation.actions
         self._errors = [*task.errors, *(CONTACT_ERRORS if self._contacts else ())]
+        self.errors = {error.name: np.full(rows, np.nan) for error in self._errors}
         if task.goal is None:
             self._reward_terms = _reward_of(task, options, strongest, self._contacts is not None)
         noise = options.randomize.noise if options.randomize.of_sensors else None

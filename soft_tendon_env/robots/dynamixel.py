@@ -134,13 +134,14 @@ class DynamixelRobot:
 
     def write(self, command: Array) -> Array:
         """Sends tensions (n_a,) [N], or displacements [m] from where the motors were at the beginning, in one packet; returns them as the
-        motors have them, in whole steps and within their current limits. Raises ConnectionError, ValueError for another shape."""
+        motors have them, in whole steps, never beyond what was asked, and within their current limits. Raises ConnectionError, ValueError
+        for another shape."""
         wanted = checked_array("command", command, (len(self._ids),))
         if self.command_unit == "N":
-            ticks = np.clip(np.round(wanted / self._tension_unit), -self._most, self._most)
+            ticks = np.clip(_whole(wanted / self._tension_unit), -self._most, self._most)
             sent = ticks * self._tension_unit
         else:
-            ticks = self._zero + np.round(wanted / self._radius * TICKS)
+            ticks = self._zero + _whole(wanted / self._radius * TICKS)
             sent = (ticks - self._zero) / TICKS * self._radius
         if perf_counter() - self._heard > 0.5 * self._watchdog * WATCHDOG_UNIT:
             self._begin_watch()
@@ -238,3 +239,8 @@ class DynamixelRobot:
 def _signed(value: int, size: int) -> int:
     """A number of so many bytes in two's complement."""
     return value - (1 << 8 * size) if value >> (8 * size - 1) else value
+
+
+def _whole(steps: Array) -> Array:
+    """Whole steps, towards zero: limits in newtons or metres hold for what the motors get. Round-off is no step less."""
+    return np.trunc(steps + 1e-9 * np.sign(steps))

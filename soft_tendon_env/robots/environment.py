@@ -19,6 +19,7 @@ from soft_tendon_env.robots.clock import Timing
 from soft_tendon_env.robots.log import RobotLog
 from soft_tendon_env.robots.measured_arm import MeasuredArm, misfit
 from soft_tendon_env.robots.protocol import Robot, check_robot
+from soft_tendon_env.robots.reach import reach_of
 from soft_tendon_env.robots.rest import REST, Rest
 from soft_tendon_env.robots.safety import RobotStopped, SafeRobot, Stop
 from soft_tendon_env.tools.checks import checked_count, checked_number, checked_type
@@ -36,9 +37,10 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
 
     `reset` brings the robot from slack tendons to the first command, the pretension, within `settle` [s], waits until it is at rest, see
     Rest, and makes what it then measures the zero of tendon lengths and strains. Commands stay within the environment's limits, and change
-    by at most `rate` [N/s, or m/s] where that is given. After `patience` periods without a new reading or behind the deadlines, or an error
-    of the robot, the tendons are slack within RAMP and the episode is truncated, `info["stopped"]` says why; `reset` begins again. `close`
-    lets the tendons go and closes the robot.
+    by at most `rate` [N/s, or m/s] where that is given. After `patience` periods without a new reading or behind the deadlines, a tip where
+    the arm cannot be, or an error of the robot, the tendons are slack within RAMP and the episode is truncated, `info["stopped"]` says why;
+    `reset` begins again. `close` lets the tendons go and closes the robot. From a `reset` in the main thread until then, signals that would
+    end or suspend the process let the tendons go too, and raise KeyboardInterrupt.
 
     Args:
         env: what it observes and how actions are read; its options say the scene, `control_period` and `tension_limits`.
@@ -71,12 +73,12 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
             raise ConfigurationError([Problem(("robot",), f"is {type(robot).__name__}, {reason}")], "environment")
         if inner.render_mode is not None:
             raise ValueError(f"render_mode is {inner.render_mode!r}: it should be None for a robot; RecordRollout records one")
-        period, actions = episodes.period, episodes.actions
+        actions = episodes.actions
         limits = np.stack([actions.least, actions.greatest], axis=1)
         sensors, fastest = episodes.sensors.size, None if rate is None else checked_number("rate", rate, 1e-9, "a positive number, or None")
         rise = checked_number("settle", settle, 0.0, "a number of seconds, at least 0")
         checked_type("rest", rest, Rest, "such as Rest(speed=0.005, wait=60.0)")
-        self._safe = SafeRobot(robot, limits, sensors, period, fastest, checked_count("patience", patience, 1), dry)
+        self._safe = SafeRobot(robot, limits, sensors, reach_of(episodes), fastest, checked_count("patience", patience, 1), dry)
         self._log = None if log is None else RobotLog(Path(log), robot.command_unit, self._safe.senses, len(limits), sensors)
         if fastest is not None:  # the pretension is not there before the rate has led to it
             rise = max(rise, float(np.abs(episodes.start_command - self._safe.slack).max()) / fastest)

@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from soft_tendon_env.tools.checks import checked_array, checked_number
+from soft_tendon_env.tools.checks import checked_array, checked_number, shown_numbers
 from soft_tendon_env.tools.configuration import not_among, shown
 from soft_tendon_env.tools.extensions import look_in_this_folder
 from soft_tendon_env.tools.types import Array
@@ -19,6 +19,8 @@ Unit = Literal["N", "m"]
 """Unit of commands: tensions, or displacements by which actuators pull tendons in."""
 COMMANDS: Mapping[Unit, str] = {"N": "tension", "m": "displacement"}
 """Quantity that is commanded, by its unit."""
+RIGID = 1e-3
+"""Tolerance of the entries of a measured pose: rotations that are sent with four digits, or as float32, keep it."""
 OWN = ":"
 """Separator between the module and the class of a robot's name."""
 
@@ -26,7 +28,7 @@ OWN = ":"
 class Measurement(NamedTuple):
     """Sensor readings of an arm at one time, in SI units, n_a tendons and s strain sensors; None: not measured."""
 
-    time: float  # [s] when it was measured, of any clock: that of the reading before means that there is no newer one
+    time: float  # [s] when it was measured, of any clock: one that is not later than the reading before is no new reading
     tip_pose: Array | None = None  # (4, 4) in the scene's world frame
     tip_twist: Array | None = None  # (6,) body twist, angular before linear
     tension: Array | None = None  # (n_a,) [N]
@@ -52,9 +54,11 @@ class Robot(Protocol):
     def read(self) -> Measurement:
         """The newest measurement; it returns soon. Raises any exception where the arm cannot be read."""
 
-    def write(self, command: Array) -> Array:
-        """Sends a command (n_a,) and returns what was sent, after limits of its own. It may be called from another thread than `read`,
-        never at the same time unless that hangs. Raises any exception where the arm cannot be reached."""
+    def write(self, command: Array) -> Array | None:
+        """Sends a command (n_a,) and returns what was sent, in the same unit, after limits and rounding of its own; None: as it is. What is
+        sent next does not depend on it. Raises any exception where the arm cannot be reached.
+
+        All methods are called in one thread, which is not the main one; where a call does not return, the next come from another."""
 
     def close(self) -> None:
         """Lets go of the arm, which is slack by then."""
@@ -104,6 +108,17 @@ def checked_measurement(given: Any, senses: tuple[str, ...], tendons: int, senso
     sizes: dict[str, tuple[int, ...]] = {"tip_pose": (4, 4), "tip_twist": (6,), "strain": (sensors, 6), "strain_rate": (sensors, 6)}
     time = checked_number("measurement.time", given.time, -np.inf, "a finite number of seconds")
     found = {name: checked_array(f"measurement.{name}", getattr(given, name), sizes.get(name, (tendons,))) for name in senses}
-    if "tip_pose" in found and not np.allclose(found["tip_pose"][:3, :3] @ found["tip_pose"][:3, :3].T, np.eye(3), atol=1e-3):
-        raise ValueError("measurement.tip_pose should be a pose [[R, r], [0, 0, 0, 1]] with a rotation R")
+    if "tip_pose" in found and (fault := _fault(found["tip_pose"])):
+        raise ValueError(f"measurement.tip_pose should be a pose [[R, r], [0, 0, 0, 1]] with a rotation R: {fault}")
     return Measurement(time, **found)
+
+
+def _fault(pose: Array) -> str:
+    """Fault of a pose (4, 4) that is not rigid, in words; "": it has none."""
+    rotation, row = pose[:3, :3], pose[3]
+    if np.abs(row - [0.0, 0.0, 0.0, 1.0]).max() > RIGID:
+        turned = ", it is transposed" if np.abs(pose[:, 3] - [0.0, 0.0, 0.0, 1.0]).max() <= RIGID else ""
+        return f"its last row is {shown_numbers(row)}{turned}"
+    if (off := np.abs(rotation @ rotation.T - np.eye(3)).max()) > RIGID:
+        return f"R R^T is off the identity by {off:.3g}"
+    return "R is mirrored, its determinant is -1" if np.linalg.det(rotation) < 0.0 else ""

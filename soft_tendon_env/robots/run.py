@@ -14,6 +14,7 @@ from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.robots.clock import Timing
 from soft_tendon_env.robots.environment import robot_of
 from soft_tendon_env.robots.safety import RobotStopped, Stop
+from soft_tendon_env.robots.signals import SIGNALS
 from soft_tendon_env.tools.messages import first_line
 from soft_tendon_env.tools.types import Array
 
@@ -50,35 +51,47 @@ def run_policy(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int
     """Runs a policy on a robot for so long [s]; lets the tendons go and closes the robot whatever happens.
 
     env: a RobotEnv, alone or wrapped. report: JSON file that is written whatever happens; None: none. A robot that is stopped ends the run,
-    `Report.stop` says why, as for an episode that ends early; what the policy raises, and KeyboardInterrupt, go on to the caller with
-    slack tendons. Raises TypeError for other environments, ValueError for episodes that are shorter than the run, OSError.
+    `Report.stop` says why, as for an episode that ends early; what the policy raises, and KeyboardInterrupt, which every signal that would
+    end or suspend the process becomes, go on to the caller with slack tendons. Raises TypeError for other environments, ValueError for
+    episodes that are shorter than the run, OSError.
     """
     robot, episodes = robot_of(env), episodes_of(env)
-    steps, found = round(seconds / episodes.period), list[list[float]]()
-    try:
-        longest = None if env.spec is None else env.spec.max_episode_steps
-        if longest is not None and longest < steps:
-            text = f"{seconds:g} s are {steps} control periods, and episodes end after {longest}: gym.make(..., max_episode_steps={steps})"
-            raise ValueError(f"seconds: {text}")
-        for k, step in enumerate(play_steps(policy, env, [seed])):
-            if robot.stopped is None:
-                found.append([float(values[0]) for values in episodes.errors.values()])
-            if k == steps or step.ended[0]:
-                break
-        robot.stop(FINISHED if k == steps else f"the episode ended after {k} of {steps} control periods")
-    except RobotStopped as stopped:  # before it came to where episodes begin
-        robot.stop(str(stopped))
-    except BaseException as error:
-        robot.stop("interrupted, by Ctrl-C or SIGTERM" if isinstance(error, KeyboardInterrupt) else first_line(error))
-        raise
-    finally:
-        timing = robot.timing
-        env.close()
-        errors = np.array(found).reshape(-1, len(episodes.errors)).T
-        done = Report(dict(zip(episodes.errors, errors, strict=True)), timing, robot.stop(FINISHED))
-        if report is not None:
-            _write(report, done, robot.zero)
+    found = list[list[float]]()
+    with SIGNALS.held():
+        try:
+            with SIGNALS.acting():
+                _play(policy, env, seconds, seed, found)
+        except RobotStopped as stopped:  # before it came to where episodes begin
+            robot.stop(str(stopped))
+        except BaseException as error:
+            robot.stop("interrupted" if isinstance(error, KeyboardInterrupt) else first_line(error))
+            raise
+        finally:
+            timing = robot.timing
+            try:
+                env.close()
+            finally:
+                errors = np.array(found).reshape(-1, len(episodes.errors)).T
+                done = Report(dict(zip(episodes.errors, errors, strict=True)), timing, robot.stop(FINISHED))
+                if report is not None:
+                    _write(report, done, robot.zero)
     return done
+
+
+def _play(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int, found: list[list[float]]) -> None:
+    """Control loop, which keeps the errors of every period in `found`. Raises RobotStopped, ValueError, and as the policy."""
+    robot, episodes = robot_of(env), episodes_of(env)
+    steps = round(seconds / episodes.period)
+    longest = None if env.spec is None else env.spec.max_episode_steps
+    if longest is not None and longest < steps:
+        text = f"{seconds:g} s are {steps} control periods, and episodes end after {longest}: gym.make(..., max_episode_steps={steps})"
+        raise ValueError(f"seconds: {text}")
+    for k, step in enumerate(play_steps(policy, env, [seed])):
+        if robot.stopped is None:
+            found.append([float(values[0]) for values in episodes.errors.values()])
+        if k == steps or step.ended[0]:
+            break
+    robot.stop(FINISHED if k == steps else f"the episode ended after {k} of {steps} control periods")
 
 
 def _write(path: Path, report: Report, zero: dict[str, Array]) -> None:

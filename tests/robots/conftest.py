@@ -1,5 +1,6 @@
 """Robots for tests: an arm that answers as it is told to, and environments for it."""
 
+import signal
 import threading
 
 import gymnasium as gym
@@ -68,6 +69,16 @@ def drawing():
         return env
 
     return make
+
+
+@pytest.fixture(autouse=True)
+def signals_of_a_terminal():
+    """Signals act as where a terminal has started the process: in the background of a shell, or under nohup, some are ignored."""
+    own = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
+    before = {number: signal.signal(number, handler) for number, handler in own.items()}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture
