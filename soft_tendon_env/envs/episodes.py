@@ -187,8 +187,10 @@ class Episodes:
         for row, (motion, _) in motions.items():
             for name, values in motion._asdict().items():
                 getattr(rows, name)[row] = values
-        self.arms.step(self._applied[:, None], members, np.zeros((self.size, 1)))  # for no time: it reads them
-        rows.step[members] = [step for _, step in motions.values()]
+        command = np.ascontiguousarray(self._applied[:, None])
+        self.arms.step(command, members, np.zeros((self.size, 1)))  # for no time: it reads them
+        for row, (motion, step) in motions.items():
+            rows.state[row], rows.step[row] = motion.state, step  # as they were: a reading lets commands join the queue of a delay
         if self._transmits:
             self.tension = self.tension.copy()
             self.tension[members] = self.arms.reading.tension[members]

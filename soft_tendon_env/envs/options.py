@@ -1,7 +1,7 @@
 """Keyword arguments of the environments: plain values, so that specs serialise and worker processes get them."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal, NoReturn
 
 import numpy as np
@@ -156,16 +156,21 @@ class Options(Configuration):
 
 
 class UnknownKeyword(ConfigurationError, TypeError):
-    """Keyword argument that environments do not have: a TypeError too, as of any function, by which TorchRL tries keywords."""
+    """Keyword argument that environments do not have: a TypeError too, as of any function. TorchRL tries keywords by that."""
+
+    def __init__(self, problems: Iterable[Problem] | str, source: str = "environment"):
+        """problems: their text, where Gymnasium raises the error anew."""
+        super().__init__([Problem((), problems)] if isinstance(problems, str) else problems, source)
 
 
 def parsed_options(values: Mapping[str, Any], source: str) -> Options:
     """The keyword arguments of an environment; `source`: its class. Raises ConfigurationError."""
-    for name in values:
-        if name not in Options.model_fields:
-            text = f"got an unexpected keyword argument {name!r} (given {shown(values[name])}): {not_among(name, Options.model_fields)}"
-            raise UnknownKeyword([Problem((), text)], source)
-    return Options.parse(values, source)
+    unknown = {(name,): f"; unexpected keyword argument {name!r}" for name in values if name not in Options.model_fields}
+    try:
+        return Options.parse(values, source)
+    except ConfigurationError as error:
+        problems = [Problem(key, text + unknown.get(key, "")) for key, text in error.problems]
+        raise (UnknownKeyword if unknown else ConfigurationError)(problems, source) from None
 
 
 def resolved_scene(options: Options) -> Scene:

@@ -69,12 +69,12 @@ def reset_options(options: Any, rows: int | None = None) -> dict[int, ResetOptio
     """
     if not isinstance(options, dict | None):
         raise TypeError(f"options should be a dict or None, not {type(options).__name__}")
-    allowed = {*ResetOptions.model_fields, *([] if rows is None else [MASK])}
-    if unknown := [str(key) for key in options or {} if key not in allowed]:
-        raise ConfigurationError([Problem((key,), f"is no option of reset: {not_among(key, allowed)}") for key in unknown], "options")
-    given = {key: value for key, value in (options or {}).items() if value is not None and key != MASK}
-    if not given:
+    if not options:
         return {}
+    allowed = {*ResetOptions.model_fields, *([] if rows is None else [MASK])}
+    if unknown := [str(key) for key in options if key not in allowed]:
+        raise ConfigurationError([Problem((key,), f"is no option of reset: {not_among(key, allowed)}") for key in unknown], "options")
+    given = {key: value for key, value in options.items() if value is not None and key != MASK}
     if rows is None:
         return {0: ResetOptions.parse(given, "options")}
     by_row = {key: _by_row(key, value, rows) for key, value in given.items()}

@@ -43,8 +43,9 @@ class Hold(Target):
 
     @model_validator(mode="after")
     def _one_of(self) -> "Hold":
-        if len([given for given in (self.tension, self.pose, self.position) if given is not None]) > 1:
-            raise ValueError("should give one of tension, pose and position")
+        given = [name for name in ("tension", "pose", "position") if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise ValueError(f"should give {given[0]} or {given[1]}, not both")
         if self.pose is not None:
             g = np.array(self.pose)
             R, r = g[:3, :3], g[:3, 3]
