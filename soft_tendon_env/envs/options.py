@@ -17,7 +17,7 @@ from soft_tendon_env.envs.targets.set_points import Hold
 from soft_tendon_env.envs.tasks import Task
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene, TensionLimits, extrapolation_columns, rod_length, scene_to_dict
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, shown
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Key, Problem, not_among, shown
 from soft_tendon_env.tools.types import Array, NotNegative, Positive
 
 LEAST_PERIOD = 1e-6
@@ -165,7 +165,7 @@ class UnknownKeyword(ConfigurationError, TypeError):
 
 def parsed_options(values: Mapping[str, Any], source: str) -> Options:
     """The keyword arguments of an environment; `source`: its class. Raises ConfigurationError."""
-    unknown = {(name,): f"; unexpected keyword argument {name!r}" for name in values if name not in Options.model_fields}
+    unknown: dict[Key, str] = {(name,): f"; unexpected keyword argument {name!r}" for name in values if name not in Options.model_fields}
     try:
         return Options.parse(values, source)
     except ConfigurationError as error:

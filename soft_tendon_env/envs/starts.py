@@ -130,11 +130,14 @@ class Starts:
             return self.tension, self.command, rest
         model = self._arms.model_of(row) if self._options.randomize.of_arm else self._model
         tension = np.array(start) if stream is None else stream.uniform(*self.limits.T)
+        least, greatest = model.scene.effects.command_limits(self.limits).T
         for _ in range(HALVINGS):
             q, reason = self._settled(model, tension)
-            reason = reason or why_inside(model, q)
+            reason, command = reason or why_inside(model, q), model.command(tension, q)
+            if not reason and not ((least <= command) & (command <= greatest)).all():
+                reason = f"its actuators would have to be at {shown_numbers(command)} {model.command_unit}, beyond their limits"
             if not reason:
-                return tension, model.command(tension, q), q
+                return tension, command, q
             if stream is None:
                 raise _problem(("start",), f"is {shown_numbers(tension)} N, which cannot hold the arm: {reason}")
             tension = 0.5 * (self.tension + tension)

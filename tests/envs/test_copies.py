@@ -62,8 +62,16 @@ def test_copies_of_one_environment_go_on_alike_and_by_themselves(kind, same):
     assert all(same(expected, found) for found in (first, *(played(other, 1, 19) for other in copies[1:])))
 
 
-@pytest.mark.parametrize("mode", ["next_step", "same_step", "disabled"])
-@pytest.mark.parametrize("made, kind", [(TipPoseVectorEnv, "memory"), (ReachVectorEnv, "plain"), (ShapeVectorEnv, "bank")])
+@pytest.mark.parametrize(
+    "made, kind, mode",
+    [
+        (ReachVectorEnv, "plain", "next_step"),
+        (ReachVectorEnv, "plain", "same_step"),
+        (ShapeVectorEnv, "bank", "disabled"),
+        pytest.param(TipPoseVectorEnv, "memory", "next_step", marks=pytest.mark.slow),
+        pytest.param(TipPoseVectorEnv, "memory", "same_step", marks=pytest.mark.slow),
+    ],
+)
 def test_copies_of_rows_go_on_alike_and_by_themselves(made, kind, mode, everything, same):
     """While rows that have ended wait for their reset."""
     options = {**KINDS[kind], "randomize": {**everything, **KINDS[kind].get("randomize", {})}}
@@ -82,6 +90,7 @@ def test_copies_of_rows_go_on_alike_and_by_themselves(made, kind, mode, everythi
     assert not same(played(copies[0], 5, 1), played(copies[1], 6, 1))
 
 
+@pytest.mark.slow
 def test_another_process_goes_on_alike(tmp_path, everything):
     """A fresh interpreter, which has imported nothing of the package."""
     env = TipPoseEnv(**SMALL, randomize=everything, history=3)

@@ -110,6 +110,21 @@ def test_random_starts_differ_by_seed_alone_and_leave_the_targets(task, options,
     assert same(env.state.q, usual.state.q)
 
 
+def test_starts_are_within_reach_of_actuators():
+    """That elastic tendons hang on: of 5 N, which stretch them and bend the arm, 4 mm are not enough."""
+    elastic = {"scene": "three_tendon", "effects.tendon_elasticity": {"stiffness": 3e3, "displacement_limits": [-0.002, 0.004]}}
+    env = TipPoseEnv(scene=elastic, fidelity="fast", start="random")
+    for seed in range(3):
+        env.reset(seed=seed)
+        place, action = env.episodes.arms.reading.tip_pose[0].copy(), env.episodes.observed.action[0]
+        for _ in range(10):
+            env.step(action)
+        np.testing.assert_allclose(env.episodes.arms.reading.tip_pose[0], place, atol=1e-9)
+        assert env.episodes.tension.max() > 0.01
+    with pytest.raises(ConfigurationError, match=r"start is \[5, 0, 0\] N, .* its actuators would have to be at \[0.0[^m]* m, beyond"):
+        env.reset(options={"start": [5.0, 0.0, 0.0]})
+
+
 def test_what_the_arm_cannot_hold_is_drawn_nearer_to_rest():
     """A column that buckles under more than a share of its limits: the share is halved until it rests."""
     env = TipPoseEnv(scene={"scene": "three_tendon", "tendons.*.tension_limits": [0.0, 1e5]}, fidelity="fast", start="random")
