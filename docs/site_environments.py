@@ -1,5 +1,5 @@
 """MkDocs hook: puts what the package says of its environments in the place of lines that end with `<!-- environment: TipPose -->`,
-`<!-- arguments -->` or `<!-- presets -->`. What stands before says in the repository where to read it."""
+`<!-- arguments -->`, `<!-- reset options -->` or `<!-- presets -->`. What stands before says in the repository where to read it."""
 
 import re
 import warnings
@@ -10,16 +10,17 @@ import gymnasium as gym
 from mkdocs.structure.pages import Page
 
 from soft_tendon_env.accuracy.fidelity import PRESETS
-from soft_tendon_env.envs import IDS, TASKS, Options
+from soft_tendon_env.envs import IDS, TASKS, Options, ResetOptions
 from soft_tendon_env.scene.scene import Quadrature
 
-COMMENT = re.compile(r"^.*<!-- (?:environment: (\w+)|(arguments)|(presets)) -->$", re.MULTILINE)
+COMMENT = re.compile(r"^.*<!-- (?:environment: (\w+)|(arguments|reset options|presets)) -->$", re.MULTILINE)
 FIDELITIES = ("scene", *PRESETS)
 
 
 def on_page_markdown(markdown: str, page: Page, **kwargs: Any) -> str:
     """Puts descriptions and tables in the place of comments. Raises KeyError for a task that does not exist."""
-    return COMMENT.sub(lambda match: environment(match[1]) if match[1] else arguments() if match[2] else presets(), markdown)
+    tables = {"arguments": arguments, "reset options": reset_options, "presets": presets}
+    return COMMENT.sub(lambda match: environment(match[1]) if match[1] else tables[match[2]](), markdown)
 
 
 def environment(task: str) -> str:
@@ -50,14 +51,24 @@ def size_of(env: gym.Env[Any, Any]) -> int:
 
 def arguments() -> str:
     """The options with their defaults, from the docstring of `Options`."""
-    sections = griffe.Docstring(Options.__doc__ or "", lineno=1).parse("google", warnings=False, warn_unknown_params=False)
-    entries = next(section.value for section in sections if section.kind is griffe.DocstringSectionKind.attributes)
     rows = [["option", "default", "meaning"], ["---"] * 3]
-    for entry in entries:
-        field = Options.model_fields[entry.name]
-        default = "see right" if field.default_factory is not None else f"`{field.default!r}`" if entry.name != "randomize" else "nothing"
-        rows.append([f"`{entry.name}`", default, entry.description.replace("\n", " ")])
+    for name, description in attributes(Options).items():
+        field = Options.model_fields[name]
+        default = "see right" if field.default_factory is not None else f"`{field.default!r}`" if name != "randomize" else "nothing"
+        rows.append([f"`{name}`", default, description])
     return table(rows)
+
+
+def reset_options() -> str:
+    """The options of `reset`, from the docstring of `ResetOptions`."""
+    return table([["key", "meaning"], ["---"] * 2, *([f"`{name}`", description] for name, description in attributes(ResetOptions).items())])
+
+
+def attributes(configuration: type) -> dict[str, str]:
+    """Descriptions of attributes by name, from the docstring of a class."""
+    sections = griffe.Docstring(configuration.__doc__ or "", lineno=1).parse("google", warnings=False, warn_unknown_params=False)
+    entries = next(section.value for section in sections if section.kind is griffe.DocstringSectionKind.attributes)
+    return {entry.name: entry.description.replace("\n", " ") for entry in entries}
 
 
 def presets() -> str:

@@ -4,6 +4,7 @@ Every registered task has a class `<name>Env` in single.py and `<name>VectorEnv`
 """
 
 from soft_tendon_env.envs.options import Options
+from soft_tendon_env.envs.reset_options import ResetOptions
 from soft_tendon_env.envs.single import TendonRodEnv, environment_class
 from soft_tendon_env.envs.targets import TARGETS, Target, register_target
 from soft_tendon_env.envs.tasks import TASKS, Task, register_reward_term, register_task
@@ -18,7 +19,7 @@ ShapeEnv, ShapeVectorEnv = environment_class(SHAPE), vector_environment_class(SH
 ReachEnv, ReachVectorEnv = environment_class(REACH), vector_environment_class(REACH)
 
 __all__ = [
-    "IDS", "TARGETS", "TASKS", "Options", "ReachEnv", "ReachVectorEnv", "ShapeEnv", "ShapeVectorEnv", "Target", "Task",
+    "IDS", "TARGETS", "TASKS", "Options", "ReachEnv", "ReachVectorEnv", "ResetOptions", "ShapeEnv", "ShapeVectorEnv", "Target", "Task",
     "TendonRodEnv", "TendonRodVectorEnv", "TipPoseEnv", "TipPoseVectorEnv", "environment_class", "register_reward_term", "register_target",
     "register_task", "vector_environment_class",
 ]

@@ -60,14 +60,14 @@ class Actuation:
     """
 
     def __init__(self, options: Options, limits: Array, start: Array, share: Array, rows: int, substeps: int) -> None:
-        """limits: (n_a, 2) of commands; start: commands (n_a,) at reset, held since long before; share: (n_a,) of the range of commands
-        that 1 N is of that of tensions; substeps: integrator steps a period.
+        """limits: (n_a, 2) of commands; start: commands (n_a,) before the first reset; share: (n_a,) of the range of commands that 1 N is
+        of that of tensions; substeps: integrator steps a period.
 
         Raises ConfigurationError.
         """
         increment = share * (options.tension_rate * options.control_period) if options.action == "increment" else None
         self.actions = ActionScale(limits[:, 0].copy(), limits[:, 1].copy(), increment)
-        self._start, self.substeps, self._share, self._period = start, substeps, share, options.control_period
+        self.substeps, self._share, self._period = substeps, share, options.control_period
         self.start_action = self.actions.action(start, start)
         self.command = np.tile(start, (rows, 1))
         self.imperfect = options.randomize.of_actuators
@@ -80,11 +80,11 @@ class Actuation:
         self.in_transit = np.tile(start, (rows, self._kept, 1)) if latency else None
         self._periods_late, self._durations = np.zeros(rows, dtype=np.int64), np.tile([0.0, self._period], (rows, 1))
 
-    def begin(self, row: int, draw: Draw) -> None:
-        """A new episode of a row."""
-        self.command[row], self.gain[row], self.offset[row] = self._start, draw.gain, self._share * draw.offset
+    def begin(self, row: int, draw: Draw, command: Array) -> None:
+        """A new episode of a row under a command (n_a,), held since long before."""
+        self.command[row], self.gain[row], self.offset[row] = command, draw.gain, self._share * draw.offset
         if self.in_transit is not None:
-            self.in_transit[row] = self._start
+            self.in_transit[row] = command
             self._periods_late[row], rest = whole_periods(draw.latency, self._period)
             self._durations[row] = rest, self._period - rest
 

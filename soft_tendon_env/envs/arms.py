@@ -175,11 +175,11 @@ class Arms:
             raise np.linalg.LinAlgError(f"the motion of row {failed[0]} has no derivative: {cause}")
 
     def place(self, members: Indices, q: Array, tension: Array | None = None) -> None:
-        """Put the rows `members` at rest at their coordinates q (members, n), where tensions (n_a,) [N] hold them, none by default."""
+        """Put the rows `members` at rest at their coordinates q (members, n), where tensions (members, n_a) [N], or none, hold them."""
         commands = np.zeros((self.size, self.model.tendon_count))
         if self.model.arm.effects.transmit:
-            held = np.zeros(self.model.tendon_count) if tension is None else tension
-            commands[members] = [self.model_of(row).command(held, own) for row, own in zip(members.tolist(), q, strict=True)]
+            held = np.broadcast_to(0.0 if tension is None else tension, (members.size, self.model.tendon_count))
+            commands[members] = [self.model_of(row).command(*own) for row, *own in zip(members.tolist(), held, q, strict=True)]
         self.rows.q[members], self.rows.q_dot[members], self.rows.step[members] = q, 0.0, self._scheme.control.step
         self.share(lambda part, scratch: batch.place_rows(self._batch, part, commands, scratch.work), members)
 

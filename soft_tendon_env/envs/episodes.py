@@ -4,7 +4,8 @@ What happens in a row depends on the generator that its episode began with and o
 row and for many, bit for bit. Read `begin` and `step` first.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -16,23 +17,28 @@ from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.contacts import NO_CONTACT, Contacts, encountered
 from soft_tendon_env.envs.courses import Courses
 from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, Sizes, stress_free_strain, units_of
-from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved_scene, sensor_places
+from soft_tendon_env.envs.options import GOAL_BOUND, Options, check_fit, groups_of, resolved_scene, sensor_places
 from soft_tendon_env.envs.randomization import Measured, Sensors, drawn, own_stream
+from soft_tendon_env.envs.reset_options import ResetOptions
 from soft_tendon_env.envs.rewards import GoalReward, Reward, Weight
-from soft_tendon_env.envs.starts import Starts
+from soft_tendon_env.envs.starts import Beginning, Starts
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.envs.tasks import STATIONS, Task
-from soft_tendon_env.envs.tracking import CONTACT_ERRORS, Tracking, norm
+from soft_tendon_env.envs.tracking import CONTACT_ERRORS, Tracking, TrackingError, norm
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
+from soft_tendon_env.mechanics.motion.scratch import Motion
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.motion.tape import Tape
 from soft_tendon_env.model.contact_forces import ContactForces, contact_forces
 from soft_tendon_env.model.model import build_model
-from soft_tendon_env.model.state import State
+from soft_tendon_env.model.state import State, checked_motion, state_of
 from soft_tendon_env.model.step_control import cause_of, step_control
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
+
+START = 1
+"""Purpose of the random stream from which tensions to begin under are drawn."""
 
 
 class Snapshot(NamedTuple):
@@ -64,7 +70,7 @@ class Episodes:
         """
         scene = resolved_scene(options)
         check_fit(options, task, scene)
-        groups = groups_of(options, task, scene)
+        groups_of(options, task, scene)
         self.task, self.options, self.size, self.period = task, options, rows, options.control_period
         self.model = model = build_model(scene)
         self.sensors = sensor_places(options, scene)
@@ -73,21 +79,18 @@ class Episodes:
         self.starts = starts = Starts(task, options, self.arms)
         self.limits, self.start_tension, self.start_command = starts.limits, starts.tension, starts.command
         self.goal_kind: GoalReward = options.reward if options.reward in ("sparse", "dense") else "sparse"
-        self.goal_bound = 2.0 * model.length
+        self.goal_bound = GOAL_BOUND * model.length
         self._contacts = Contacts(self.arms, options.contact_sections) if encountered(model) else None
         self._courses = self._make_courses()
         commands = model.scene.effects.command_limits(self.limits)
         share, strongest = np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0], np.abs(commands).max(axis=1)
         self.actuation = Actuation(options, commands, self.start_command, share, rows, self.arms.substeps)
         self.actions = self.actuation.actions
-        self._errors = [*task.errors, *(CONTACT_ERRORS if self._contacts else ())]
-        self.errors = {error.name: np.full(rows, np.nan) for error in self._errors}
+        self.errors = {error.name: np.full(rows, np.nan) for error in self._measures}
         if task.goal is None:
             self._reward_terms = _reward_of(task, options, strongest, self._contacts is not None)
         noise = options.randomize.noise if options.randomize.of_sensors else None
         self._sensors = Sensors(noise, rows, model.tendon_count, self.sensors.size) if noise is not None else None
-        sizes = Sizes(model.coordinate_count, model.tendon_count, self.sensors.size, len(options.preview), options.contact_sections)
-        self.layout = Layout(groups, sizes, units_of(model, strongest), options.history)
         self.history = History(rows, options.history, self.layout.kept) if options.history else None
         self._all, self._transmits = np.arange(rows, dtype=np.int64), model.arm.effects.transmit
         self.arms.place(self._all, np.tile(self.starts.q, (rows, 1)), self.start_tension)
@@ -101,38 +104,102 @@ class Episodes:
         self.terms: dict[str, Array] = {}
         self.target = self._courses.now_and_ahead(self.step_count, self.arms.reading.tip_pose)[0]
         self.last: Snapshot | None = None
+        self._simulated = True
 
     def attach(self, arms: Arms) -> None:
-        """Take other arms of the same model in place of the simulated ones, as measured ones: their readings have noise of their own."""
-        self.arms, self._sensors = arms, None
+        """Take other arms of the same model in place of the simulated ones, as measured ones: their readings have noise of their own.
+
+        Raises ConfigurationError where episodes do not begin at rest.
+        """
+        if self.starts.usual.start != "rest":
+            raise ConfigurationError([Problem(("start",), f"is {self.starts.usual.start!r}: robots begin at rest")], "environment")
+        self.arms, self._sensors, self._simulated = arms, None, False
+
+    @cached_property
+    def layout(self) -> Layout:
+        """The layout of observations."""
+        model, options = self.model, self.options
+        sizes = Sizes(model.coordinate_count, model.tendon_count, self.sensors.size, len(options.preview), options.contact_sections)
+        strongest = np.abs(model.scene.effects.command_limits(self.limits)).max(axis=1)
+        return Layout(groups_of(options, self.task, model.scene), sizes, units_of(model, strongest), options.history)
+
+    @property
+    def _measures(self) -> list[TrackingError]:
+        """The errors of the task, and those of contact where arms can touch something."""
+        return [*self.task.errors, *(CONTACT_ERRORS if self._contacts else ())]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All of it but the layout, whose functions have no names. Raises TypeError."""
+        if not self._simulated:
+            raise TypeError("an environment whose arm is a robot cannot be copied: there is one robot")
+        return {name: value for name, value in self.__dict__.items() if name != "layout"}
 
     def _make_courses(self) -> Courses:
         """Targets of all rows."""
         ahead = [0, *(round(time / self.period) for time in self.options.preview)]
         self.ahead = self.period * np.array(ahead, dtype=np.float64)
         courses = Courses(self.arms, self.period, ahead, self.task.shapes)
-        self.starts.check_course(courses)
+        self.starts.settle_target(courses)
         return courses
 
-    def begin(self, members: Indices, generators: Sequence[np.random.Generator]) -> None:
-        """New episodes for the rows `members`, each drawn from its generator."""
-        q = np.empty((members.size, self.model.coordinate_count))
+    def beginnings(self, given: Mapping[int, ResetOptions], members: Indices) -> dict[int, Beginning]:
+        """How those of the rows `members` begin that are given options. Raises ConfigurationError, TypeError, ValueError."""
+        own = {row: given[row] for row in members.tolist() if row in given}
+        if not self._simulated and any(begins.state or begins.start not in (None, "rest") for begins in own.values()):
+            raise ConfigurationError([Problem((), "should have no state or start: robots begin at rest")], "options")
+        return {row: self.starts.beginning(begins, self._courses) for row, begins in own.items()}
+
+    def begin(
+        self, members: Indices, generators: Sequence[np.random.Generator], beginnings: Mapping[int, Beginning] | None = None
+    ) -> None:
+        """New episodes for the rows `members`, each drawn from its generator; `beginnings` of rows that do not begin as usual."""
+        q, tension = (np.empty((members.size, size)) for size in (self.model.coordinate_count, self.model.tendon_count))
+        command, motions = np.empty_like(tension), {}
         for i, (row, generator) in enumerate(zip(members.tolist(), generators, strict=True)):
-            stream = own_stream(generator) if self.starts.effects else None
+            own = (beginnings or {}).get(row, self.starts.usual)
+            effects = own_stream(generator) if self.starts.effects else None
+            start = own_stream(generator, START) if own.start == "random" else None
             draw = drawn(self.options.randomize, self.model.tendon_count, generator)
-            self.actuation.begin(row, draw)
-            q[i] = self.starts.begin_arm(row, draw.material, stream, self._courses)
-            shape = self.model.arm.strain.of_softer_rod(q[i], np.array(draw.material.stiffness))
-            self.starts.begin_course(row, generator, shape, self._courses)
+            rest = self.starts.begin_arm(row, (draw.material, effects), own.target, self._courses)
+            tension[i], command[i], q[i] = self.starts.begin_shape(row, own.start, start, rest)
+            self.actuation.begin(row, draw, command[i])
+            shape = self.model.arm.strain.of_softer_rod(rest, np.array(draw.material.stiffness))
+            self.starts.begin_course(row, own.target, generator, shape, self._courses)
             if self._sensors is not None:  # after the target, which is the same with and without noise
                 self._sensors.begin(row, int(generator.integers(2**63)))
-        self.arms.place(members, q, self.start_tension)
+            if own.state is not None:
+                motions[row] = checked_motion(self.arms.model_of(row), own.state)
+        self.arms.place(members, q, tension)
         self.step_count[members] = 0
         self.tension, self._applied = self.tension.copy(), self._applied.copy()
-        self.tension[members], self._applied[members] = self.start_tension, self.start_command
+        self.tension[members], self._applied[members] = tension, command
         self._action, self._action_change = self._action.copy(), self._action_change.copy()
-        self._action[members], self._action_change[members] = self.actuation.start_action, 0.0
+        self._action[members], self._action_change[members] = self.actions.action(command, command), 0.0
+        if motions:
+            self._put(motions)
         self._observe(members)
+
+    def put(self, states: Mapping[int, State]) -> None:
+        """Put rows into states: their arms alone, while targets, last actions, commands that are on their way and counts of steps stay, and
+        a history begins anew. Raises TypeError or ValueError before anything changes, where a state is none of its row's arm."""
+        if not self._simulated:
+            raise TypeError("the state of a robot cannot be set")
+        self._put({row: checked_motion(self.arms.model_of(row), state) for row, state in states.items()})
+        self._observe(np.array([*states], dtype=np.int64), moved=False)
+
+    def _put(self, motions: dict[int, tuple[Motion, float]]) -> None:
+        """Put rows into motions, each with the step [s] to try next."""
+        rows, members = self.arms.rows, np.array([*motions], dtype=np.int64)
+        for row, (motion, _) in motions.items():
+            for name, values in motion._asdict().items():
+                getattr(rows, name)[row] = values
+        command = np.ascontiguousarray(self._applied[:, None])
+        self.arms.step(command, members, np.zeros((self.size, 1)))  # for no time: it reads them
+        for row, (motion, step) in motions.items():
+            rows.state[row], rows.step[row] = motion.state, step  # as they were: a reading lets commands join the queue of a delay
+        if self._transmits:
+            self.tension = self.tension.copy()
+            self.tension[members] = self.arms.reading.tension[members]
 
     def step(self, action: Array, members: Indices | None = None, tape: Tape | None = None) -> None:
         """One control period of the rows `members` (all by default) with actions (rows, n_a), taken as within [-1, 1]; tape: see Arms."""
@@ -153,15 +220,16 @@ class Episodes:
             self._action[members], self._action_change[members] = action[members], change[members]
         self._observe(members)
 
-    def _observe(self, members: Indices) -> None:
-        """Compare the arms with their targets, after the rows `members` have moved on: observation, errors, reward."""
+    def _observe(self, members: Indices, moved: bool = True) -> None:
+        """Compare the arms with their targets, after the rows `members` moved on or were put elsewhere: observation, errors, reward."""
         self._courses.prepare(self.step_count, members)
         reading = self.arms.reading
         self.target, error, off = self._courses.now_and_ahead(self.step_count, reading.tip_pose)
         measured: Reading | Measured
         measured, measured_error = reading, error
         if self._sensors is not None:
-            measured, measured_error = self._sensors.measured(reading, self.step_count, members), np.empty_like(error)
+            measured = self._sensors.measured(reading, self.step_count, members if moved else members[:0])
+            measured_error = np.empty_like(error)
             pose_errors(measured.tip_pose, self.target.tip_pose, measured_error)
         contact = NO_CONTACT if self._contacts is None else self._contacts.read(members)
         self.observed = Observed(
@@ -173,9 +241,9 @@ class Episodes:
             achieved, desired = (np.minimum(np.maximum(position.astype(np.float32), -reach), reach) for position in positions)
             self._goals = achieved, desired  # tip positions (rows, 3) [m] as measured and as wanted, within their space
         if self.history is not None:
-            self.history.keep(self._present, self.step_count, members)
+            self.history.keep(self._present, self.step_count if moved else np.zeros_like(self.step_count), members)
         tracking = Tracking(self.arms, self.target, error[:, 0], off, self._applied, self._action_change, contact)
-        self.errors = {error.name: error.value(tracking) for error in self._errors}
+        self.errors = {error.name: error.value(tracking) for error in self._measures}
         self.diverged = self.arms.outcome.status != OK
         if self.options.tip_speed_limit is not None:
             self.diverged |= norm(reading.tip_twist[:, 3:]) > self.options.tip_speed_limit
@@ -234,11 +302,8 @@ class Episodes:
 
     def state(self, row: int) -> State:
         """The motion of a row, as Simulation has it."""
-        rows = self.arms.rows
-        time, step = float(rows.clock[row, 0]), float(rows.step[row])
-        strain = self.model.grid.unpacked(rows.xi[row])
-        names = self.arms.model_of(row).state_names
-        return State(time, rows.q[row].copy(), rows.q_dot[row].copy(), strain, step, rows.state[row].copy(), names)
+        motion = Motion(*(getattr(self.arms.rows, name)[row] for name in Motion._fields))
+        return state_of(self.arms.model_of(row), motion, float(self.arms.rows.step[row]))
 
     def contact_forces(self, row: int) -> ContactForces:
         """Contact of a row with its obstacles now, per obstacle and along the arm. Raises ValueError where the scene has no contact."""

@@ -2,7 +2,7 @@
 
 import pkgutil
 from collections.abc import Iterable
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,13 @@ class RowRenderer:
         self._episodes = episodes
         self._renderer = ArmRenderer(episodes.model)
         self._trails: list[list[Array]] = [[] for _ in range(episodes.size)]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_renderer": None}  # a figure cannot be copied
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._renderer = ArmRenderer(self._episodes.model)
 
     def begin(self, members: Iterable[int]) -> None:
         """New episodes of the rows `members`."""

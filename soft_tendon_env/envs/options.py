@@ -1,11 +1,11 @@
 """Keyword arguments of the environments: plain values, so that specs serialise and worker processes get them."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal, NoReturn
 
 import numpy as np
-from pydantic import AfterValidator, Discriminator, Field, SerializeAsAny, Tag, field_validator
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, SerializeAsAny, Tag, field_validator
 
 from soft_tendon_env.accuracy.fidelity import at_fidelity, checked_fidelity
 from soft_tendon_env.envs.observation import Group
@@ -13,10 +13,11 @@ from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.envs.rewards import GoalReward, Weight
 from soft_tendon_env.envs.targets import TARGETS, Target
 from soft_tendon_env.envs.targets.motions import Random
+from soft_tendon_env.envs.targets.set_points import Hold
 from soft_tendon_env.envs.tasks import Task
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene, TensionLimits, extrapolation_columns, rod_length, scene_to_dict
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, shown
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Key, Problem, not_among, shown
 from soft_tendon_env.tools.types import Array, NotNegative, Positive
 
 LEAST_PERIOD = 1e-6
@@ -31,7 +32,31 @@ MOST_SENSORS = 10_000
 MOST_SECTIONS = 1_000
 LEAST_DISTANCE = 1e-9
 """Smallest threshold [m]; distances are squared in parts of it."""
+GOAL_BOUND = 2.0
+"""Largest coordinate of goals in the world frame, in lengths of the rod."""
 SCENES = "should be the name of a shipped scene, the path of a TOML file, a Scene, or a table, such as scene_to_dict gives"
+
+
+def _target_by_name(target: Any) -> Any:
+    if not isinstance(target, str | dict):
+        return target
+    settings = {"type": target} if isinstance(target, str) else target
+    if "type" not in settings:
+        raise ConfigurationError([Problem(("type",), f"is missing: {not_among('', TARGETS)}")])
+    kind = settings["type"]
+    if not isinstance(kind, str) or kind not in TARGETS:
+        raise ConfigurationError([Problem(("type",), f"is {shown(kind)}: {not_among(str(kind), TARGETS)}")])
+    return TARGETS[kind](**settings)
+
+
+def _start(start: Any) -> Any:
+    if not (isinstance(start, tuple) or isinstance(start, str) and start in ("rest", "random")):
+        raise ValueError("should be 'rest', 'random' or a list of tensions, one per tendon")
+    return start
+
+
+NamedTarget = Annotated[SerializeAsAny[Target], BeforeValidator(_target_by_name)]
+Start = Annotated[str | tuple[float, ...], BeforeValidator(_start)]
 
 
 class Options(Configuration):
@@ -51,6 +76,8 @@ class Options(Configuration):
         target: name of a target ("random", "hold", "circle", "ramp", "steps", "out_of_reach" or a registered one), a table with that `type`
             and its settings, or a target object. None takes the task's default.
         observation: "full", "measurable" (tip pose, tendon lengths, strain sensors), or a list of observation groups.
+        start: shape at rest in which episodes begin, that under the tensions nearest to zero, "rest", or under "random" ones, drawn within
+            their limits and halved until the arm holds them.
         preview: times ahead [s] at which the target is observed too, rounded to whole control periods (1 to 10,000). The default is 0.1 and
             0.2 s, or one and two control periods where a period is longer than that.
         history: number of past control periods that are observed too, for the groups that describe the arm.
@@ -72,8 +99,9 @@ class Options(Configuration):
     tension_limits: TensionLimits | None = None
     action: Literal["tension", "increment"] = "tension"
     tension_rate: Positive = 100.0
-    target: SerializeAsAny[Target] | None = None
+    target: NamedTarget | None = None
     observation: str | tuple[str, ...] = "full"
+    start: Literal["rest", "random"] = "rest"
     preview: tuple[Positive, ...] = Field(
         default_factory=lambda given: tuple(max(0.1 * k, k * given.get("control_period", 0.0)) for k in (1, 2))
     )
@@ -111,19 +139,6 @@ class Options(Configuration):
             raise ValueError("should be a whole number, or a list of arc lengths")
         return sensors
 
-    @field_validator("target", mode="before")
-    @classmethod
-    def _by_name(cls, target: Any) -> Any:
-        if not isinstance(target, str | dict):
-            return target
-        settings = {"type": target} if isinstance(target, str) else target
-        if "type" not in settings:
-            raise ConfigurationError([Problem(("type",), f"is missing: {not_among('', TARGETS)}")])
-        kind = settings["type"]
-        if not isinstance(kind, str) or kind not in TARGETS:
-            raise ConfigurationError([Problem(("type",), f"is {shown(kind)}: {not_among(str(kind), TARGETS)}")])
-        return TARGETS[kind](**settings)
-
     @field_validator("reward", mode="before")
     @classmethod
     def _plain_weights(cls, reward: Any) -> Any:
@@ -138,6 +153,24 @@ class Options(Configuration):
         if problems:
             raise ConfigurationError(problems)
         return weights
+
+
+class UnknownKeyword(ConfigurationError, TypeError):
+    """Keyword argument that environments do not have: a TypeError too, as of any function. TorchRL tries keywords by that."""
+
+    def __init__(self, problems: Iterable[Problem] | str, source: str = "environment"):
+        """problems: their text, where Gymnasium raises the error anew."""
+        super().__init__([Problem((), problems)] if isinstance(problems, str) else problems, source)
+
+
+def parsed_options(values: Mapping[str, Any], source: str) -> Options:
+    """The keyword arguments of an environment; `source`: its class. Raises ConfigurationError."""
+    unknown: dict[Key, str] = {(name,): f"; unexpected keyword argument {name!r}" for name in values if name not in Options.model_fields}
+    try:
+        return Options.parse(values, source)
+    except ConfigurationError as error:
+        problems = [Problem(key, text + unknown.get(key, "")) for key, text in error.problems]
+        raise (UnknownKeyword if unknown else ConfigurationError)(problems, source) from None
 
 
 def resolved_scene(options: Options) -> Scene:
@@ -203,12 +236,36 @@ def check_fit(options: Options, task: Task, scene: Scene) -> None:
         if sensor > length:
             _fail("sensors", f"names {sensor:g}: it should be at most the rod's length, {length:g}")
     if options.target is not None:
-        if task.shapes and not options.target.gives_shapes:
-            kind = options.target.type
-            _fail("target", f"is {kind!r}, which is a pose alone: {task.name} needs one that is made of tensions, such as random or ramp")
-        options.target.check(scene)
+        check_target(options.target, task, scene)
     if options.reward is not None and (task.goal is not None) == isinstance(options.reward, dict):
         _fail("reward", "should be 'sparse' or 'dense'" if task.goal else "should be a table of weights by term")
+
+
+def check_target(target: Target, task: Task, scene: Scene) -> None:
+    """Raises ConfigurationError where a target does not fit the task or the scene."""
+    if task.shapes and not target.gives_shapes:
+        kind = target.type
+        _fail("target", f"is {kind!r}, which is a pose alone: {task.name} needs one that is made of tensions, such as random or ramp")
+    if isinstance(target, Hold) and target.position is not None and task.goal is None:
+        _fail("target.position", f"is a position alone: {task.name} needs a pose, 4 x 4")
+    if isinstance(target, Hold) and target.given is not None and task.goal is not None:
+        place, bound = target.given[:3, 3], GOAL_BOUND * rod_length(scene)
+        if np.abs(place).max() > bound:
+            key = "target.pose" if target.position is None else "target.position"
+            _fail(key, f"is at {shown(place.tolist())} m: goals should lie within ±{bound:g} m, {GOAL_BOUND:g} lengths of the rod")
+    target.check(scene)
+
+
+def check_start(start: Start, scene: Scene) -> None:
+    """Raises ConfigurationError unless the tensions to begin under, if they are given, are one per tendon and within its limits."""
+    if isinstance(start, str):
+        return
+    if len(start) != len(scene.tendons):
+        _fail("start", f"has {len(start)} entries: it should have one per tendon, {len(scene.tendons)}")
+    for i, (tension, tendon) in enumerate(zip(start, scene.tendons, strict=True)):
+        least, greatest = tendon.tension_limits
+        if not least <= tension <= greatest:
+            _fail(f"start[{i}]", f"is {tension:g}: it should be within the limits of the tendon, {least:g} to {greatest:g} N")
 
 
 def _check_times(options: Options, scene: Scene) -> None:

@@ -117,9 +117,9 @@ class Draw(NamedTuple):
     latency: float  # [s]
 
 
-def own_stream(generator: np.random.Generator) -> np.random.Generator:
-    """A generator that another one seeds, without moving it on."""
-    return np.random.default_rng(deepcopy(generator).integers(2**63, size=4))
+def own_stream(generator: np.random.Generator, *purpose: int) -> np.random.Generator:
+    """A generator that another one seeds, without moving it on; another one for every purpose."""
+    return np.random.default_rng([*deepcopy(generator).integers(2**63, size=4), *purpose])
 
 
 def drawn(randomization: Randomization, tendons: int, generator: np.random.Generator) -> Draw:

@@ -8,13 +8,13 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.spaces import Box, Dict
-from gymnasium.utils import EzPickle
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.frames import RENDER_MODES, make_renderer
-from soft_tendon_env.envs.options import Options
+from soft_tendon_env.envs.options import parsed_options
+from soft_tendon_env.envs.reset_options import reset_options
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.envs.tasks import Task, task_of_class
 from soft_tendon_env.model.model import Model
@@ -44,12 +44,6 @@ def checked_seeds(seed: Any, rows: int) -> list[int | None] | None:
     return [first + i for i in range(rows)]
 
 
-def check_options(options: Any) -> None:
-    """Raises TypeError where the options of `reset` are no table."""
-    if not isinstance(options, dict | None):
-        raise TypeError(f"options should be a dict or None, not {type(options).__name__}")
-
-
 def refuse_closed(closed: bool, called: str) -> None:
     """Raises ClosedEnvironmentError."""
     if closed:
@@ -74,8 +68,8 @@ class PlainSpec:
         self._spec = spec
 
 
-class TendonRodEnv(PlainSpec, gym.Env[Any, Any], EzPickle):
-    """A Gymnasium environment with one arm: one row of `Episodes`, `self.episodes`."""
+class TendonRodEnv(PlainSpec, gym.Env[Any, Any]):
+    """A Gymnasium environment with one arm: one row of `Episodes`, `self.episodes`. Copies and pickles go on from where it is."""
 
     metadata: dict[str, Any] = {"render_modes": [*RENDER_MODES]}
     task: ClassVar[Task]
@@ -86,23 +80,24 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any], EzPickle):
         Raises ConfigurationError, ValueError for other modes, gymnasium.error.DependencyNotInstalled or gymnasium.error.Error where what a
         mode needs is not there.
         """
-        EzPickle.__init__(self, render_mode=render_mode, **options)
         self.render_mode = render_mode
-        chosen = Options.parse(options, type(self).__name__)
+        chosen = parsed_options(options, type(self).__name__)
         self.episodes = Episodes(self.task, chosen, rows=1)
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / chosen.control_period))}
         self.observation_space = observation_space(self.episodes)
         self.action_space = action_space(self.episodes)
-        self._on_divergence, self._begun, self._closed = chosen.on_divergence, False, False
+        self._on_divergence, self._begun, self._closed, self._most_steps = chosen.on_divergence, False, False, np.inf
         self._renderer = make_renderer(self.episodes, render_mode)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """A new episode; `options` are not used. Raises ValueError or TypeError for a bad seed, before anything changes."""
+        """A new episode; options: see `ResetOptions`. Raises ValueError or TypeError for bad seeds and options, before anything changes."""
         refuse_closed(self._closed, "reset")
-        check_options(options)
-        super().reset(seed=checked_seed(seed))
-        self.episodes.begin(ONE, [self.np_random])
-        self._begun = True
+        seed, given = checked_seed(seed), reset_options(options)
+        beginnings = self.episodes.beginnings(given, ONE)
+        super().reset(seed=seed)
+        self._begun = False
+        self.episodes.begin(ONE, [self.np_random], beginnings)
+        self._begun, self._most_steps = True, (given[0].episode_steps or np.inf) if given else np.inf
         if self._renderer is not None:
             self._renderer.begin(ONE)
         return self._observation(), self._info()
@@ -116,12 +111,12 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any], EzPickle):
         if self._renderer is not None:
             self._renderer.step(ONE)
         info = self._info()
-        terminated = truncated = False
+        terminated, truncated = False, bool(self.episodes.step_count[0] >= self._most_steps)
         if info["diverged"]:
             info["cause"] = self.episodes.cause(0)
             if self._on_divergence == "raise":
                 raise SimulationDiverged(self.episodes.state(0), info["cause"], self.episodes.tension[0])
-            terminated, truncated = self._on_divergence == "terminate", self._on_divergence == "truncate"
+            terminated, truncated = self._on_divergence == "terminate", truncated or self._on_divergence == "truncate"
         return self._observation(), float(self.episodes.reward[0]), terminated, truncated, info
 
     @property
@@ -131,8 +126,15 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any], EzPickle):
 
     @property
     def state(self) -> State:
-        """A copy of the arm's state, as `Simulation` has it."""
+        """A copy of the arm's state, as `Simulation` has it. Set, it is taken whole, see `Episodes.put`; TypeError or ValueError leave the
+        environment as it was."""
         return self.episodes.state(0)
+
+    @state.setter
+    def state(self, state: State) -> None:
+        if not self._begun:
+            raise ResetNeeded("the state was set before reset")
+        self.episodes.put({0: state})
 
     def target_at(self, times: ArrayLike) -> TargetSamples:
         """The episode's target at times (m,) [s] from its beginning, past or future."""

@@ -1,18 +1,22 @@
 """How rows begin: at rest, with a material and effects of their own where those are drawn, clear of obstacles, and with a target."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from soft_tendon_env.envs.arms import Arms, Material, RowEffects
 from soft_tendon_env.envs.contacts import ObstacleFreeSpace, encountered, why_base_inside, why_inside, why_target_inside
 from soft_tendon_env.envs.courses import Courses
 from soft_tendon_env.envs.effect_ranges import EffectRanges
-from soft_tendon_env.envs.options import Options
-from soft_tendon_env.envs.targets import TARGETS, Course, Setting, ShapeCourse, make_setting
+from soft_tendon_env.envs.options import Options, Start, check_start, check_target
+from soft_tendon_env.envs.reset_options import ResetOptions
+from soft_tendon_env.envs.targets import TARGETS, Course, Setting, ShapeCourse, Target, make_setting
 from soft_tendon_env.envs.targets.equilibria import Equilibria
 from soft_tendon_env.envs.targets.motions import Random
-from soft_tendon_env.envs.targets.statics import nearest_to_zero
+from soft_tendon_env.envs.targets.statics import HALVINGS, nearest_to_zero
 from soft_tendon_env.envs.tasks import Task
 from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.state import State, checked_motion
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.registration import MAX_EPISODE_STEPS
 from soft_tendon_env.tools.checks import shown_numbers
@@ -27,16 +31,24 @@ TARGET_CHECKS = 100
 """Times in an episode of the usual length at which a target is checked not to lie inside of obstacles."""
 
 
+class Beginning(NamedTuple):
+    """How an episode of a row begins, checked."""
+
+    start: Start
+    target: Target | Course  # one that is drawn, or the course of one that is not
+    state: State | None = None  # in which the row begins, whatever `start` says
+
+
 class Starts:
     """Beginnings of rows of episodes.
 
-    `tension` (n_a,) [N] and `command` (n_a,) hold the arm there, `q` (n,) are its coordinates, where nothing is drawn; `effects` are the
-    ranges of effects that are drawn.
+    `usual` is how they begin unless a reset says otherwise. `tension` (n_a,) [N] and `command` (n_a,) hold the arm at rest, `q` (n,) are
+    its coordinates there, where nothing is drawn; `effects` are the ranges of effects that are drawn.
     """
 
     def __init__(self, task: Task, options: Options, arms: Arms) -> None:
         """Raises ConfigurationError where the arm, or one that can be drawn, does not rest, or begins inside of an obstacle."""
-        self._options, self._arms, self._model = options, arms, arms.model
+        self._task, self._options, self._arms, self._model = task, options, arms, arms.model
         self.limits = np.array([tendon.tension_limits for tendon in arms.model.scene.tendons])
         self.tension = nearest_to_zero(self.limits)
         self.effects = EffectRanges(options.randomize.effects, arms.model)
@@ -48,22 +60,47 @@ class Starts:
         self._check_extremes()
         self._setting = self._among(make_setting(arms, self.limits), self.q)
         self._target = options.target or TARGETS[task.target](type=task.target)
-        self._course = None if self._target.is_random else self._target.draw(np.random.default_rng(0), self._setting)
+        self.usual = Beginning(options.start, self._target)
         self._bank: dict[int, Course] = {}
         if self.redraws and isinstance(self._target, Random) and self._target.bank is not None:
             text = f"is {self._target.bank}: it should be left out where obstacles are drawn, of which every target keeps clear"
             raise _problem(("target", "bank"), text)
 
-    def check_course(self, courses: Courses) -> None:
-        """Raises ConfigurationError where the target that is not drawn lies inside of an obstacle."""
-        if self._course is not None and (inside := self._target_inside(self._course, courses, self._model)):
-            raise _problem(("target",), f"lies inside of an obstacle: {inside}")
+    def settle_target(self, courses: Courses) -> None:
+        """Find the course of the target once, where it is not drawn. Raises ConfigurationError."""
+        self.usual = self.usual._replace(target=self.settled_target(self._target, courses))
 
-    def begin_arm(self, row: int, material: Material, stream: np.random.Generator | None, courses: Courses) -> Array:
-        """Give a row its material, and effects drawn from `stream` if any are: the coordinates (n,) at which it rests.
+    def settled_target(self, target: Target, courses: Courses) -> Target | Course:
+        """The course of a target; one that is drawn as it is. Raises ConfigurationError where the course cannot be, or lies inside of an
+        obstacle."""
+        if target.is_random:
+            return target
+        course = target.draw(np.random.default_rng(0), self._setting)
+        if inside := self._target_inside(course, courses, self._model):
+            raise _problem(("target",), f"lies inside of an obstacle: {inside}")
+        return course
+
+    def beginning(self, given: ResetOptions, courses: Courses) -> Beginning:
+        """How a row with these options begins. Raises ConfigurationError, TypeError or ValueError where it cannot, but for what depends on
+        the arm that is drawn for its episode: that is found out when it begins."""
+        start, wanted, scene = given.start or self.usual.start, given.goal or given.target, self._model.scene
+        check_start(start, scene)
+        if not self._options.randomize.of_arm:
+            if not isinstance(start, str):
+                self.begin_shape(0, start, None, self.q)
+            if given.state is not None:
+                checked_motion(self._model, given.state)
+        if wanted is None:
+            return Beginning(start, self.usual.target, given.state)
+        check_target(wanted, self._task, scene)
+        return Beginning(start, self.settled_target(wanted, courses), given.state)
+
+    def begin_arm(self, row: int, draw: tuple[Material, np.random.Generator | None], target: Target | Course, courses: Courses) -> Array:
+        """Give a row its material, and effects drawn from a stream if any are: the coordinates (n,) at which it rests.
 
         Raises ConfigurationError.
         """
+        material, stream = draw
         if not self._options.randomize.of_arm:
             return self.q
         if stream is None:
@@ -76,27 +113,50 @@ class Starts:
                 if last and self.redraws:
                     continue
                 raise
-            if self._course is None or not self.redraws:
+            if isinstance(target, Target) or not self.redraws:
                 return q
-            if not (inside := self._target_inside(self._course, courses, self._arms.model_of(row))):
+            if not (inside := self._target_inside(target, courses, self._arms.model_of(row))):
                 return q
         text = f"put the target inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}: {inside}"
         raise _problem(("randomize", "effects"), text)
 
-    def begin_course(self, row: int, generator: np.random.Generator, rest: Array, courses: Courses) -> None:
+    def begin_shape(self, row: int, start: Start, stream: np.random.Generator | None, rest: Array) -> tuple[Array, Array, Array]:
+        """Tensions (n_a,) [N] under which a row begins, the command (n_a,) that holds them, and its coordinates (n,) then.
+
+        start: of a row that without tension rests at `rest` (n,); tensions drawn from `stream` are halved until the arm holds them, clear
+        of obstacles. Raises ConfigurationError where the arm does not hold given ones.
+        """
+        if start == "rest":
+            return self.tension, self.command, rest
+        model = self._arms.model_of(row) if self._options.randomize.of_arm else self._model
+        tension = np.array(start) if stream is None else stream.uniform(*self.limits.T)
+        least, greatest = model.scene.effects.command_limits(self.limits).T
+        for _ in range(HALVINGS):
+            q, reason = self._settled(model, tension)
+            reason, command = reason or why_inside(model, q), model.command(tension, q)
+            if not reason and not ((least <= command) & (command <= greatest)).all():
+                reason = f"its actuators would have to be at {shown_numbers(command)} {model.command_unit}, beyond their limits"
+            if not reason:
+                return tension, command, q
+            if stream is None:
+                raise _problem(("start",), f"is {shown_numbers(tension)} N, which cannot hold the arm: {reason}")
+            tension = 0.5 * (self.tension + tension)
+        return self.tension, self.command, rest
+
+    def begin_course(self, row: int, target: Target | Course, generator: np.random.Generator, rest: Array, courses: Courses) -> None:
         """Give a row its target, from a bank if there is one; one that is drawn keeps clear of the row's obstacles, as the arm at `rest`
         (n,) does, where that is so. Raises ConfigurationError."""
-        if self._course is not None:
-            courses.begin(row, self._course)
+        if not isinstance(target, Target):
+            courses.begin(row, target)
             return
-        if isinstance(self._target, Random) and self._target.bank is not None:
-            courses.begin(row, *self._from_bank(self._target, self._target.bank, generator))
+        if isinstance(target, Random) and target.bank is not None:
+            courses.begin(row, *self._from_bank(target, target.bank, generator))
             return
         setting = self._setting
         if self.redraws:
             setting = self._among(setting._replace(model=self._arms.model_among(row)), rest)
         for _ in range(MOST_DRAWS):
-            course = self._target.draw(generator, setting)
+            course = target.draw(generator, setting)
             if isinstance(course, ShapeCourse) or not (inside := self._target_inside(course, courses, setting.model)):
                 courses.begin(row, course)
                 return
@@ -111,7 +171,7 @@ class Starts:
         return self._bank[number], int(generator.integers(max(round(target.period / self._options.control_period), 1)))
 
     def _rest_of_scene(self) -> Array:
-        q, reason = self._settled(self._model)
+        q, reason = self._settled(self._model, self.tension)
         if inside := why_inside(self._model, q):
             raise _problem(("scene",), f"has obstacles in the arm's way: {inside}; move it to where the arm is not")
         if reason:
@@ -119,13 +179,13 @@ class Starts:
             raise _problem(("tension_limits",), text)
         return q
 
-    def _settled(self, model: Model) -> tuple[Array, str]:
-        """Coordinates (n,) at which a slowly loaded arm comes to rest, and why it does not; "": it does."""
+    def _settled(self, model: Model, tension: Array) -> tuple[Array, str]:
+        """Coordinates (n,) at which an arm slowly loaded with tensions (n_a,) [N] comes to rest, and why it does not; "": it does."""
         if model.arm.effects.load:
-            q, found = Equilibria(self._arms, model).on_path(self.tension[None])
+            q, found = Equilibria(self._arms, model).on_path(tension[None])
             if found[0]:
                 return q[0], ""
-        rest = static_equilibrium(model, self.tension, settle=True)
+        rest = static_equilibrium(model, tension, settle=True)
         return rest.q, "" if rest.converged else rest.reason
 
     def _check_extremes(self) -> None:
@@ -145,7 +205,7 @@ class Starts:
         own = self._arms.model_of(row)
         inside = why_base_inside(own, self.q)
         if not inside:
-            q, reason = self._settled(own)
+            q, reason = self._settled(own, self.tension)
             inside = why_inside(own, q)
             if not (inside or reason):
                 return q

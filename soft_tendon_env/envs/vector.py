@@ -1,11 +1,12 @@
 """Gymnasium vector environments, a class per task: many arms, stepped together by compiled code on several threads."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.error import ResetNeeded
-from gymnasium.utils import EzPickle, seeding
+from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
@@ -14,9 +15,13 @@ from soft_tendon_env.envs import single
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.frames import RENDER_MODES, make_renderer
-from soft_tendon_env.envs.options import Options
+from soft_tendon_env.envs.options import parsed_options
+from soft_tendon_env.envs.reset_options import MASK, reset_options
+from soft_tendon_env.envs.starts import Beginning
 from soft_tendon_env.envs.tasks import Task, task_of_class
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import SimulationDiverged
+from soft_tendon_env.model.state import State
 from soft_tendon_env.tools.checks import checked_array, checked_count
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import Array
@@ -26,7 +31,7 @@ MOST_ROWS = 100_000
 """A row takes 0.06 to 0.26 MB, see docs/appendix/scaling.md."""
 
 
-class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickle):
+class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any]):
     """Rows of one environment; row i with seed s is the single environment with seed s + i, bit for bit.
 
     Args:
@@ -51,19 +56,17 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any], 
         **options: Any,
     ) -> None:
         """Raises ConfigurationError, ValueError or TypeError."""
-        named: dict[str, Any] = dict(num_envs=num_envs, max_episode_steps=max_episode_steps, autoreset_mode=autoreset_mode, threads=threads)
-        EzPickle.__init__(self, **named, render_mode=render_mode, **options)
         self.num_envs = num_envs = checked_count("num_envs", num_envs, 1)
         if num_envs > MOST_ROWS:
             raise ValueError(f"num_envs should be at most {MOST_ROWS}, not {num_envs}")
         self.max_episode_steps = None if max_episode_steps is None else checked_count("max_episode_steps", max_episode_steps, 1)
-        self._mode = _checked_mode(autoreset_mode)
+        self.autoreset_mode = _checked_mode(autoreset_mode)
         self.render_mode = render_mode
-        chosen = Options.parse(options, type(self).__name__)
+        chosen = parsed_options(options, type(self).__name__)
         most_threads = None if threads is None else checked_count("threads", threads, 1)
         self.episodes = Episodes(self.task, chosen, num_envs, most_threads)
         fps = max(1, round(1.0 / chosen.control_period))
-        self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": fps, "autoreset_mode": self._mode}
+        self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": fps, "autoreset_mode": self.autoreset_mode}
         self.single_observation_space = single.observation_space(self.episodes)
         self.single_action_space = single.action_space(self.episodes)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -74,50 +77,46 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any], 
         self._usual_steps = np.inf if self.max_episode_steps is None else self.max_episode_steps
         self._most_steps = np.full(num_envs, self._usual_steps)
         self._generators: list[np.random.Generator] = []
+        self._begun = False
         self._renderer = make_renderer(self.episodes, render_mode)
 
     def reset(self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """New episodes: of all rows, or of those that `options={"reset_mask": (rows,) bool}` names.
 
-        options: `"episode_steps"`, (rows,) whole numbers, truncates the episodes that begin now after so many steps, where that is sooner
-            than `max_episode_steps`: rows that have begun together need not all end together. Others are not used.
+        options: besides, the entries of `ResetOptions`, each one value for all rows or a sequence of one per row, None for what is usual;
+            "episode_steps" for instance, so that rows that have begun together do not all end together.
         seed: an int s seeds row i with s + i; a list names one for each, None to go on with its generator.
         Raises ValueError or TypeError for bad seeds and options, before anything changes.
         """
         single.refuse_closed(self.closed, "reset")
         members, seeds = self._all, single.checked_seeds(seed, self.num_envs)
-        single.check_options(options)
-        if options is not None and "reset_mask" in options:
-            mask = np.asarray(options["reset_mask"])
+        given = reset_options(options, self.num_envs)
+        if options is not None and MASK in options:
+            mask = np.asarray(options[MASK])
             if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
                 raise ValueError(f"reset_mask should be a bool array of shape ({self.num_envs},) with at least one true, not {mask!r}")
             members = np.flatnonzero(mask)
-        steps = self._checked_steps(options["episode_steps"]) if options and "episode_steps" in options else None
+        if not self._begun and members.size < self.num_envs:
+            raise ResetNeeded("the first reset should be of all rows")
+        beginnings = self.episodes.beginnings(given, members)
         self._seed(seeds, members)
-        self._begin(members)
-        if steps is not None:
-            self._most_steps[members] = np.minimum(steps, self._usual_steps)[members]
+        self._begun = False
+        self._begin(members, beginnings)
+        self._begun = True
+        for row in members.tolist() if given else ():
+            self._most_steps[row] = min(given[row].episode_steps or np.inf, self._usual_steps)
         return self.episodes.observation(), self._info(np.zeros(self.num_envs, dtype=bool))
-
-    def _checked_steps(self, steps: Any) -> Array:
-        """Steps per row as numbers. Raises ValueError."""
-        numbers = np.asarray(steps)
-        if numbers.dtype.kind not in "iuf" or numbers.shape != (self.num_envs,) or not ((numbers >= 1) & (numbers % 1 == 0)).all():
-            raise ValueError(f"episode_steps should be {self.num_envs} whole numbers of at least 1, one per row, not {steps!r}")
-        return numbers
 
     def _seed(self, seeds: list[int | None] | None, members: Indices) -> None:
         if not self._generators:
-            if members.size < self.num_envs:
-                raise ResetNeeded("the first reset should be of all rows")
             self._generators = [seeding.np_random(None if seeds is None else seeds[row])[0] for row in range(self.num_envs)]
         elif seeds is not None:
             for row in members:
                 if seeds[row] is not None:
                     self._generators[row] = seeding.np_random(seeds[row])[0]
 
-    def _begin(self, members: Indices) -> None:
-        self.episodes.begin(members, [self._generators[row] for row in members])
+    def _begin(self, members: Indices, beginnings: Mapping[int, Beginning] | None = None) -> None:
+        self.episodes.begin(members, [self._generators[row] for row in members], beginnings)
         self._ended[members] = False
         self._most_steps[members] = self._usual_steps
         if self._renderer is not None:
@@ -126,11 +125,11 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any], 
     def step(self, actions: ArrayLike) -> tuple[Any, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """One control period of every row. Raises ValueError or TypeError for bad actions, before anything changes."""
         single.refuse_closed(self.closed, "step")
-        if not self._generators:
+        if not self._begun:
             raise ResetNeeded("step was called before reset")
         action = checked_array("actions", actions, (self.num_envs, self.episodes.model.tendon_count))
-        fresh = self._ended if self._mode is AutoresetMode.NEXT_STEP else np.zeros(self.num_envs, dtype=bool)
-        if self._mode is AutoresetMode.DISABLED and self._ended.any():
+        fresh = self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else np.zeros(self.num_envs, dtype=bool)
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._ended.any():
             raise ResetNeeded(f"rows {np.flatnonzero(self._ended).tolist()} have ended: reset them with a reset_mask")
         stepped, members = ~fresh, self._all
         if fresh.any():
@@ -148,7 +147,7 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any], 
         observation, info = self.episodes.observation(), self._info(stepped)
         if failed.any():
             info.update(self._failures(failed))
-        if self._mode is AutoresetMode.SAME_STEP and self._ended.any():
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
             observation, info = self._restarted(observation, info)
         return observation, reward, terminated, truncated, info
 
@@ -179,6 +178,26 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any], 
         info, everywhere = self.episodes.info(), np.ones(self.num_envs, dtype=bool)
         masks = {f"_{name}": stepped if name.startswith("reward_") else everywhere for name in info}
         return {**info, **masks}
+
+    @property
+    def model(self) -> Model:
+        """The model that the environment simulates, before randomisation."""
+        return self.episodes.model
+
+    @property
+    def state(self) -> tuple[State, ...]:
+        """Copies of the rows' states. Set, to one for all rows or one per row, None for rows that stay, they are taken whole, see
+        `Episodes.put`; TypeError or ValueError leave the environment as it was."""
+        return tuple(self.episodes.state(row) for row in range(self.num_envs))
+
+    @state.setter
+    def state(self, state: State | Sequence[State | None]) -> None:
+        if not self._begun:
+            raise ResetNeeded("the state was set before reset")
+        states = [state] * self.num_envs if isinstance(state, State) else [*state]
+        if len(states) != self.num_envs:
+            raise ValueError(f"state should be a State or a list of {self.num_envs}, not of {len(states)}")
+        self.episodes.put({row: own for row, own in enumerate(states) if own is not None})
 
     @property
     def timed_out(self) -> NDArray[np.bool_]:

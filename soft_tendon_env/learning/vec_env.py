@@ -51,14 +51,13 @@ class StableBaselinesVecEnv(VecEnv):
             raise ValueError(f"env should be made with autoreset_mode='same_step', not {name!r}: Stable-Baselines3 knows no other")
         self.env, self.spec = env, env.spec
         self._monitor, self._born = monitor, time.time()
-        self._most_steps = env.max_episode_steps or np.iinfo(np.int64).max
         self._returns, self._lengths = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=np.int64)
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> VecEnvObs:
-        """New episodes of all rows, with the seeds that `seed` has set, once, and the "episode_steps" that `set_options` has, likewise."""
-        steps = [options.get("episode_steps", self._most_steps) for options in self._options]
-        observation, info = self.env.reset(seed=self._seeds, options={"episode_steps": steps} if any(self._options) else None)
+        """New episodes of all rows, with the seeds that `seed` has set, once, and the options of `reset` from `set_options`, likewise."""
+        options = {key: [own.get(key) for own in self._options] for key in set().union(*self._options)}
+        observation, info = self.env.reset(seed=self._seeds, options=options)
         self._reset_seeds()
         self._reset_options()
         self.reset_infos = [_of_row(info, row) for row in range(self.num_envs)]

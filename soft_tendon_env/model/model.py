@@ -321,6 +321,9 @@ class Model:
     def __reduce__(self) -> tuple[type["Model"], tuple[Scene, Grid, Arm]]:
         return Model, (self.scene, self.grid, self.arm)
 
+    def __deepcopy__(self, memo: object) -> "Model":
+        return self  # copies of what has a model share it, since it never changes
+
 
 def build_model(scene: Scene) -> Model:
     """Model of a scene as it says: chooses its quadrature and prepares the arrays of its kernels. At a fidelity: accuracy.fidelity.

@@ -11,11 +11,10 @@ from soft_tendon_env.mechanics.motion.advance import Control, Record
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_at_rest
-from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
 from soft_tendon_env.model.derivatives import Derivatives, Linearization, Period, linearized, period_derivatives
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.rollout import Rollout, checked_plan, roll_out
-from soft_tendon_env.model.state import State
+from soft_tendon_env.model.state import SHORTEST, State, checked_motion, state_of
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.step_control import Command, cause_of, command_table, step_control, step_method
 from soft_tendon_env.model.strain_limits import nearest_limit
@@ -23,9 +22,6 @@ from soft_tendon_env.tools.checks import checked_array, checked_count, checked_n
 from soft_tendon_env.tools.types import Array
 
 SAMPLES_AT_ONCE = 100
-SAME_STRAIN = 1e-6
-"""Relative difference up to which a state's strain counts as that of its coordinates."""
-SHORTEST = 1e-12  # [s], what may count as a time step
 STEPS_LOGGED = 64  # for which a log has room at first
 MOST_NUMBERS = 2**28
 """Numbers that one call may keep for commands and samples: 2 GiB."""
@@ -151,27 +147,10 @@ class Simulation:
 
     @state.setter
     def state(self, state: State) -> None:
-        checked_type("state", state, State, "see Simulation.state")
-        n = self.model.coordinate_count
-        q, q_dot = checked_array("state.q", state.q, (n,)), checked_array("state.q_dot", state.q_dot, (n,))
-        strain = checked_array("state.strain", state.strain, (self.model.grid.point_count, 6))
-        if state.names or np.size(state.effects):
-            self.model.check_names(state.names)
-        effects = checked_array("state.effects", state.effects, self.model.arm.effects.state.shape)
-        clock = np.array([checked_number("state.time", state.time, -np.inf, "a finite number")])
-        motion = Motion(q, q_dot, self.model.grid.packed(strain), effects, clock)
-        step = checked_number("state.step", state.step, SHORTEST, "a positive number of seconds")
-        self._scratch.work.xi[:] = motion.xi
-        failed = strain_from_guess(self.model.arm, motion.q, STEP_TOLERANCE, self._scratch.work)
-        found = self.model.grid.unpacked(self._scratch.work.xi)  # empty intervals have no strain that matters
-        if failed >= 0 or not np.allclose(found, strain, rtol=SAME_STRAIN, atol=SAME_STRAIN * np.abs(strain).max()):
-            raise ValueError("state.strain should be the strain at state.q; to start from other coordinates, use reset(q, q_dot)")
-        self._take(motion, step)
+        self._take(*checked_motion(self.model, state))
 
     def _state_of(self, motion: Motion) -> State:
-        strain = self.model.grid.unpacked(motion.xi)
-        q, q_dot, effects = motion.q.copy(), motion.q_dot.copy(), motion.state.copy()
-        return State(float(motion.clock[0]), q, q_dot, strain, self._step, effects, self.model.state_names)
+        return state_of(self.model, motion, self._step)
 
     def _take(self, motion: Motion, step: float) -> None:
         self._motion, self._step = motion, step

@@ -5,9 +5,17 @@ from pathlib import Path
 
 import numpy as np
 
+from soft_tendon_env.mechanics.motion.scratch import Motion
+from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
+from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type
 from soft_tendon_env.tools.files import read_arrays
 from soft_tendon_env.tools.types import Array
 
+SAME_STRAIN = 1e-6
+"""Relative difference up to which a state's strain counts as that of its coordinates."""
+SHORTEST = 1e-12  # [s], what may count as a time step
 STATE = "state that State.save wrote"
 LATER = ("effects", "names")
 """Fields that files may lack."""
@@ -47,3 +55,30 @@ class State:
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path} holds no {STATE}: {error}") from error
         return cls(time=time, step=step, names=names, **saved)
+
+
+def checked_motion(model: Model, state: State) -> tuple[Motion, float]:
+    """Motion of a state, in arrays of its own, and the step [s] to try next. Raises TypeError, ValueError where it is not of the model."""
+    checked_type("state", state, State, "see Simulation.state")
+    n, arm = model.coordinate_count, model.arm
+    q, q_dot = checked_array("state.q", state.q, (n,)), checked_array("state.q_dot", state.q_dot, (n,))
+    strain = checked_array("state.strain", state.strain, (model.grid.point_count, 6))
+    if state.names or np.size(state.effects):
+        model.check_names(state.names)
+    effects = checked_array("state.effects", state.effects, arm.effects.state.shape)
+    clock = np.array([checked_number("state.time", state.time, -np.inf, "a finite number")])
+    motion = Motion(q, q_dot, model.grid.packed(strain), effects, clock)
+    step = checked_number("state.step", state.step, SHORTEST, "a positive number of seconds")
+    with model.workspace() as work:
+        work.xi[:] = motion.xi
+        failed = strain_from_guess(arm, motion.q, STEP_TOLERANCE, work)
+        found = model.grid.unpacked(work.xi)  # empty intervals have no strain that matters
+    if failed >= 0 or not np.allclose(found, strain, rtol=SAME_STRAIN, atol=SAME_STRAIN * np.abs(strain).max()):
+        raise ValueError("state.strain should be the strain at state.q; to start from other coordinates, use Simulation.reset(q, q_dot)")
+    return motion, step
+
+
+def state_of(model: Model, motion: Motion, step: float) -> State:
+    """State of a motion, its arrays copied, with the step [s] to try next."""
+    strain, effects = model.grid.unpacked(motion.xi), motion.state.copy()
+    return State(float(motion.clock[0]), motion.q.copy(), motion.q_dot.copy(), strain, step, effects, model.state_names)

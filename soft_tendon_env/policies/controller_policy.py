@@ -33,6 +33,9 @@ from soft_tendon_env.tools.checks import checked_number
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, shown
 from soft_tendon_env.tools.types import Array
 
+SAME_COMMAND = 1e-6
+"""Share of the largest command by which one that is observed in single precision may differ from what it was."""
+
 
 class Interface(NamedTuple):
     """Meaning of observations and actions of an environment."""
@@ -119,6 +122,9 @@ def make_policy(
             there = f"{believed.coordinate_count} coordinates where the environment's has {episodes.model.coordinate_count}"
             raise ValueError(f"the controller's model has {there}, which are observed: it should have the same strain parametrisation")
         interface = interface._replace(model=believed)
+    if episodes.starts.usual.start == "random" and interface.actions.increment is not None and "command" not in interface.layout.slices:
+        text = "lacks command: where episodes begin under random tensions and actions are increments, nothing else tells the command"
+        raise ConfigurationError([Problem(("observation",), text)], "environment")
     displaced = [name for name, effect in believed.scene.effects.chosen().items() if effect.command_unit != "N"]
     if without or displaced:  # what a controller decides are tensions, of which ControllerPolicy makes commands
         believed = model_without(believed, sorted({*without, *displaced}))
@@ -238,16 +244,15 @@ class ControllerPolicy:
         flat = observation["observation"] if isinstance(observation, dict) else observation
         values = self.interface.layout.values(np.atleast_2d(flat))
         goal = np.atleast_2d(observation["desired_goal"]).astype(np.float64) if isinstance(observation, dict) else None
-        waiting = max(0 if self.predictor is None else self.predictor.history, 0 if self.estimator is None else self.estimator.history)
-        fresh = RowMemory(None, self.interface.start, self.interface.start_command, None, 0, (self.interface.start,) * waiting)
-        memories = [fresh] * len(values["tip_position"]) if state is None else list(state)
+        memories: list[RowMemory | None] = [None] * len(values["tip_position"]) if state is None else list(state)
         if episode_start is not None:
-            memories = [fresh if begins else memory for begins, memory in zip(np.atleast_1d(episode_start), memories, strict=True)]
+            memories = [None if begins else memory for begins, memory in zip(np.atleast_1d(episode_start), memories, strict=True)]
         poses = tip_poses(values)
         targets = target_poses(values, poses)
         actions, after = [], []
-        for row, memory in enumerate(memories):
+        for row, kept in enumerate(memories):
             own = {name: value[row] for name, value in values.items()}
+            memory = self._fresh(own) if kept is None else kept
             estimate = self._estimated(own, poses[row], memory)
             target = Reference(
                 ahead=self.interface.ahead if goal is None else np.zeros(1),
@@ -265,6 +270,18 @@ class ControllerPolicy:
             sent = (*memory.sent[1:], asked) if memory.sent else ()
             after.append(RowMemory(decision, asked, command, estimate, memory.periods + 1, sent))
         return actions[0] if np.ndim(flat) == 1 else np.stack(actions), tuple(after)
+
+    def _fresh(self, own: dict[str, Array]) -> RowMemory:
+        """The memory of a row whose episode begins, from its observation by group: under the command that is observed, or else that of
+        rest."""
+        start, command, scale = self.interface.start, self.interface.start_command, self.interface.actions
+        seen = own.get("command", command)
+        if "command" not in own and "last_action" in own and scale.increment is None:
+            seen = scale.command(own["last_action"], command)
+        if not np.allclose(seen, command, rtol=0.0, atol=SAME_COMMAND * np.abs(scale.greatest)):
+            command, start = seen, seen if self._simulation is None else start
+        waiting = max(0 if self.predictor is None else self.predictor.history, 0 if self.estimator is None else self.estimator.history)
+        return RowMemory(None, start, command, None, 0, (start,) * waiting)
 
     def _commanded(self, tension: Array, q: Array, q_dot: Array, before: Array) -> tuple[NDArray[np.float32], Array, Array]:
         """The action that asks for tensions (n_a,) [N] at q, q_dot after a command (n_a,), the tensions that it asks for, and its command.

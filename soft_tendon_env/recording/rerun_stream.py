@@ -16,7 +16,7 @@ compared belong in one view.
 
 import json
 from collections.abc import Iterable
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
@@ -79,6 +79,11 @@ class RerunStream:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def __reduce__(self) -> Any:
+        """Raises TypeError."""
+        text = "copy an environment without RecordRollout and without render_mode='human'"
+        raise TypeError(f"what is written to {self._where} cannot be copied: {text}")
 
     def close(self) -> None:
         """Complete the recording. Nothing can be written afterwards."""

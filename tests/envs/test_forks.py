@@ -83,8 +83,7 @@ def test_pickled_arms_go_on_alike_and_by_themselves(env):
     arms.step(tension, np.arange(ROWS))
 
 
-def test_pickled_environments_begin_anew(same):
-    """As Gymnasium's do: they are made of the same options."""
+def test_environments_can_be_pickled_before_they_begin(same):
     env = TipPoseVectorEnv(ROWS, 3, "same_step", **SMALL)
     twin = pickle.loads(pickle.dumps(env))
     assert same(twin.reset(seed=4), env.reset(seed=4))

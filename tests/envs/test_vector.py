@@ -174,8 +174,9 @@ SEED, MASK = "seed should be", "reset_mask should be a bool array of shape"
         ({"options": "reset_mask"}, "options should be a dict or None, not str"),
         ({"options": {"reset_mask": [1, 0]}}, MASK),
         ({"options": {"reset_mask": [False, False]}}, MASK),
-        ({"options": {"episode_steps": [4]}}, "episode_steps should be 2 whole numbers of at least 1"),
-        ({"options": {"episode_steps": [1, 2.5]}}, "episode_steps should be 2 whole numbers of at least 1"),
+        ({"options": {"episode_steps": [4]}}, "options: episode_steps has 1 entries: it should be one value, or one per row, 2"),
+        ({"options": {"episode_steps": [1, 2.5]}}, "options of row 1: episode_steps is 2.5: it should be a valid integer"),
+        ({"options": {"episode_steps": 0}}, "options of row 0: episode_steps is 0: it should be greater than or equal to 1"),
     ],
 )
 def test_bad_arguments_of_reset_are_refused_before_anything_changes(given, message, everything, same):

@@ -1,5 +1,8 @@
 """A robot has the environment's spaces: a simulated one moves as the arm of an environment with its errors."""
 
+import copy
+import pickle
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -106,3 +109,19 @@ def test_stable_baselines_learns_on_a_robot():
     agent.learn(60)
     assert agent.num_timesteps == 60 and env.stopped is None
     env.close()
+
+
+def test_robots_begin_at_rest_and_are_not_copied(arm_of_test, drawing):
+    env = RobotEnv(drawing(), arm_of_test())
+    env.reset(seed=0)
+    for options in ({"start": "random"}, {"start": [1.0, 0.0, 0.0]}, {"state": env.unwrapped.state}):
+        with pytest.raises(ConfigurationError, match="should have no state or start: robots begin at rest"):
+            env.reset(options=options)
+    with pytest.raises(TypeError, match="the state of a robot cannot be set"):
+        env.unwrapped.state = env.unwrapped.state
+    for copied in (copy.deepcopy, pickle.dumps):
+        with pytest.raises(TypeError, match="an environment whose arm is a robot cannot be copied: there is one robot"):
+            copied(env)
+    env.close()
+    with pytest.raises(ConfigurationError, match="start is 'random': robots begin at rest"):
+        RobotEnv(drawing(start="random"), arm_of_test())

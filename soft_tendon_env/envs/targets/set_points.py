@@ -8,6 +8,7 @@ from pydantic import Field, field_validator, model_validator
 from soft_tendon_env.envs.targets import (
     FARTHEST,
     Course,
+    Distance,
     DrawnShapes,
     Fraction,
     PoseCourse,
@@ -26,12 +27,13 @@ from soft_tendon_env.tools.types import Array, Positive
 
 @register_target
 class Hold(Target):
-    """One pose to reach and hold: the pose at which `tension` (n_a) [N] holds the arm, a given `pose` (4 x 4), or by default one
-    from random tensions within `fraction` of their limits."""
+    """One pose to reach and hold: the pose at which `tension` (n_a) [N] holds the arm, a given `pose` (4 x 4), for Reach a given
+    `position` (3) [m] alone, or by default a pose from random tensions within `fraction` of their limits."""
 
     type: Literal["hold"] = "hold"
     tension: tuple[float, ...] | None = None
     pose: tuple[tuple[float, float, float, float], ...] | None = Field(default=None, min_length=4, max_length=4)
+    position: tuple[Distance, Distance, Distance] | None = None
     fraction: Fraction = 0.25
 
     @field_validator("pose", mode="before")
@@ -41,9 +43,10 @@ class Hold(Target):
 
     @model_validator(mode="after")
     def _one_of(self) -> "Hold":
+        given = [name for name in ("tension", "pose", "position") if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise ValueError(f"should give {given[0]} or {given[1]}, not both")
         if self.pose is not None:
-            if self.tension is not None:
-                raise ValueError("should give tension or pose, not both")
             g = np.array(self.pose)
             R, r = g[:3, :3], g[:3, 3]
             is_rotation = np.abs(R).max() < 1.1 and np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0
@@ -53,14 +56,23 @@ class Hold(Target):
         return self
 
     @property
+    def given(self) -> Array | None:
+        """The given pose (4, 4), of a position alone with the base's axes; None where it is made of tensions."""
+        if self.position is None:
+            return None if self.pose is None else np.array(self.pose)
+        pose = np.eye(4)
+        pose[:3, 3] = self.position
+        return pose
+
+    @property
     def is_random(self) -> bool:
         """Whether a pose is drawn."""
-        return self.tension is None and self.pose is None
+        return self.tension is None and self.gives_shapes
 
     @property
     def gives_shapes(self) -> bool:
         """Whether it is made of tensions."""
-        return self.pose is None
+        return self.pose is None and self.position is None
 
     def check(self, scene: Scene) -> None:
         """Raises ConfigurationError unless there is a tension per tendon."""
@@ -68,8 +80,8 @@ class Hold(Target):
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         """The motion of one episode. Raises ConfigurationError where the arm cannot hold the tensions."""
-        if self.pose is not None:
-            return FixedPose(np.array(self.pose))
+        if self.given is not None:
+            return FixedPose(self.given)
         if self.tension is not None:
             return given_course(self.tension, setting, Constant)
         return drawn_set_point(self.fraction, generator, setting)

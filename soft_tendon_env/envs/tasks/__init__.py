@@ -64,6 +64,9 @@ class Task:
         """The groups that the task has, by name."""
         return {**{name: group for name, group in GROUPS.items() if self._fits(group)}, **self.groups}
 
+    def __reduce__(self) -> str:
+        return self.name  # pickled by name, since its functions have none; copies share it
+
     def _fits(self, group: Group) -> bool:
         """Whether the task's target has what the group is of."""
         return not (group.of_shape and not self.shapes or group.of_target and self.goal is not None)
@@ -112,6 +115,11 @@ def task_of_class(name: str, suffix: str, module: str) -> Task:
         known = f": no task {task!r} is registered ({not_among(task, TASKS)}); import the module that registers it" if task != name else ""
         raise AttributeError(f"module {module!r} has no attribute {name!r}{known}")
     return TASKS[task]
+
+
+def __getattr__(name: str) -> Task:
+    """A registered task by its name: for pickles."""
+    return task_of_class(name, "", __name__)
 
 
 def _check_names(task: Task, key: str, names: Iterable[str], valid: Mapping[str, object]) -> None:

@@ -43,8 +43,8 @@ The reward is a weighted mean of terms between 0 and 1, and 0 where the simulati
 - `smoothness` (0.05) is 1 minus a quarter of the mean square change of the action.
 
 ## Starting State
-The arm rests under the tensions nearest to zero. The target is drawn at every reset. By default it is a closed smooth random
-motion through poses that the arm can hold.
+The arm rests under the tensions nearest to zero, or with `start="random"` under drawn ones. The target is drawn at every reset. By
+default it is a closed smooth random motion through poses that the arm can hold. `reset(options=...)` sets both.
 
 ## Episode End
 An episode is truncated after 500 steps (10 s). It is terminated if no time step of the simulation succeeds, however small. Then

@@ -1,0 +1,103 @@
+"""Options of `reset`: the state, shape, goal, target and length with which episodes begin, of one environment or row by row."""
+
+from typing import Any
+
+import numpy as np
+from pydantic import ConfigDict, Field, field_validator, model_validator
+
+from soft_tendon_env.envs.options import NamedTarget, Start
+from soft_tendon_env.envs.targets.motions import Random
+from soft_tendon_env.envs.targets.set_points import Hold
+from soft_tendon_env.model.state import State
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
+
+GOALS = (3,), (4, 4)
+"""Shapes of a goal."""
+MASK = "reset_mask"
+"""Key of the rows that a vector environment resets, (rows,) bool; the others go on."""
+
+
+class ResetOptions(Configuration):
+    """Entries of `reset(options={...})` for one episode; None, as without the entry: what the environment's own arguments say.
+
+    Attributes:
+        state: `State` in which the arm begins, with its rates, the internal states of effects and its time; of an arm like this episode's.
+            Commands before are those of "rest".
+        start: tensions [N], one per tendon, at whose static equilibrium the episode begins and which have held the arm there since long
+            before; or "rest" or "random", as the argument `start`.
+        goal: position of the tip to reach, three numbers [m] in the world frame (Reach), or its pose, 4 x 4 (Reach, TipPose).
+        target: target of this episode, as the argument `target`.
+        episode_steps: steps after which the episode is truncated, where that is sooner than otherwise.
+    """
+
+    model_config = ConfigDict(arbitrary_types_allowed=True)
+
+    state: State | None = None
+    start: Start | None = None
+    goal: Hold | None = None
+    target: NamedTarget | None = None
+    episode_steps: int | None = Field(default=None, ge=1)
+
+    @field_validator("goal", mode="before")
+    @classmethod
+    def _as_hold(cls, goal: Any) -> Any:
+        if _shape(goal) not in GOALS:
+            raise ValueError("should be a position of three numbers [m], or a pose, 4 x 4")
+        values: Any = np.asarray(goal)
+        return Hold(position=values) if values.ndim == 1 else Hold(pose=values)
+
+    @field_validator("target")
+    @classmethod
+    def _without_bank(cls, target: Any) -> Any:
+        if isinstance(target, Random) and target.bank is not None:
+            raise ConfigurationError([Problem(("bank",), f"is {target.bank}: it is of the argument `target`, and should be left out here")])
+        return target
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> "ResetOptions":
+        for one, other in (("state", "start"), ("goal", "target")):
+            if getattr(self, one) is not None and getattr(self, other) is not None:
+                raise ConfigurationError([Problem((one,), f"is given, and {other} too: give one of the two")])
+        return self
+
+
+def reset_options(options: Any, rows: int | None = None) -> dict[int, ResetOptions]:
+    """The options of a reset by row; `rows` of a vector environment, None for one environment, which is row 0.
+
+    A vector environment takes for every key one value for all rows, or a sequence of one per row, None for what is usual.
+    Raises TypeError where they are no table, ConfigurationError.
+    """
+    if not isinstance(options, dict | None):
+        raise TypeError(f"options should be a dict or None, not {type(options).__name__}")
+    if not options:
+        return {}
+    allowed = {*ResetOptions.model_fields, *([] if rows is None else [MASK])}
+    if unknown := [str(key) for key in options if key not in allowed]:
+        raise ConfigurationError([Problem((key,), f"is no option of reset: {not_among(key, allowed)}") for key in unknown], "options")
+    given = {key: value for key, value in options.items() if value is not None and key != MASK}
+    if rows is None:
+        return {0: ResetOptions.parse(given, "options")}
+    by_row = {key: _by_row(key, value, rows) for key, value in given.items()}
+    return {
+        row: ResetOptions.parse({key: values[row] for key, values in by_row.items() if values[row] is not None}, f"options of row {row}")
+        for row in range(rows)
+    }
+
+
+def _by_row(key: str, value: Any, rows: int) -> list[Any]:
+    """Values of a key, one per row. Raises ConfigurationError."""
+    shape, is_list = _shape(value), isinstance(value, list | tuple) or isinstance(value, np.ndarray) and value.ndim > 0
+    if not is_list or key == "start" and len(shape) == 1 or key == "goal" and shape in GOALS:
+        return [value] * rows
+    if len(value) != rows:
+        raise ConfigurationError([Problem((key,), f"has {len(value)} entries: it should be one value, or one per row, {rows}")], "options")
+    return list(value)
+
+
+def _shape(value: Any) -> tuple[int, ...]:
+    """Shape of an array of numbers; () of anything else."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # rows that are not alike
+        return ()
+    return array.shape if array.dtype.kind in "iuf" else ()

@@ -1,0 +1,147 @@
+"""Copies and pickles of environments go on from where these are, bit for bit, with everything hidden, and by themselves."""
+
+import copy
+import pickle
+import subprocess
+import sys
+from dataclasses import replace
+
+import cloudpickle
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from soft_tendon_env.envs import IDS, ReachVectorEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv
+from soft_tendon_env.envs.tasks import TASKS
+
+SMALL = {"scene": "three_tendon", "fidelity": "fast"}
+MEMORY = {
+    "scene": "three_tendon",
+    "effects.tendon_friction.coefficient": 0.15,
+    "effects.actuators": {"time_constant": 0.02, "delay": 0.017},
+    "effects.viscoelastic_memory.branches": [{"modulus": 0.2, "relaxation_time": 0.2}],
+    "effects.gravity.acceleration": [0.0, -9.81, 0.0],
+}
+BALL = {"type": "sphere", "radius": 0.02, "position": [0.15, 0.06, 0.0]}
+AMONG = {"scene": "three_tendon", "effects.contact": {"obstacles": [BALL]}}
+DRAWN = {"randomize": {"effects": {"gravity.acceleration": {"factor": [0.5, 1.0]}}, "latency": [0.0, 0.07], "noise": {"length": 1e-3}}}
+KINDS = {
+    "plain": SMALL,
+    "memory": {**SMALL, "scene": MEMORY, **DRAWN, "history": 2, "observation": "measurable", "sensors": 2, "start": "random"},
+    "increments": {**SMALL, "action": "increment", "tension_limits": [1.0, 12.0], "target": "steps"},
+    "bank": {**SMALL, "target": {"type": "random", "bank": 3, "fraction": [0.1, 0.4]}},
+    "obstacles": {**SMALL, "scene": AMONG, "observation": ["coordinates", "clearance", "contact_force", "target_error"]},
+    "spline": {**SMALL, "scene": {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}, "sensors": [0.1]},
+}
+COPIES = {
+    "deepcopy": copy.deepcopy,
+    "pickle": lambda env: pickle.loads(pickle.dumps(env)),
+    "cloudpickle": lambda env: cloudpickle.loads(cloudpickle.dumps(env)),
+}
+
+
+def played(env, seed, steps, reset=True):
+    """What steps with random actions give, and after them a reset and another step."""
+    actions = np.random.default_rng(seed).uniform(-1.2, 1.2, (steps, *env.action_space.shape))
+    found = [env.step(action) for action in actions]
+    return [*found, env.reset(), env.step(actions[0]), env.action_space.sample()] if reset else found
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_copies_of_one_environment_go_on_alike_and_by_themselves(kind, same):
+    """With Gymnasium's wrappers around, which count steps. Neither is changed by what the other does."""
+    task = "Shape" if kind in ("bank", "spline") else "TipPose"
+    env = gym.make(IDS[task], max_episode_steps=30, **KINDS[kind])
+    env.reset(seed=6)
+    env.action_space.seed(1)
+    played(env, 0, 11, reset=False)
+    copies = [make(env) for make in COPIES.values()]
+    first = played(copies[0], 1, 19)  # which ends an episode, for it alone
+    assert first[18][3] and not first[17][3]
+    expected = played(env, 1, 19)
+    assert all(same(expected, found) for found in (first, *(played(other, 1, 19) for other in copies[1:])))
+
+
+@pytest.mark.parametrize(
+    "made, kind, mode",
+    [
+        (ReachVectorEnv, "plain", "next_step"),
+        (ReachVectorEnv, "plain", "same_step"),
+        (ShapeVectorEnv, "bank", "disabled"),
+        pytest.param(TipPoseVectorEnv, "memory", "next_step", marks=pytest.mark.slow),
+        pytest.param(TipPoseVectorEnv, "memory", "same_step", marks=pytest.mark.slow),
+    ],
+)
+def test_copies_of_rows_go_on_alike_and_by_themselves(made, kind, mode, everything, same):
+    """While rows that have ended wait for their reset."""
+    options = {**KINDS[kind], "randomize": {**everything, **KINDS[kind].get("randomize", {})}}
+    env = made(4, 12, mode, **options)
+    env.reset(seed=2, options={"episode_steps": [7, None, 7, 9]})
+    played(env, 0, 7, reset=False)
+    copies = [make(env) for make in COPIES.values()]
+
+    def lived(env):
+        begun = env.reset(options={"reset_mask": np.array([True, False, True, False])}) if mode == "disabled" else None
+        return begun, *played(env, 1, 2), env.state[3].q, env.timed_out
+
+    expected = lived(copies[0])
+    assert all(same(expected, lived(other)) for other in (*copies[1:], env))
+    env.close()
+    assert not same(played(copies[0], 5, 1), played(copies[1], 6, 1))
+
+
+@pytest.mark.slow
+def test_another_process_goes_on_alike(tmp_path, everything):
+    """A fresh interpreter, which has imported nothing of the package."""
+    env = TipPoseEnv(**SMALL, randomize=everything, history=3)
+    env.reset(seed=1)
+    played(env, 0, 5, reset=False)
+    (tmp_path / "env").write_bytes(pickle.dumps(env))
+    program = f"""
+import pickle, numpy as np
+env = pickle.load(open({str(tmp_path / "env")!r}, "rb"))
+print(*(env.step(action)[0].tobytes().hex() for action in np.linspace(-1.0, 1.0, 15).reshape(5, 3)), env.reset()[0].tobytes().hex())
+"""
+    printed = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True, timeout=200).stdout.split()
+    steps = [env.step(action)[0] for action in np.linspace(-1.0, 1.0, 15).reshape(5, 3)]
+    assert printed == [observation.tobytes().hex() for observation in (*steps, env.reset()[0])]
+
+
+def test_copies_share_what_never_changes_and_nothing_else():
+    env = TipPoseEnv(**SMALL)
+    env.reset(seed=0)
+    twin = copy.deepcopy(env)
+    assert twin.model is env.model and twin.task is env.task is pickle.loads(pickle.dumps(TASKS["TipPose"]))
+    own, others = (vars(each.episodes) for each in (env, twin))
+    arrays = [name for name, value in own.items() if isinstance(value, np.ndarray) and value.size]
+    assert len(arrays) > 8 and not any(np.shares_memory(own[name], others[name]) for name in arrays)
+    assert not any(np.shares_memory(a, b) for a, b in zip(env.episodes.arms.rows, twin.episodes.arms.rows, strict=True) if a.size)
+
+
+def test_a_task_that_is_not_registered_is_not_pickled():
+    with pytest.raises(pickle.PicklingError, match="soft_tendon_env.envs.tasks.TipPose"):
+        pickle.dumps(replace(TASKS["TipPose"], description="another"))
+
+
+def test_copies_have_pictures_of_their_own():
+    pytest.importorskip("matplotlib")
+    env = TipPoseEnv("rgb_array", **SMALL)
+    env.reset(seed=0)
+    played(env, 0, 3, reset=False)
+    twin = copy.deepcopy(env)
+    assert (twin.render() == env.render()).all()
+    twin.step(np.ones(3))
+    assert (twin.render() != env.render()).any()
+
+
+def test_what_is_recorded_is_not_copied(tmp_path):
+    pytest.importorskip("rerun")
+    from soft_tendon_env.recording import RecordRollout
+
+    env = RecordRollout(TipPoseEnv(**SMALL), tmp_path / "a.rrd")
+    env.reset(seed=0)
+    for copied in COPIES.values():
+        with pytest.raises(TypeError, match="a.rrd cannot be copied: copy an environment without RecordRollout"):
+            copied(env)
+    copy.deepcopy(env.unwrapped).step(np.zeros(3))
+    env.close()
