@@ -8,7 +8,6 @@ What the controller knows comes out of the observation and of its own state; wha
 
 import warnings
 from collections.abc import Sequence
-from copy import deepcopy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -114,7 +113,7 @@ def make_policy(
     """
     finds = None if estimator is None else estimator_entry(estimator)
     episodes, interface = episodes_of(env), interface_of(env)
-    believed = deepcopy(episodes.model) if model is None else model  # whatever a controller of a user's own does to it
+    believed = episodes.model if model is None else model
     if isinstance(believed, str):
         believed = build_model(episodes.model.scene, believed)
     if believed.coordinate_count != episodes.model.coordinate_count:
