@@ -195,7 +195,7 @@ class GoalEnv(TendonRodEnv):
 def goal_reward(episodes: Episodes, achieved: ArrayLike, desired: ArrayLike) -> Array:
     """Rewards (...) of goals (..., 3) [m] as the options of these episodes have it."""
     assert episodes.task.goal is not None
-    return episodes.task.goal.reward(achieved, desired, episodes.goal_kind, episodes.options.threshold)
+    return episodes.task.goal.reward(achieved, desired, episodes.goal_kind, episodes.threshold)
 
 
 def class_of(task: Task, suffix: str, bases: tuple[type, type], doc: str) -> Any:

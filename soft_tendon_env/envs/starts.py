@@ -20,9 +20,11 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Key, Problem
 from soft_tendon_env.tools.types import Array
 
 MOST_DRAWS = 100
-"""How often obstacles are drawn in which the arm would begin, and targets inside of obstacles, before that is an error."""
+"""How often obstacles are drawn in which the arm would begin, and targets inside of obstacles or at the tip, before that is an error."""
 BANK_SEED = 2**64
 """Seed of the first course of a bank; the others follow, one apart: beyond all seeds of `reset` that have a purpose."""
+THRESHOLD = 0.01
+"""Distance within which a goal is reached, as a share of the rod's length, unless options say otherwise."""
 TARGET_CHECKS = 100
 """Times in an episode of the usual length at which a target is checked not to lie inside of obstacles."""
 
@@ -31,12 +33,13 @@ class Starts:
     """Beginnings of rows of episodes.
 
     `tension` (n_a,) [N] and `command` (n_a,) hold the arm there, `q` (n,) are its coordinates, where nothing is drawn; `effects` are the
-    ranges of effects that are drawn.
+    ranges of effects that are drawn; within `threshold` [m] of the tip a goal is reached.
     """
 
     def __init__(self, task: Task, options: Options, arms: Arms) -> None:
         """Raises ConfigurationError where the arm, or one that can be drawn, does not rest, or begins inside of an obstacle."""
-        self._options, self._arms, self._model = options, arms, arms.model
+        self._options, self._arms, self._model, self._goal = options, arms, arms.model, task.goal
+        self.threshold = THRESHOLD * arms.model.length if options.threshold is None else options.threshold
         self.limits = np.array([tendon.tension_limits for tendon in arms.model.scene.tendons])
         self.tension = nearest_to_zero(self.limits)
         self.effects = EffectRanges(options.randomize.effects, arms.model)
@@ -89,19 +92,33 @@ class Starts:
         if self._course is not None:
             courses.begin(row, self._course)
             return
-        if isinstance(self._target, Random) and self._target.bank is not None:
-            courses.begin(row, *self._from_bank(self._target, self._target.bank, generator))
-            return
         setting = self._setting
         if self.redraws:
             setting = self._among(setting._replace(model=self._arms.model_among(row)), rest)
         for _ in range(MOST_DRAWS):
-            course = self._target.draw(generator, setting)
-            if isinstance(course, ShapeCourse) or not (inside := self._target_inside(course, courses, setting.model)):
-                courses.begin(row, course)
+            if isinstance(self._target, Random) and self._target.bank is not None:
+                course, first = self._from_bank(self._target, self._target.bank, generator)
+            else:
+                course, first = self._target.draw(generator, setting), 0
+            if not (misplaced := self._misplaced(course, first, row, rest, courses, setting.model)):
+                courses.begin(row, course, first)
                 return
-        text = f"lay inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}, at last {inside}"
-        raise _problem(("target",), text)
+        raise _problem(("target",), f"lay {misplaced[0]} in {MOST_DRAWS} draws out of {MOST_DRAWS}, at last {misplaced[1]}")
+
+    def _misplaced(self, course: Course, first: int, row: int, rest: Array, courses: Courses, model: Model) -> tuple[str, str] | None:
+        """Where a drawn target should not be, and where it is: a pose inside of an obstacle, or a goal that is reached already."""
+        if not isinstance(course, ShapeCourse) and (inside := self._target_inside(course, courses, model)):
+            return "inside of an obstacle", inside
+        if self._goal is None or self._target.begins_at_rest:
+            return None
+        own = self._arms.model_of(row) if self._options.randomize.of_arm else self._model
+        start, now = own.tip_pose(self._arms.coordinates_of(row, rest)), np.array([first * self._options.control_period])
+        goal = self._model.tip_pose(course.coordinates(now)[0][0]) if isinstance(course, ShapeCourse) else course.sample(now).tip_pose[0]
+        away = self._goal.distance(*(np.float32(pose[:3, 3]) for pose in (start, goal)))  # as they are observed
+        if away > self.threshold:
+            return None
+        there = f"{1e3 * away:.3g} mm from it: choose a smaller threshold, or a larger fraction of the tensions"
+        return f"within the threshold, {1e3 * self.threshold:.3g} mm, of where the tip begins", there
 
     def _from_bank(self, target: Random, size: int, generator: np.random.Generator) -> tuple[Course, int]:
         """A drawn course of the bank, which is made when it is first asked for, and the drawn control period of it to begin at."""

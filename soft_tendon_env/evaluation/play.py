@@ -144,7 +144,7 @@ def _end(episodes: Episodes, row: int) -> dict[str, Any]:
     cause = episodes.cause(row) if episodes.diverged[row] else None
     if not episodes.task.goal:
         return {"cause": cause, "reached": None}
-    close = episodes.errors["position_error"][row] <= episodes.options.threshold
+    close = episodes.errors["position_error"][row] <= episodes.threshold
     return {"cause": cause, "reached": bool(close) and cause is None}
 
 

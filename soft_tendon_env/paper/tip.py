@@ -37,11 +37,11 @@ from soft_tendon_env.paper.motion import PERIOD, ClosedLoop, Law, Motion, Tracke
 from soft_tendon_env.paper.report import ACTUAL, DESIRED, OTHER, Claim, Result, box, draw_arms, draw_path, draw_tensions, save, snapshots
 
 CIRCLE = Circle()
-COURSE = CircleCourse(CIRCLE)
+COURSE = CircleCourse(CIRCLE, 1.0)  # of the paper's arm, 1 m long
 GAINS = Gains(10_000.0, 1000.0)
 DURATION = 2.0 * CIRCLE.period
 VERY_SMALL = 1e-3  # [m], an error below which the tip is to stay
-SMALL = 0.01 * CIRCLE.radius  # [m], an error below which it is to stay soon
+SMALL = 0.01 * COURSE.radius  # [m], an error below which it is to stay soon
 RAPID = 1.0  # [s], which is soon
 SMOOTH = 0.5  # [s] from which on tensions are to be smooth
 PLACES = 8  # around the circle
