@@ -24,6 +24,7 @@ from soft_tendon_env.model.strain_limits import StrainLimitError, limit_at
 from soft_tendon_env.model.terms import Energy, Terms
 from soft_tendon_env.scene.parameters import scene_parameters
 from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.scene.units import warn_of_units
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
@@ -326,9 +327,10 @@ def build_model(scene: Scene) -> Model:
     """Model of a scene as it says: chooses its quadrature and prepares the arrays of its kernels. At a fidelity: accuracy.fidelity.
 
     Raises TypeError if it is not a Scene, ConfigurationError if its coordinates are not independent. Warns (`QuadratureWarning`) if
-    `quadrature.intervals` is too coarse.
+    `quadrature.intervals` is too coarse, and (`UnitsWarning`) of numbers that look as if they were in other units than SI's.
     """
     checked_type("scene", scene, Scene, "see load_scene")
+    warn_of_units(scene)
     probe = checked_probe(scene)
     model = Model(scene, probe.grid, probe.arm)
     _check_independence(model)

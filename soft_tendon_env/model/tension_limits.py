@@ -1,0 +1,40 @@
+"""Limits of commands: a word where an analysis goes beyond what actuators can do, which it may."""
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+from soft_tendon_env.tools.types import Array
+
+ROUND_OFF = 1e-9
+"""Share of its range by which a command may be beyond it."""
+_erring = ContextVar("_erring", default=False)
+
+
+class TensionLimitWarning(UserWarning):
+    """A tendon is pulled, or pushed, beyond its `tension_limits`."""
+
+
+@contextmanager
+def erring_actuators() -> Iterator[None]:
+    """Context in which commands are those of actuators that err, as an estimator believes: beyond limits they are not warned of."""
+    before = _erring.set(True)
+    try:
+        yield
+    finally:
+        _erring.reset(before)
+
+
+def warn_beyond_limits(limits: Array, asked: Array, unit: str = "N") -> None:
+    """Warns where commands (.., n_a) are beyond their limits (n_a, 2), of the first tendon; in words that do not change from call to call,
+    so that Python says them once."""
+    least, greatest = limits.T
+    if not ((asked < least).any() or (asked > greatest).any()) or _erring.get():
+        return
+    room = ROUND_OFF * (greatest - least)
+    beyond = ((asked < least - room) | (asked > greatest + room)).reshape(-1, len(limits)).any(axis=0)
+    if beyond.any():
+        i = int(beyond.argmax())
+        text = f"tendons[{i}] goes beyond its tension_limits, {least[i]:g} to {greatest[i]:g} {unit}"
+        warnings.warn(f"{text}: computed as asked, where actuators and environments stop at the limit", TensionLimitWarning, stacklevel=3)
