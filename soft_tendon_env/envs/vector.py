@@ -62,6 +62,7 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any], 
         chosen = Options.parse(options, type(self).__name__)
         most_threads = None if threads is None else checked_count("threads", threads, 1)
         self.episodes = Episodes(self.task, chosen, num_envs, most_threads)
+        single.warn_of_short_episodes(chosen.control_period, self.max_episode_steps)
         fps = max(1, round(1.0 / chosen.control_period))
         self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": fps, "autoreset_mode": self._mode}
         self.single_observation_space = single.observation_space(self.episodes)

@@ -91,7 +91,7 @@ class Simulation:
     def __init__(self, model: Model, state: State | None = None) -> None:
         self.model = checked_type("model", model, Model, "see build_model")
         self._method = step_method(model)
-        self._limits = model.scene.effects.command_limits(model.discretisation.tension_limits)
+        self._limits = model.scene.effects.command_limits(model.discretisation.tension_limits).tolist()
         self._scratch = make_scratch(model.arm, self._method.columns, STEPS_LOGGED)
         self.reset()
         if state is not None:

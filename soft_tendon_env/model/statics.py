@@ -81,7 +81,7 @@ def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None
     """
     checked_type("model", model, Model, "see build_model")
     u = checked_array("tension", tension, (model.tendon_count,))
-    warn_beyond_limits(model.discretisation.tension_limits, u)
+    warn_beyond_limits(model.discretisation.tension_limits.tolist(), u)
     with model.workspace() as work:
         return _equilibrium(Balance(model, u, work), guess, settle)
 
@@ -158,7 +158,7 @@ def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium
     checked_type("model", model, Model, "see build_model")
     given, effects = checked_array("command", command, (model.tendon_count,)), model.scene.effects
     rod, u, found = model.discretisation, np.zeros(model.tendon_count), None
-    warn_beyond_limits(effects.command_limits(rod.tension_limits), given, model.command_unit)
+    warn_beyond_limits(effects.command_limits(rod.tension_limits).tolist(), given, model.command_unit)
     for iteration in range(MOST_COMMANDED):
         with erring_actuators():  # a word of the command is enough
             found = static_equilibrium(model, u, None if found is None else found.q)

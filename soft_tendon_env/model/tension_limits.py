@@ -1,9 +1,11 @@
 """Limits of commands: a word where an analysis goes beyond what actuators can do, which it may."""
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+
+import numpy as np
 
 from soft_tendon_env.tools.types import Array
 
@@ -26,15 +28,17 @@ def erring_actuators() -> Iterator[None]:
         _erring.reset(before)
 
 
-def warn_beyond_limits(limits: Array, asked: Array, unit: str = "N") -> None:
+def warn_beyond_limits(limits: Sequence[Sequence[float]], asked: Array, unit: str = "N") -> None:
     """Warns where commands (.., n_a) are beyond their limits (n_a, 2), of the first tendon; in words that do not change from call to call,
     so that Python says them once."""
-    least, greatest = limits.T
-    if not ((asked < least).any() or (asked > greatest).any()) or _erring.get():
-        return
-    room = ROUND_OFF * (greatest - least)
-    beyond = ((asked < least - room) | (asked > greatest + room)).reshape(-1, len(limits)).any(axis=0)
-    if beyond.any():
-        i = int(beyond.argmax())
-        text = f"tendons[{i}] goes beyond its tension_limits, {least[i]:g} to {greatest[i]:g} {unit}"
-        warnings.warn(f"{text}: computed as asked, where actuators and environments stop at the limit", TensionLimitWarning, stacklevel=3)
+    if asked.ndim == 1:
+        low = high = asked.tolist()
+    else:
+        rows = asked.reshape(-1, len(limits))
+        low, high = rows.min(axis=0, initial=np.inf).tolist(), rows.max(axis=0, initial=-np.inf).tolist()
+    for i, (least, greatest) in enumerate(limits):
+        room = ROUND_OFF * (greatest - least)
+        if (low[i] < least - room or high[i] > greatest + room) and not _erring.get():
+            text = f"tendons[{i}] goes beyond its tension_limits, {least:g} to {greatest:g} {unit}"
+            warnings.warn(f"{text}: computed as asked, where actuators and environments stop at the limit", TensionLimitWarning, stacklevel=3)
+            return
