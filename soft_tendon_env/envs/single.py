@@ -1,5 +1,7 @@
 """Gymnasium environments with one arm, a class per task; the tasks' descriptions are their documentation."""
 
+from __future__ import annotations
+
 import dataclasses
 import warnings
 from typing import Any, ClassVar
@@ -63,8 +65,8 @@ def refuse_closed(closed: bool, called: str) -> None:
 def warn_of_short_episodes(period: float, steps: int | None) -> None:
     """Warns where the usual number of steps, which does not follow the control period [s], makes short episodes."""
     if steps == MAX_EPISODE_STEPS and steps * period < SHORT:
-        usual = f"an episode has {steps} steps, {steps * period:g} s, unless max_episode_steps is given: {round(USUAL / period)} last {USUAL:g} s"
-        warnings.warn(f"control_period is {period:g} s: {usual}", stacklevel=3)
+        text = f"control_period is {period:g} s: an episode has {steps} steps, {steps * period:g} s, unless max_episode_steps is given"
+        warnings.warn(f"{text}: {round(USUAL / period)} of them last {USUAL:g} s", stacklevel=3)
 
 
 class PlainSpec:

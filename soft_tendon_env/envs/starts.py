@@ -95,6 +95,7 @@ class Starts:
         setting = self._setting
         if self.redraws:
             setting = self._among(setting._replace(model=self._arms.model_among(row)), rest)
+        misplaced = ""
         for _ in range(MOST_DRAWS):
             if isinstance(self._target, Random) and self._target.bank is not None:
                 course, first = self._from_bank(self._target, self._target.bank, generator)
@@ -103,22 +104,22 @@ class Starts:
             if not (misplaced := self._misplaced(course, first, row, rest, courses, setting.model)):
                 courses.begin(row, course, first)
                 return
-        raise _problem(("target",), f"lay {misplaced[0]} in {MOST_DRAWS} draws out of {MOST_DRAWS}, at last {misplaced[1]}")
+        raise _problem(("target",), f"lay in {MOST_DRAWS} draws out of {MOST_DRAWS} {misplaced}")
 
-    def _misplaced(self, course: Course, first: int, row: int, rest: Array, courses: Courses, model: Model) -> tuple[str, str] | None:
-        """Where a drawn target should not be, and where it is: a pose inside of an obstacle, or a goal that is reached already."""
+    def _misplaced(self, course: Course, first: int, row: int, rest: Array, courses: Courses, model: Model) -> str:
+        """Where a drawn target lies and should not, a pose inside of an obstacle, or a goal that is reached already; "": nowhere."""
         if not isinstance(course, ShapeCourse) and (inside := self._target_inside(course, courses, model)):
-            return "inside of an obstacle", inside
+            return f"inside of an obstacle, at last {inside}"
         if self._goal is None or self._target.begins_at_rest:
-            return None
+            return ""
         own = self._arms.model_of(row) if self._options.randomize.of_arm else self._model
         start, now = own.tip_pose(self._arms.coordinates_of(row, rest)), np.array([first * self._options.control_period])
         goal = self._model.tip_pose(course.coordinates(now)[0][0]) if isinstance(course, ShapeCourse) else course.sample(now).tip_pose[0]
         away = self._goal.distance(*(np.float32(pose[:3, 3]) for pose in (start, goal)))  # as they are observed
         if away > self.threshold:
-            return None
-        there = f"{1e3 * away:.3g} mm from it: choose a smaller threshold, or a larger fraction of the tensions"
-        return f"within the threshold, {1e3 * self.threshold:.3g} mm, of where the tip begins", there
+            return ""
+        there = f"within the threshold, {1e3 * self.threshold:.3g} mm, of where the tip begins, at last {1e3 * away:.3g} mm from it"
+        return f"{there}: choose a smaller threshold, or a larger fraction of the tensions"
 
     def _from_bank(self, target: Random, size: int, generator: np.random.Generator) -> tuple[Course, int]:
         """A drawn course of the bank, which is made when it is first asked for, and the drawn control period of it to begin at."""

@@ -1,5 +1,7 @@
 """Gymnasium vector environments, a class per task: many arms, stepped together by compiled code on several threads."""
 
+from __future__ import annotations
+
 from typing import Any, ClassVar
 
 import gymnasium as gym

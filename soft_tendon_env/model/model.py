@@ -1,5 +1,7 @@
 """Reduced-order Cosserat-rod model of a scene: terms of the equation of motion, kinematics and energies at given coordinates."""
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -49,7 +51,10 @@ class Model:
     grid: Grid  # intervals and quadrature points along the rod
     arm: Arm  # what the compiled kernels read
 
-    def beside(self, arm: Arm, effects: Effects) -> "Model":
+    def __repr__(self) -> str:
+        return f"Model({self.scene.name!r}, {self.coordinate_count} coordinates, {self.tendon_count} tendons)"
+
+    def beside(self, arm: Arm, effects: Effects) -> Model:
         """Model of the same rod on the same grid, with these effects in its scene and another arm; what depends on the rod alone is not
         computed again."""
         scene = self.scene if effects is self.scene.effects else self.scene.model_copy(update={"effects": effects})
@@ -59,7 +64,7 @@ class Model:
             made.__dict__["_idle"] = self._idle  # workspaces are as large for one as for the other
         return made
 
-    def with_numbers(self, changes: Mapping[str, float]) -> "Model":
+    def with_numbers(self, changes: Mapping[str, float]) -> Model:
         """Model of the same arm with other numbers in its scene, `{"segments.*.young_modulus": 1.1e6}`, see scene.parameters.
 
         Quadrature, combinations of tensions and passive fields stay, so that coordinates are those of the same tensions and wrenches, and
@@ -319,7 +324,7 @@ class Model:
         """Workspaces that wait for the next evaluation: making one takes longer than to fill it."""
         return []
 
-    def __reduce__(self) -> tuple[type["Model"], tuple[Scene, Grid, Arm]]:
+    def __reduce__(self) -> tuple[type[Model], tuple[Scene, Grid, Arm]]:
         return Model, (self.scene, self.grid, self.arm)
 
 

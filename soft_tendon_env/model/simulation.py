@@ -1,5 +1,7 @@
 """Time integration of a model: one control step at a time (`Simulation`), or a whole input at once (`simulate`)."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
@@ -96,6 +98,9 @@ class Simulation:
         self.reset()
         if state is not None:
             self.state = state
+
+    def __repr__(self) -> str:
+        return f"Simulation({self.model!r} at {self._motion.clock[0]:g} s)"
 
     def reset(
         self,

@@ -4,6 +4,8 @@ A loaded arm may have many equilibria. The one found is where a slowly loaded ar
 unloaded arm and along which tensions and effects grow together, see load_continuation.
 """
 
+from __future__ import annotations
+
 import warnings
 from dataclasses import replace
 from typing import NamedTuple

@@ -39,6 +39,6 @@ def warn_beyond_limits(limits: Sequence[Sequence[float]], asked: Array, unit: st
     for i, (least, greatest) in enumerate(limits):
         room = ROUND_OFF * (greatest - least)
         if (low[i] < least - room or high[i] > greatest + room) and not _erring.get():
-            text = f"tendons[{i}] goes beyond its tension_limits, {least:g} to {greatest:g} {unit}"
-            warnings.warn(f"{text}: computed as asked, where actuators and environments stop at the limit", TensionLimitWarning, stacklevel=3)
+            text = f"tendons[{i}] goes beyond its tension_limits, {least:g} to {greatest:g} {unit}: computed as asked"
+            warnings.warn(f"{text}, where actuators and environments stop at the limit", TensionLimitWarning, stacklevel=3)
             return

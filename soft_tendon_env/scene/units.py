@@ -40,7 +40,7 @@ def warn_of_units(scene: Scene) -> None:
     """Warns, once, of the numbers of a scene that are likely to be in other units."""
     if found := [*_unlikely(scene)] or [*_unlikely_together(scene)]:
         text = f"{scene.name!r} has numbers that look as if they were not in SI units (m, kg, s, N, Pa): {'; '.join(found)}"
-        warnings.warn(text, UnitsWarning, stacklevel=3)
+        warnings.warn(text, UnitsWarning, stacklevel=4)  # where the user builds it
 
 
 def _asked(value: float, usual: float, units: Mapping[str, float]) -> str:
@@ -87,12 +87,12 @@ def _unlikely_together(scene: Scene) -> Iterator[str]:
             return
     bent, usual = [0.0], Tendon.model_fields["tension_limits"].default
     for i, tendon in enumerate(scene.tendons):
-        offset, radius, E = _along(scene, tendon)
+        offset, radius, modulus = _along(scene, tendon)
         pull, start_end = max(map(abs, tendon.tension_limits)), tendon_ends(scene, tendon)
-        curvature = 4.0 * pull * offset / (np.pi * E * radius**4)
-        strain = float(np.median(curvature * radius + pull / (np.pi * E * radius**2)))
+        curvature = 4.0 * pull * offset / (np.pi * modulus * radius**4)
+        strain = float(np.median(curvature * radius + pull / (np.pi * modulus * radius**2)))
         bent.append(float(curvature.mean()) * (start_end[1] - start_end[0]))
-        if tendon.tension_limits != usual and (strain > (STRAINED if E.min() < SOFT else STIFF_STRAINED) or bent[-1] > MOST_BENT):
+        if tendon.tension_limits != usual and (strain > (STRAINED if modulus.min() < SOFT else STIFF_STRAINED) or bent[-1] > MOST_BENT):
             text = f"tendons[{i}].tension_limits are up to {pull:g} N, which strain the rod by {100 * strain:,.0f} %"
             yield f"{text}: is it mN, or young_modulus in another unit?"
             return
