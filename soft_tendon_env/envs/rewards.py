@@ -62,9 +62,7 @@ OWN_TERMS: dict[str, Term] = {}
 class Reward:
     """Chosen reward terms and their weights."""
 
-    def __init__(
-        self, weights: Mapping[str, Weight], available: Mapping[str, Term], strongest: Array, length: float, source: str
-    ) -> None:
+    def __init__(self, weights: Mapping[str, Weight], available: Mapping[str, Term], strongest: Array, length: float, source: str) -> None:
         """`available`: the task's terms; strongest: (n_a,) the largest commands that are allowed; length: [m] of the rod.
 
         Raises ConfigurationError for other terms, scales of terms that have none, and unless one has a weight above 0.

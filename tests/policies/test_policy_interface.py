@@ -1,6 +1,5 @@
 """Environments and agents as controllers meet them: interfaces, names, Stable-Baselines3's evaluation, recordings."""
 
-
 import gymnasium as gym
 import numpy as np
 import pytest
