@@ -1,5 +1,7 @@
 """How rows begin: at rest, with a material and effects of their own where those are drawn, clear of obstacles, and with a target."""
 
+import warnings
+
 import numpy as np
 
 from soft_tendon_env.envs.arms import Arms, Material, RowEffects
@@ -20,7 +22,8 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Key, Problem
 from soft_tendon_env.tools.types import Array
 
 MOST_DRAWS = 100
-"""How often obstacles are drawn in which the arm would begin, and targets inside of obstacles or at the tip, before that is an error."""
+"""How often obstacles are drawn in which the arm would begin, and targets inside of obstacles, before that is an error; and goals that are
+reached already, before they are taken."""
 BANK_SEED = 2**64
 """Seed of the first course of a bank; the others follow, one apart: beyond all seeds of `reset` that have a purpose."""
 THRESHOLD = 0.01
@@ -95,31 +98,31 @@ class Starts:
         setting = self._setting
         if self.redraws:
             setting = self._among(setting._replace(model=self._arms.model_among(row)), rest)
-        misplaced = ""
         for _ in range(MOST_DRAWS):
             if isinstance(self._target, Random) and self._target.bank is not None:
                 course, first = self._from_bank(self._target, self._target.bank, generator)
             else:
                 course, first = self._target.draw(generator, setting), 0
-            if not (misplaced := self._misplaced(course, first, row, rest, courses, setting.model)):
-                courses.begin(row, course, first)
-                return
-        raise _problem(("target",), f"lay in {MOST_DRAWS} draws out of {MOST_DRAWS} {misplaced}")
+            inside = "" if isinstance(course, ShapeCourse) else self._target_inside(course, courses, setting.model)
+            if not inside and not self._is_reached(course, first, row, rest):
+                break
+        else:
+            if inside:
+                text = f"lay inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}, at last {inside}"
+                raise _problem(("target",), text)
+            text = f"a goal was within the threshold, {1e3 * self.threshold:.3g} mm, of where the tip begins in {MOST_DRAWS} draws"
+            warnings.warn(f"{text}: the episode begins solved; choose a smaller threshold, or a larger fraction of tensions", stacklevel=2)
+        courses.begin(row, course, first)
 
-    def _misplaced(self, course: Course, first: int, row: int, rest: Array, courses: Courses, model: Model) -> str:
-        """Where a drawn target lies and should not, a pose inside of an obstacle, or a goal that is reached already; "": nowhere."""
-        if not isinstance(course, ShapeCourse) and (inside := self._target_inside(course, courses, model)):
-            return f"inside of an obstacle, at last {inside}"
+    def _is_reached(self, course: Course, first: int, row: int, rest: Array) -> bool:
+        """Whether the arm at rest (n,) reaches the goal of a drawn target already, at the control period that it begins at."""
         if self._goal is None or self._target.begins_at_rest:
-            return ""
+            return False
         own = self._arms.model_of(row) if self._options.randomize.of_arm else self._model
         start, now = own.tip_pose(self._arms.coordinates_of(row, rest)), np.array([first * self._options.control_period])
         goal = self._model.tip_pose(course.coordinates(now)[0][0]) if isinstance(course, ShapeCourse) else course.sample(now).tip_pose[0]
         away = self._goal.distance(*(np.float32(pose[:3, 3]) for pose in (start, goal)))  # as they are observed
-        if away > self.threshold:
-            return ""
-        there = f"within the threshold, {1e3 * self.threshold:.3g} mm, of where the tip begins, at last {1e3 * away:.3g} mm from it"
-        return f"{there}: choose a smaller threshold, or a larger fraction of the tensions"
+        return bool(away <= self.threshold)
 
     def _from_bank(self, target: Random, size: int, generator: np.random.Generator) -> tuple[Course, int]:
         """A drawn course of the bank, which is made when it is first asked for, and the drawn control period of it to begin at."""

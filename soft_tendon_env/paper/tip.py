@@ -37,7 +37,7 @@ from soft_tendon_env.paper.motion import PERIOD, ClosedLoop, Law, Motion, Tracke
 from soft_tendon_env.paper.report import ACTUAL, DESIRED, OTHER, Claim, Result, box, draw_arms, draw_path, draw_tensions, save, snapshots
 
 CIRCLE = Circle()
-COURSE = CircleCourse(CIRCLE, 1.0)  # of the paper's arm, 1 m long
+COURSE = CircleCourse(CIRCLE)
 GAINS = Gains(10_000.0, 1000.0)
 DURATION = 2.0 * CIRCLE.period
 VERY_SMALL = 1e-3  # [m], an error below which the tip is to stay

@@ -44,8 +44,8 @@ class Circle(Target):
 class CircleCourse(PoseCourse):
     """The circle; its body twist follows from R(a) = Rx(a) R(0) Rx(-a), with a the angle and Rx turns about x."""
 
-    def __init__(self, circle: Circle, length: float) -> None:
-        """length: [m] of the rod."""
+    def __init__(self, circle: Circle, length: float = 1.0) -> None:
+        """length: [m] of the rod, by default of the paper's."""
         self.circle = circle
         self.radius = 0.25 * length if circle.radius is None else circle.radius
         self.centre = np.array((0.95 * length, 0.0, 0.0) if circle.centre is None else circle.centre)
