@@ -27,8 +27,8 @@ CRUSHED = 30.0
 """Strain by a rod's own weight that is no arm's, even of gel and in water."""
 STRAINED, STIFF_STRAINED = 10.0, 2.0
 """Strains of a section at the tensions' limits that are far beyond what gels and rubbers, or from the modulus SOFT on others, can take."""
-MOST_BENT, LEAST_BENT = 1e4, 1e-4
-"""Angles [rad] by which limits of tensions bend no arm: thousands of turns, and nothing at all of one that is longer than a metre."""
+LEAST_BENT = 1e-4
+"""Angle [rad] by which limits of tensions bend more than nothing: less is said of arms longer than a metre."""
 PLACES = 9
 
 
@@ -51,7 +51,7 @@ def _asked(value: float, usual: float, units: Mapping[str, float]) -> str:
 
 
 def _unlikely(scene: Scene) -> Iterator[str]:
-    """What no arm has: lengths, moduli and densities, radii and offsets beside the length."""
+    """Lengths, moduli, densities, radii and offsets that no arm has, in words."""
     length = rod_length(scene)
     if not LENGTH[0] <= length <= LENGTH[1]:
         yield f"the rod is {length:g} m long{_asked(length, 0.3, LENGTHS)}"
@@ -74,7 +74,7 @@ def _unlikely(scene: Scene) -> Iterator[str]:
 
 
 def _unlikely_together(scene: Scene) -> Iterator[str]:
-    """Numbers that do not go together: material, weight, and limits of tensions."""
+    """Materials, weights and limits of tensions that do not go together, in words."""
     length = rod_length(scene)
     for i, segment in enumerate(scene.segments):
         E, density = segment.young_modulus, segment.density
@@ -92,8 +92,8 @@ def _unlikely_together(scene: Scene) -> Iterator[str]:
         curvature = 4.0 * pull * offset / (np.pi * modulus * radius**4)
         strain = float(np.median(curvature * radius + pull / (np.pi * modulus * radius**2)))
         bent.append(float(curvature.mean()) * (start_end[1] - start_end[0]))
-        if tendon.tension_limits != usual and (strain > (STRAINED if modulus.min() < SOFT else STIFF_STRAINED) or bent[-1] > MOST_BENT):
-            text = f"tendons[{i}].tension_limits are up to {pull:g} N, which strain the rod by {100 * strain:,.0f} %"
+        if tendon.tension_limits != usual and strain > (STRAINED if modulus.min() < SOFT else STIFF_STRAINED):
+            text = f"tendons[{i}].tension_limits are up to {pull:g} N, which strain the rod by {100 * strain:.3g} %"
             yield f"{text}: is it mN, or young_modulus in another unit?"
             return
     if 0.0 < max(bent) < LEAST_BENT and length > 1.0:
