@@ -28,6 +28,8 @@ BANK_SEED = 2**64
 """Seed of the first course of a bank; the others follow, one apart: beyond all seeds of `reset` that have a purpose."""
 THRESHOLD = 0.01
 """Distance within which a goal is reached, as a share of the rod's length, unless options say otherwise."""
+EVERYWHERE = 7.0
+"""Threshold, in lengths of the rod, beyond which it is asked that every goal be reached: the diagonal of the space that goals are in."""
 TARGET_CHECKS = 100
 """Times in an episode of the usual length at which a target is checked not to lie inside of obstacles."""
 
@@ -116,7 +118,7 @@ class Starts:
 
     def _is_reached(self, course: Course, first: int, row: int, rest: Array) -> bool:
         """Whether the arm at rest (n,) reaches the goal of a drawn target already, at the control period that it begins at."""
-        if self._goal is None or self._target.begins_at_rest:
+        if self._goal is None or self._target.begins_at_rest or self.threshold > EVERYWHERE * self._model.length:
             return False
         own = self._arms.model_of(row) if self._options.randomize.of_arm else self._model
         start, now = own.tip_pose(self._arms.coordinates_of(row, rest)), np.array([first * self._options.control_period])

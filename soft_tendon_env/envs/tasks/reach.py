@@ -21,7 +21,8 @@ coordinates, rates, tip_position, tip_rotation, tip_twist, last_action. `achieve
 and `desired_goal` are tip positions in metres, `Box((3,), float32)`.
 
 ## Rewards
-`reward="sparse"` is 1 within `threshold` (0.01 lengths of the rod) of the goal, else 0. `reward="dense"` is 1 / (1 + (distance / (5 threshold))^2).
+`reward="sparse"` is 1 within `threshold` (0.01 lengths of the rod) of the goal, else 0. `reward="dense"` is
+1 / (1 + (distance / (5 threshold))^2).
 `compute_reward(achieved_goal, desired_goal, info)` gives the same rewards for many goals.
 
 ## Starting State
