@@ -48,7 +48,8 @@ motion through poses that the arm can hold.
 
 ## Episode End
 An episode is truncated after 500 steps, 10 s at the default control period, unless `gym.make` is given `max_episode_steps`. It
-is terminated if no time step of the simulation succeeds, however small. Then `info["diverged"]` is true, `info["cause"]` says why, and the observation is the last good one.
+is terminated if no time step of the simulation succeeds, however small. Then `info["diverged"]` is true, `info["cause"]` says
+why, and the observation is the last good one.
 
 ## Arguments
 Every environment takes the keyword arguments of `soft_tendon_env.envs.Options`: `scene`, `fidelity`, `target`, `observation`,
