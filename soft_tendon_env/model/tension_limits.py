@@ -37,8 +37,9 @@ def warn_beyond_limits(limits: Sequence[Sequence[float]], asked: Array, unit: st
         rows = asked.reshape(-1, len(limits))
         low, high = rows.min(axis=0, initial=np.inf).tolist(), rows.max(axis=0, initial=-np.inf).tolist()
     for i, (least, greatest) in enumerate(limits):
-        room = ROUND_OFF * (greatest - least)
-        if (low[i] < least - room or high[i] > greatest + room) and not _erring.get():
+        if not (low[i] < least or high[i] > greatest):
+            continue
+        if max(least - low[i], high[i] - greatest) > ROUND_OFF * (greatest - least) and not _erring.get():
             text = f"tendons[{i}] goes beyond its tension_limits, {least:g} to {greatest:g} {unit}: computed as asked"
             warnings.warn(f"{text}, where actuators and environments stop at the limit", TensionLimitWarning, stacklevel=3)
             return
