@@ -15,11 +15,16 @@ register_environments()
 if TYPE_CHECKING:
     from soft_tendon_env.public import *  # noqa: F403
     from soft_tendon_env.public import __all__ as __all__
+
+    __version__: str
 else:
+    NOT_SHOWN = {"TYPE_CHECKING", "NOT_SHOWN", "import_module", "register_environments"}
 
     def __getattr__(name):
         if name == "identify":  # above what public.py may import
             return import_module(f"{__name__}.identification").identify
+        if name == "__version__":
+            return import_module("importlib.metadata").version(__name__)
         if name.startswith("_") and name != "__all__":
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         public = import_module(f"{__name__}.public")
@@ -32,4 +37,4 @@ else:
     def __dir__():
         from soft_tendon_env.public import __all__
 
-        return sorted({*globals(), *__all__})
+        return sorted({*globals(), *__all__, "identify", "__version__"} - NOT_SHOWN)

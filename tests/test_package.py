@@ -1,5 +1,6 @@
 """What `import soft_tendon_env` gives, and what it does not wait for."""
 
+import inspect
 import re
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import pytest
 
 import soft_tendon_env as ste
 from soft_tendon_env import public
+from soft_tendon_env.envs import Options, TipPoseEnv
 
 ROOT = Path(__file__).parent.parent
 
@@ -22,6 +24,37 @@ def test_every_public_name_is_there():
     assert scope.keys() >= set(public.__all__)
 
 
+def test_names_and_signatures_are_read_by_people():
+    assert {"identify", "__version__", "simulate"} <= set(dir(ste)) and not {"TYPE_CHECKING", "import_module"} & set(dir(ste))
+    for shown in (
+        ste.simulate,
+        ste.static_equilibrium,
+        ste.tension_for_tip_pose,
+        ste.Model.terms,
+        ste.build_model,
+        ste.Scene,
+        TipPoseEnv,
+        Options,
+    ):
+        text = str(inspect.signature(shown))
+        assert not re.search("numpy._typing|Annotated|Undefined|0x", text), text
+    assert "fidelity: 'str | None' = UNSAID" in str(inspect.signature(ste.build_model))
+    assert "threshold: Optional[float] = None" in str(inspect.signature(Options))
+
+
+def test_reprs_are_one_line(build):
+    model = build("three_tendon", {"effects.gravity.acceleration": [0.0, 0.0, -9.81]})
+    simulation = ste.Simulation(model)
+    assert repr(model) == f"Model('three_tendon', {model.coordinate_count} coordinates, 3 tendons)"
+    assert repr(model.scene) == "Scene('three_tendon', 0.3 m, 1 segment, 3 tendons, gravity)"
+    assert repr(simulation.state) == f"State(at 0 s, {model.coordinate_count} coordinates, 0 internal states)"
+    assert repr(simulation) == f"Simulation({model!r} at 0 s)"
+    assert (
+        repr(model.scene.quadrature) == "Quadrature()"
+        and repr(model.scene.replace({"quadrature.least": 9}).quadrature) == "Quadrature(least=9)"
+    )
+
+
 def test_what_is_not_there_is_said():
     with pytest.raises(AttributeError, match="module 'soft_tendon_env' has no attribute 'nothing'"):
         _ = ste.nothing
@@ -32,6 +65,7 @@ def test_what_is_not_there_is_said():
 def test_one_version():
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
+    assert ste.__version__ == version
     assert re.findall(r"^## \[([\d.]+)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)[0] == version
 
 

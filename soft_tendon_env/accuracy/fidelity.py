@@ -3,6 +3,8 @@
 What each costs and how far its tip is from full physics: `python benchmarks/fidelity.py`, docs/appendix/fidelity.md.
 """
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -18,7 +20,7 @@ from soft_tendon_env.tools.types import is_length, read_length
 
 AS_SCENE = "scene"
 """The fidelity that leaves a scene as it is."""
-UNSAID: Any = object()
+UNSAID: Any = type("Unsaid", (), {"__repr__": lambda self: "UNSAID"})()
 """The fidelity of a model for which none is given: AS_SCENE, with a warning where that leaves the strain open."""
 
 

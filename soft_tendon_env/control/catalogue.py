@@ -19,6 +19,8 @@ from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 
+LOOKS_AHEAD = 2
+"""Control periods ahead for which laws of feedback need the reference: the velocity at the end of this one."""
 INTEGRAL_TIME = 0.5  # [s] of the tip trackers
 ROBUST = "; tuned on arms that differ from the model, under noise"
 ROBUST_TUNING = DEFAULT._replace(settling_time=0.41, effort=1e-3, smoothness=1.13)
@@ -41,7 +43,7 @@ class Entry:
 
     description: str
     make: Callable[[Model, Array, float], Controller]
-    looks_ahead: int = 2
+    looks_ahead: int = LOOKS_AHEAD
     parameters: Mapping[str, float] = field(default_factory=dict)
     change: Callable[..., "Entry"] | None = None
 
@@ -50,7 +52,7 @@ class Entry:
         return self.change(**parameters) if self.change is not None and parameters else self
 
 
-def entry_of(description: str, make: Callable[..., Controller], looks_ahead: int = 2) -> Entry:
+def entry_of(description: str, make: Callable[..., Controller], looks_ahead: int = LOOKS_AHEAD) -> Entry:
     """An entry whose parameters are the keyword arguments of `make` that are numbers by default."""
     arguments = [*inspect.signature(make).parameters.values()][3:]
     parameters = {argument.name: argument.default for argument in arguments if type(argument.default) in (int, float)}
@@ -146,7 +148,7 @@ CONTROLLERS: dict[str, dict[str, Entry]] = {
 Factory = TypeVar("Factory", bound=Callable[[Model, Array, float], Controller])
 
 
-def register_controller(name: str, tasks: Iterable[str], description: str, looks_ahead: int = 2) -> Callable[[Factory], Factory]:
+def register_controller(name: str, tasks: Iterable[str], description: str, looks_ahead: int = LOOKS_AHEAD) -> Callable[[Factory], Factory]:
     """Decorator of a class or function (model, limits (n_a, 2) [N], control period [s]) that makes a controller: the name by which
     `make_policy` and comparisons find it for these tasks ("TipPose", ...). looks_ahead: see Entry.
 

@@ -21,6 +21,7 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.rollout import Rollout
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.model.tension_limits import erring_actuators
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type
 from soft_tendon_env.tools.types import Array
 
@@ -168,7 +169,8 @@ class ExtendedKalmanFilter:
         tension, seconds = np.array([part for part, _ in acted]), np.array([part for _, part in acted])
         try:
             self._simulation.reset(q, q_dot, time=began, effects=last.effects)
-            rollout = self._simulation.rollout((gain * tension + offset)[None], seconds, forces=self._forces, steps=self._steps)
+            with erring_actuators():
+                rollout = self._simulation.rollout((gain * tension + offset)[None], seconds, forces=self._forces, steps=self._steps)
         except FAILURES:
             return self._first()
         transition, noise = self._linearised(rollout, tension, seconds, gain, self._white(measured.sent, last))

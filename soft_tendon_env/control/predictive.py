@@ -21,6 +21,7 @@ from soft_tendon_env.control.protocol import FAILURES, Decision, InputError, Sit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.rollout import Rollout
 from soft_tendon_env.model.simulation import Simulation
+from soft_tendon_env.model.tension_limits import erring_actuators
 from soft_tendon_env.tools.types import Array
 
 
@@ -101,7 +102,8 @@ class Predictive:
         error = now.input_error or InputError(np.ones(size), np.zeros(size) if memory is None else self._observed(memory, now))
         try:
             self._simulation.reset(now.q, now.q_dot, time=now.time, effects=None if memory is None else memory.effects)
-            rollout = self._simulation.rollout(error.gain * plan + error.offset, self._interval, steps=self._steps)
+            with erring_actuators():
+                rollout = self._simulation.rollout(error.gain * plan + error.offset, self._interval, steps=self._steps)
         except FAILURES:
             return Decision(last, None, {"limited": 1.0, "singular": 1.0})
         hessian, gradient = self._program(rollout, error.gain, now)
@@ -130,7 +132,8 @@ class Predictive:
     def _predicted(self, tension: Array) -> tuple[Array, Array] | tuple[None, None]:
         """The rates (n,) and internal states (m,) after a period under these tensions, None where the model has no such motion."""
         try:
-            self._simulation.step(tension, self.period)
+            with erring_actuators():
+                self._simulation.step(tension, self.period)
         except FAILURES:
             return None, None
         state = self._simulation.state

@@ -5,6 +5,7 @@ import numpy as np
 from soft_tendon_env.control.protocol import FAILURES, Situation
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
+from soft_tendon_env.model.tension_limits import erring_actuators
 from soft_tendon_env.tools.types import Array
 
 SAME = 1e-9
@@ -40,9 +41,10 @@ class SmithPredictor:
             waiting = tuple(now.input_error.gain * tension + now.input_error.offset for tension in waiting)
         try:
             self._simulation.reset(now.q, now.q_dot, time=now.time, tension=waiting[0])
-            self._simulation.step(waiting[0], rest)
-            for tension in waiting[1:]:
-                self._simulation.step(tension, self._period)
+            with erring_actuators():
+                self._simulation.step(waiting[0], rest)
+                for tension in waiting[1:]:
+                    self._simulation.step(tension, self._period)
             moved = np.linalg.solve(self._model.tip_pose(now.q), self._simulation.tip_pose)
         except FAILURES:
             return now

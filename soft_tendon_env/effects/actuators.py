@@ -27,6 +27,7 @@ LAGS = 2.0  # time constants that a step may take while a tension lags
 FINEST = 1.0 / 8.0  # of the longest step
 MOST_WAITING = 10_000  # commands
 EARLY = 1e-9  # [s] by which a command may act before its time: clocks are sums of steps
+ROUND_OFF = 1e-15  # of the time, by which besides
 
 
 @register_effect("actuators")
@@ -96,12 +97,12 @@ def queue(actuators, delivery):
         is_new = is_new or newest[i] != delivery.command[i]
     if is_new:
         if count == len(waiting):
-            delivery.until[0] = -1.0
+            delivery.until[0] = -math.inf
             return
         waiting[count, 0] = delivery.time + actuators.delay
         copy(delivery.command, waiting[count, 1:])
         count += 1
-    while count > 0 and waiting[0, 0] <= delivery.time + EARLY:
+    while count > 0 and waiting[0, 0] <= delivery.time + EARLY + ROUND_OFF * abs(delivery.time):
         copy(waiting[0, 1:], acting)
         for k in range(count - 1):
             copy(waiting[k + 1], waiting[k])

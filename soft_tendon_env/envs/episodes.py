@@ -66,7 +66,8 @@ class Episodes:
         """Raises ConfigurationError where the options do not fit the task or the scene.
 
         Attributes made here: `limits` of tensions (n_a, 2) [N], `start_tension` (n_a,) [N] at reset and `start_command` (n_a,) that holds
-        it, `actions` the action scaling, `goal_kind` "sparse" or "dense", `goal_bound` the largest coordinate [m] of goals.
+        it, `actions` the action scaling, `goal_kind` "sparse" or "dense", `goal_bound` the largest coordinate [m] of goals, `threshold`
+        the distance [m] within which one is reached.
         """
         scene = resolved_scene(options)
         check_fit(options, task, scene)
@@ -79,7 +80,7 @@ class Episodes:
         self.starts = starts = Starts(task, options, self.arms)
         self.limits, self.start_tension, self.start_command = starts.limits, starts.tension, starts.command
         self.goal_kind: GoalReward = options.reward if options.reward in ("sparse", "dense") else "sparse"
-        self.goal_bound = GOAL_BOUND * model.length
+        self.goal_bound, self.threshold = GOAL_BOUND * model.length, starts.threshold
         self._contacts = Contacts(self.arms, options.contact_sections) if encountered(model) else None
         self._courses = self._make_courses()
         commands = model.scene.effects.command_limits(self.limits)
@@ -88,7 +89,7 @@ class Episodes:
         self.actions = self.actuation.actions
         self.errors = {error.name: np.full(rows, np.nan) for error in self._measures}
         if task.goal is None:
-            self._reward_terms = _reward_of(task, options, strongest, self._contacts is not None)
+            self._reward_terms = _reward_of(task, options, strongest, model.length, self._contacts is not None)
         noise = options.randomize.noise if options.randomize.of_sensors else None
         self._sensors = Sensors(noise, rows, model.tendon_count, self.sensors.size) if noise is not None else None
         self.history = History(rows, options.history, self.layout.kept) if options.history else None
@@ -164,7 +165,8 @@ class Episodes:
             tension[i], command[i], q[i] = self.starts.begin_shape(row, own.start, start, rest)
             self.actuation.begin(row, draw, command[i])
             shape = self.model.arm.strain.of_softer_rod(rest, np.array(draw.material.stiffness))
-            self.starts.begin_course(row, own.target, generator, shape, self._courses)
+            begins = q[i] if own.state is None else own.state.q
+            self.starts.begin_course(row, own.target, generator, (shape, begins), self._courses)
             if self._sensors is not None:  # after the target, which is the same with and without noise
                 self._sensors.begin(row, int(generator.integers(2**63)))
             if own.state is not None:
@@ -248,7 +250,7 @@ class Episodes:
         if self.options.tip_speed_limit is not None:
             self.diverged |= norm(reading.tip_twist[:, 3:]) > self.options.tip_speed_limit
         if self.task.goal is not None:
-            self.reward = self.task.goal.reward(*self._goals, self.goal_kind, self.options.threshold)
+            self.reward = self.task.goal.reward(*self._goals, self.goal_kind, self.threshold)
         else:
             self.terms, self.reward = self._reward_terms.of(self.errors, tracking)
         self.reward[self.diverged] = 0.0
@@ -285,7 +287,7 @@ class Episodes:
         info["diverged"] = self.diverged
         info["rejected_steps"] = self.arms.outcome.rejected.copy()
         if self.task.goal:
-            info["is_success"] = self.task.goal.distance(*self._goals) <= self.options.threshold
+            info["is_success"] = self.task.goal.distance(*self._goals) <= self.threshold
         return info
 
     def remember(self) -> None:
@@ -314,14 +316,14 @@ class Episodes:
         return self.starts.effects.values(self.arms.effects_of(row))
 
 
-def _reward_of(task: Task, options: Options, strongest: Array, contact: bool) -> Reward:
+def _reward_of(task: Task, options: Options, strongest: Array, length: float, contact: bool) -> Reward:
     given, of_contact = options.reward, {error.term: error.as_term for error in CONTACT_ERRORS}
     weights = given if isinstance(given, dict) else {name: Weight(weight=weight) for name, weight in task.reward.items()}
     missing = [name for name in weights if name in of_contact and not contact]
     if missing:
         problems = [Problem(("reward", name), "needs a scene with obstacles, effects.contact") for name in missing]
         raise ConfigurationError(problems, "environment")
-    return Reward(weights, {**task.terms, **(of_contact if contact else {})}, strongest, "environment")
+    return Reward(weights, {**task.terms, **(of_contact if contact else {})}, strongest, length, "environment")
 
 
 def episodes_of(env: Any) -> Episodes:

@@ -85,7 +85,8 @@ class Options(Configuration):
         contact_sections: number of equal parts of the rod for which contact is observed.
         reward: weight of each reward term, a number or a table with `weight` and `scale`; None takes the task's. Reach takes "sparse" (the
             default) or "dense".
-        threshold: distance [m] to the goal within which Reach counts as successful.
+        threshold: distance [m] to the goal within which Reach counts as successful; None takes a hundredth of the rod's length. Drawn
+            goals are farther than that from where the tip begins.
         randomize: domain randomization, parameters that are drawn at every reset.
         tip_speed_limit: tip speed [m/s] above which an episode ends early and counts as diverged; None sets no limit. It is for training: a
             policy that has made the arm oscillate gains nothing from the rest of that episode.
@@ -113,7 +114,7 @@ class Options(Configuration):
     ] = ()
     contact_sections: int = Field(default=5, ge=1, le=MOST_SECTIONS)
     reward: dict[str, Weight] | GoalReward | None = None
-    threshold: Annotated[Positive, Field(ge=LEAST_DISTANCE)] = 0.01
+    threshold: Annotated[Positive, Field(ge=LEAST_DISTANCE)] | None = None
     randomize: Randomization = Field(default=Randomization())
     tip_speed_limit: Positive | None = None
     on_divergence: Literal["terminate", "truncate", "raise"] = "terminate"

@@ -46,6 +46,7 @@ class Term(NamedTuple):
     description: str
     scale: float  # by default; 0: none
     of: str | int | Callable[[Any], Array]  # name of its error; EFFORT or SMOOTHNESS; or a function of the Tracking, a user's own
+    of_length: bool = False  # whether the scale is a share of the rod's length
 
 
 TERMS: Mapping[str, Term] = {
@@ -61,8 +62,8 @@ OWN_TERMS: dict[str, Term] = {}
 class Reward:
     """Chosen reward terms and their weights."""
 
-    def __init__(self, weights: Mapping[str, Weight], available: Mapping[str, Term], strongest: Array, source: str) -> None:
-        """`available`: the task's terms; strongest: (n_a,) the largest commands that are allowed.
+    def __init__(self, weights: Mapping[str, Weight], available: Mapping[str, Term], strongest: Array, length: float, source: str) -> None:
+        """`available`: the task's terms; strongest: (n_a,) the largest commands that are allowed; length: [m] of the rod.
 
         Raises ConfigurationError for other terms, scales of terms that have none, and unless one has a weight above 0.
         """
@@ -81,7 +82,8 @@ class Reward:
         self._own: dict[str, Any] = own
         self._compiled = {name: available[name] for name in weights if name not in own}
         self._errors = [term.of for term in self._compiled.values() if isinstance(term.of, str)]
-        scales = [np.atleast_1d(weights[name].scale or term.scale) for name, term in self._compiled.items()]
+        usual = {name: term.scale * (length if term.of_length else 1.0) for name, term in self._compiled.items()}
+        scales = [np.atleast_1d(weights[name].scale or usual[name]) for name in self._compiled]
         codes = [self._errors.index(term.of) if isinstance(term.of, str) else term.of for term in self._compiled.values()]
         self._table = TermTable(
             of=np.array(codes, dtype=np.int64),

@@ -1,6 +1,9 @@
 """Gymnasium environments with one arm, a class per task; the tasks' descriptions are their documentation."""
 
+from __future__ import annotations
+
 import dataclasses
+import warnings
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -20,11 +23,14 @@ from soft_tendon_env.envs.tasks import Task, task_of_class
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.model.state import State
+from soft_tendon_env.registration import MAX_EPISODE_STEPS
 from soft_tendon_env.tools.checks import checked_array, checked_count
 from soft_tendon_env.tools.configuration import plain
 from soft_tendon_env.tools.types import Array
 
 ONE = np.zeros(1, dtype=np.int64)
+SHORT, USUAL = 5.0, 10.0
+"""Seconds of an episode below which its length gets a word, and that it has at the default control period."""
 
 
 def checked_seed(seed: Any, name: str = "seed") -> int | None:
@@ -48,6 +54,13 @@ def refuse_closed(closed: bool, called: str) -> None:
     """Raises ClosedEnvironmentError."""
     if closed:
         raise ClosedEnvironmentError(f"{called} was called after close: make a new environment")
+
+
+def warn_of_short_episodes(period: float, steps: int | None) -> None:
+    """Warns where the usual number of steps, which does not follow the control period [s], makes short episodes."""
+    if steps == MAX_EPISODE_STEPS and steps * period < SHORT:
+        text = f"control_period is {period:g} s: an episode has {steps} steps, {steps * period:g} s, unless max_episode_steps is given"
+        warnings.warn(f"{text}: {round(USUAL / period)} of them last {USUAL:g} s", stacklevel=3)
 
 
 class PlainSpec:
@@ -83,6 +96,7 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any]):
         self.render_mode = render_mode
         chosen = parsed_options(options, type(self).__name__)
         self.episodes = Episodes(self.task, chosen, rows=1)
+        warn_of_short_episodes(chosen.control_period, MAX_EPISODE_STEPS)
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / chosen.control_period))}
         self.observation_space = observation_space(self.episodes)
         self.action_space = action_space(self.episodes)
@@ -197,7 +211,7 @@ class GoalEnv(TendonRodEnv):
 def goal_reward(episodes: Episodes, achieved: ArrayLike, desired: ArrayLike) -> Array:
     """Rewards (...) of goals (..., 3) [m] as the options of these episodes have it."""
     assert episodes.task.goal is not None
-    return episodes.task.goal.reward(achieved, desired, episodes.goal_kind, episodes.options.threshold)
+    return episodes.task.goal.reward(achieved, desired, episodes.goal_kind, episodes.threshold)
 
 
 def class_of(task: Task, suffix: str, bases: tuple[type, type], doc: str) -> Any:

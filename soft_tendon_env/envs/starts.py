@@ -1,5 +1,6 @@
 """How rows begin: at rest, with a material and effects of their own where those are drawn, clear of obstacles, and with a target."""
 
+import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -24,9 +25,14 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Key, Problem
 from soft_tendon_env.tools.types import Array
 
 MOST_DRAWS = 100
-"""How often obstacles are drawn in which the arm would begin, and targets inside of obstacles, before that is an error."""
+"""How often obstacles are drawn in which the arm would begin, and targets inside of obstacles, before that is an error; and goals that are
+reached already, before they are taken."""
 BANK_SEED = 2**64
 """Seed of the first course of a bank; the others follow, one apart: beyond all seeds of `reset` that have a purpose."""
+THRESHOLD = 0.01
+"""Distance within which a goal is reached, as a share of the rod's length, unless options say otherwise."""
+EVERYWHERE = 7.0
+"""Threshold, in lengths of the rod, beyond which it is asked that every goal be reached: the diagonal of the space that goals are in."""
 TARGET_CHECKS = 100
 """Times in an episode of the usual length at which a target is checked not to lie inside of obstacles."""
 
@@ -43,12 +49,14 @@ class Starts:
     """Beginnings of rows of episodes.
 
     `usual` is how they begin unless a reset says otherwise. `tension` (n_a,) [N] and `command` (n_a,) hold the arm at rest, `q` (n,) are
-    its coordinates there, where nothing is drawn; `effects` are the ranges of effects that are drawn.
+    its coordinates there, where nothing is drawn; `effects` are the ranges of effects that are drawn; within `threshold` [m] of the tip a
+    goal is reached.
     """
 
     def __init__(self, task: Task, options: Options, arms: Arms) -> None:
         """Raises ConfigurationError where the arm, or one that can be drawn, does not rest, or begins inside of an obstacle."""
         self._task, self._options, self._arms, self._model = task, options, arms, arms.model
+        self.threshold = THRESHOLD * arms.model.length if options.threshold is None else options.threshold
         self.limits = np.array([tendon.tension_limits for tendon in arms.model.scene.tendons])
         self.tension = nearest_to_zero(self.limits)
         self.effects = EffectRanges(options.randomize.effects, arms.model)
@@ -143,25 +151,45 @@ class Starts:
             tension = 0.5 * (self.tension + tension)
         return self.tension, self.command, rest
 
-    def begin_course(self, row: int, target: Target | Course, generator: np.random.Generator, rest: Array, courses: Courses) -> None:
-        """Give a row its target, from a bank if there is one; one that is drawn keeps clear of the row's obstacles, as the arm at `rest`
-        (n,) does, where that is so. Raises ConfigurationError."""
+    def begin_course(
+        self, row: int, target: Target | Course, generator: np.random.Generator, shapes: tuple[Array, Array], courses: Courses
+    ) -> None:
+        """Give a row its target, from a bank if there is one. One that is drawn keeps clear of the row's obstacles, as the arm at rest does
+        where that is so, and is not reached already.
+
+        shapes: coordinates (n,) of the arm at rest, and where the row begins. Raises ConfigurationError.
+        """
         if not isinstance(target, Target):
             courses.begin(row, target)
             return
-        if isinstance(target, Random) and target.bank is not None:
-            courses.begin(row, *self._from_bank(target, target.bank, generator))
-            return
-        setting = self._setting
+        (rest, begins), setting = shapes, self._setting
         if self.redraws:
             setting = self._among(setting._replace(model=self._arms.model_among(row)), rest)
         for _ in range(MOST_DRAWS):
-            course = target.draw(generator, setting)
-            if isinstance(course, ShapeCourse) or not (inside := self._target_inside(course, courses, setting.model)):
-                courses.begin(row, course)
-                return
-        text = f"lay inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}, at last {inside}"
-        raise _problem(("target",), text)
+            if isinstance(target, Random) and target.bank is not None:
+                course, first = self._from_bank(target, target.bank, generator)
+            else:
+                course, first = target.draw(generator, setting), 0
+            inside = "" if isinstance(course, ShapeCourse) else self._target_inside(course, courses, setting.model)
+            if not inside and not self._is_reached(target, course, first, row, begins):
+                break
+        else:
+            if inside:
+                text = f"lay inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}, at last {inside}"
+                raise _problem(("target",), text)
+            text = f"a goal was within the threshold, {1e3 * self.threshold:.3g} mm, of where the tip begins in {MOST_DRAWS} draws"
+            warnings.warn(f"{text}: the episode begins solved; choose a smaller threshold, or a larger fraction of tensions", stacklevel=2)
+        courses.begin(row, course, first)
+
+    def _is_reached(self, target: Target, course: Course, first: int, row: int, begins: Array) -> bool:
+        """Whether the arm reaches the goal of a drawn target where it begins (n,), at the control period that the target begins at."""
+        if self._task.goal is None or target.begins_at_rest or self.threshold > EVERYWHERE * self._model.length:
+            return False
+        own = self._arms.model_of(row) if self._options.randomize.of_arm else self._model
+        start, now = own.tip_pose(begins), np.array([first * self._options.control_period])
+        goal = self._model.tip_pose(course.coordinates(now)[0][0]) if isinstance(course, ShapeCourse) else course.sample(now).tip_pose[0]
+        away = self._task.goal.distance(*(np.float32(pose[:3, 3]) for pose in (start, goal)))  # as they are observed
+        return bool(away <= self.threshold)
 
     def _from_bank(self, target: Random, size: int, generator: np.random.Generator) -> tuple[Course, int]:
         """A drawn course of the bank, which is made when it is first asked for, and the drawn control period of it to begin at."""

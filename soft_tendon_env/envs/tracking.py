@@ -72,7 +72,7 @@ class Tracking:
 class TrackingError:
     """A tracking error: `name` in `info`, the reward `term` that falls with it, and the `scale` of the error that halves that term.
 
-    value: (rows,) from the arm and its target, in SI units.
+    value: (rows,) from the arm and its target, in SI units. of_length: whether `scale` is a share of the rod's length.
     """
 
     name: str
@@ -80,11 +80,12 @@ class TrackingError:
     description: str
     scale: float
     value: Callable[[Tracking], Array]
+    of_length: bool = False
 
     @property
     def as_term(self) -> Term:
         """The reward term that falls with it: 1/2 at `scale`."""
-        return Term(self.description, self.scale, self.name)
+        return Term(self.description, self.scale, self.name, self.of_length)
 
 
 def norm(vectors: Array) -> Array:
@@ -92,16 +93,18 @@ def norm(vectors: Array) -> Array:
     return np.asarray(np.sqrt(np.add.reduce(vectors * vectors, -1)))
 
 
-POSITION = TrackingError("position_error", "position", "tip position error [m]", 0.05, lambda t: t.distance)
+POSITION = TrackingError("position_error", "position", "tip position error [m]", 0.05, lambda t: t.distance, of_length=True)
 ANGLE = TrackingError("angle_error", "angle", "angle between the tip's and the target's frame [rad]", 0.5, lambda t: t.angle)
 BACKBONE = TrackingError(
     "backbone_error", "backbone", "root mean square distance between backbone and target [m]", 0.05,
-    lambda t: np.sqrt(np.mean(norm(t.target_backbone - t.backbone) ** 2, axis=1)),
+    lambda t: np.sqrt(np.mean(norm(t.target_backbone - t.backbone) ** 2, axis=1)), of_length=True,
 )
 COORDINATES = TrackingError(
     "coordinate_error", "coordinates", "norm of the coordinates' error, newton for tensions", 10.0, lambda t: norm(t.target_q - t.q)
 )
-PENETRATION = TrackingError("penetration", "penetration", "how deep the arm is in obstacles [m]", 0.001, lambda t: t.contact.penetration)
+PENETRATION = TrackingError(
+    "penetration", "penetration", "how deep the arm is in obstacles [m]", 0.001, lambda t: t.contact.penetration, of_length=True
+)
 CONTACT_FORCE = TrackingError("contact_force", "contact_force", "sum of the sizes of all contact forces [N]", 1.0, lambda t: t.contact.load)
 CONTACT_ERRORS = (PENETRATION, CONTACT_FORCE)
 """Errors that every task has besides its own where the arm may come upon something, such as obstacles."""

@@ -1,5 +1,7 @@
 """Gymnasium vector environments, a class per task: many arms, stepped together by compiled code on several threads."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -65,6 +67,7 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any]):
         chosen = parsed_options(options, type(self).__name__)
         most_threads = None if threads is None else checked_count("threads", threads, 1)
         self.episodes = Episodes(self.task, chosen, num_envs, most_threads)
+        single.warn_of_short_episodes(chosen.control_period, self.max_episode_steps)
         fps = max(1, round(1.0 / chosen.control_period))
         self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": fps, "autoreset_mode": self.autoreset_mode}
         self.single_observation_space = single.observation_space(self.episodes)

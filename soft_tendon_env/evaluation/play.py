@@ -145,7 +145,7 @@ def reached_goal(episodes: Episodes, row: int) -> bool | None:
     """Whether a row is truly at its goal, whatever its sensors say; None where there is none."""
     if not episodes.task.goal:
         return None
-    return bool(episodes.errors["position_error"][row] <= episodes.options.threshold and not episodes.diverged[row])
+    return bool(episodes.errors["position_error"][row] <= episodes.threshold and not episodes.diverged[row])
 
 
 def asks_too_much(action: Any, memory: Any, limits: Array) -> bool:

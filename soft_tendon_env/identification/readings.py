@@ -10,6 +10,7 @@ from soft_tendon_env.identification.plant import Plant, Plants
 from soft_tendon_env.identification.recordings import Recording
 from soft_tendon_env.identification.sensed import Sensed
 from soft_tendon_env.identification.statics import Statics
+from soft_tendon_env.model.tension_limits import erring_actuators
 from soft_tendon_env.tools.types import Array
 
 DIFFERENCE = {"hold": 1e-4, "motion": 1e-3}
@@ -51,7 +52,8 @@ class Readings:
 
     def coordinates(self, plant: Plant) -> list[Array]:
         """Simulated coordinates (n,) at every sample. Raises NoHoldError."""
-        return self._statics.coordinates(plant) + self._motions.coordinates(plant)
+        with erring_actuators():  # by the gains and offsets that are looked for
+            return self._statics.coordinates(plant) + self._motions.coordinates(plant)
 
     def _poses(self, plant: Plant, coordinates: Sequence[Array]) -> Array:
         """Poses (samples, m, 4, 4) of the markers' sections from the base."""

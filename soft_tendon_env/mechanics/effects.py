@@ -110,7 +110,7 @@ class Delivery(NamedTuple):
     time: float  # [s]
     state: np.ndarray  # the effect's own internal state
     command: np.ndarray  # tendons: what is commanded from now on; to be replaced by what acts now
-    until: np.ndarray  # (1) [s] up to which that acts unless another command comes; infinity to begin with. -1: there is no room for it
+    until: np.ndarray  # (1) [s] up to which that acts unless another command comes; infinity at first. -infinity: there is no room for it
 
 
 _ROW = np.zeros(1)

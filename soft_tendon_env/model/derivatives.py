@@ -1,5 +1,7 @@
 """Derivatives by central differences: of a period by state and command, of periods and equilibria by numbers of the scene."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from typing import NamedTuple

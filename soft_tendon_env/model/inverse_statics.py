@@ -6,6 +6,8 @@ mu is so small that the error comes first and the effort only picks among the te
 exact, J_tip dq/du with dq/du = S^-1 B of the equilibrium (implicit function theorem).
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 

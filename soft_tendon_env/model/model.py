@@ -1,5 +1,7 @@
 """Reduced-order Cosserat-rod model of a scene: terms of the equation of motion, kinematics and energies at given coordinates."""
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -24,6 +26,7 @@ from soft_tendon_env.model.strain_limits import StrainLimitError, limit_at
 from soft_tendon_env.model.terms import Energy, Terms
 from soft_tendon_env.scene.parameters import scene_parameters
 from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.scene.units import warn_of_units
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
@@ -48,7 +51,10 @@ class Model:
     grid: Grid  # intervals and quadrature points along the rod
     arm: Arm  # what the compiled kernels read
 
-    def beside(self, arm: Arm, effects: Effects) -> "Model":
+    def __repr__(self) -> str:
+        return f"Model({self.scene.name!r}, {self.coordinate_count} coordinates, {self.tendon_count} tendons)"
+
+    def beside(self, arm: Arm, effects: Effects) -> Model:
         """Model of the same rod on the same grid, with these effects in its scene and another arm; what depends on the rod alone is not
         computed again."""
         scene = self.scene if effects is self.scene.effects else self.scene.model_copy(update={"effects": effects})
@@ -58,7 +64,7 @@ class Model:
             made.__dict__["_idle"] = self._idle  # workspaces are as large for one as for the other
         return made
 
-    def with_numbers(self, changes: Mapping[str, float]) -> "Model":
+    def with_numbers(self, changes: Mapping[str, float]) -> Model:
         """Model of the same arm with other numbers in its scene, `{"segments.*.young_modulus": 1.1e6}`, see scene.parameters.
 
         Quadrature, combinations of tensions and passive fields stay, so that coordinates are those of the same tensions and wrenches, and
@@ -318,10 +324,10 @@ class Model:
         """Workspaces that wait for the next evaluation: making one takes longer than to fill it."""
         return []
 
-    def __reduce__(self) -> tuple[type["Model"], tuple[Scene, Grid, Arm]]:
+    def __reduce__(self) -> tuple[type[Model], tuple[Scene, Grid, Arm]]:
         return Model, (self.scene, self.grid, self.arm)
 
-    def __deepcopy__(self, memo: object) -> "Model":
+    def __deepcopy__(self, memo: object) -> Model:
         return self  # copies of what has a model share it, since it never changes
 
 
@@ -329,9 +335,10 @@ def build_model(scene: Scene) -> Model:
     """Model of a scene as it says: chooses its quadrature and prepares the arrays of its kernels. At a fidelity: accuracy.fidelity.
 
     Raises TypeError if it is not a Scene, ConfigurationError if its coordinates are not independent. Warns (`QuadratureWarning`) if
-    `quadrature.intervals` is too coarse.
+    `quadrature.intervals` is too coarse, and (`UnitsWarning`) of numbers that look as if they were in other units than SI's.
     """
     checked_type("scene", scene, Scene, "see load_scene")
+    warn_of_units(scene)
     probe = checked_probe(scene)
     model = Model(scene, probe.grid, probe.arm)
     _check_independence(model)

@@ -1,5 +1,7 @@
 """Rollout of a plan by a simulation, with the linearisation that controllers and filters work with."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Time integration of a model: one control step at a time (`Simulation`), or a whole input at once (`simulate`)."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
@@ -18,6 +20,7 @@ from soft_tendon_env.model.state import SHORTEST, State, checked_motion, state_o
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.step_control import Command, cause_of, command_table, step_control, step_method
 from soft_tendon_env.model.strain_limits import nearest_limit
+from soft_tendon_env.model.tension_limits import warn_beyond_limits
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type, shown_numbers
 from soft_tendon_env.tools.types import Array
 
@@ -86,10 +89,14 @@ class Simulation:
     def __init__(self, model: Model, state: State | None = None) -> None:
         self.model = checked_type("model", model, Model, "see build_model")
         self._method = step_method(model)
+        self._limits = model.scene.effects.command_limits(model.discretisation.tension_limits).tolist()
         self._scratch = make_scratch(model.arm, self._method.columns, STEPS_LOGGED)
         self.reset()
         if state is not None:
             self.state = state
+
+    def __repr__(self) -> str:
+        return f"Simulation({self.model!r} at {self._motion.clock[0]:g} s)"
 
     def reset(
         self,
@@ -160,7 +167,8 @@ class Simulation:
     def step(self, command: ArrayLike, duration: float) -> StepReport:
         """Integrates over `duration` [s] in equal steps of at most the scene's, under a constant command (n_a,).
 
-        A command is a tension [N], or what the scene's effects take in its place, see `Model.command_unit`.
+        A command is a tension [N], or what the scene's effects take in its place, see `Model.command_unit`. Beyond `tension_limits` it is
+        taken as it is, with a TensionLimitWarning.
 
         Raises ValueError or TypeError before anything changes, `SimulationDiverged` with the state before the failing step.
         """
@@ -172,6 +180,7 @@ class Simulation:
         most = step * (MOST_NUMBERS // u.size)
         if duration > most:
             raise ValueError(f"duration should be at most {most:g} s in one call with integrator steps of {step:g} s, not {duration:g} s")
+        warn_beyond_limits(self._limits, u, self.model.command_unit)
         control = step_control(self.model, duration)
         commands = np.tile(u, (round(duration / control.step), 1))
         return self._run(commands, control, self._sample)
@@ -225,6 +234,7 @@ class Simulation:
         linearisation.
         """
         plan = checked_plan(self.model, commands, duration, forces)
+        warn_beyond_limits(self._limits, plan.command, self.model.command_unit)
         steps, control = checked_count("steps", steps, 1), step_control(self.model, float(plan.duration.sum()))
         motion = self._motion.copy()
         code, row, found = roll_out(self.model.arm, advance.Scheme(self._method, control), motion, steps, self._scratch, plan)
@@ -269,7 +279,8 @@ def simulate(
 
     command: tensions [N], or what the scene's effects take in their place, see `Model.command_unit`: an array (n_a,) held throughout, a
     table (duration / sample_period, n_a) of which each row is held over one sample period, or a function of time [s] that is sampled at
-    the middle of each integrator step and held over it (second order, and jumps at the borders of steps stay exact).
+    the middle of each integrator step and held over it (second order, and jumps at the borders of steps stay exact). Beyond
+    `tension_limits` commands are taken as they are, with a TensionLimitWarning.
     initial: the state to start from, by default at rest without tension under the scene's loads at time 0, see
     `Simulation.reset_at_rest`; `Simulation(model).state` is the stress-free shape, where loads let an arm go.
     progress: called with the simulated time [s] now and then.
@@ -286,6 +297,7 @@ def simulate(
         raise ValueError(f"duration should be a multiple of sample_period {period:g} s, not {duration:g} s")
     control = step_control(model, period)
     commands = command_table(model, command, simulation.state.time, samples, round(period / control.step), control.step)
+    warn_beyond_limits(simulation._limits, commands, model.command_unit)
     start = simulation.reset_at_rest() if initial is None else simulation.state
     record = Record(*(np.zeros((samples + 1, *shape)) for shape in ((start.q.size,), (start.q.size,), (4, 4))))
     record.tip_pose[:] = np.eye(4)

@@ -1,5 +1,7 @@
 """State of a simulation: everything that the next step depends on, in memory and as a file."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
@@ -39,6 +41,9 @@ class State:
     effects: Array = field(default_factory=lambda: np.zeros(0))
     names: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"State(at {self.time:g} s, {self.q.size} coordinates, {self.effects.size} internal states)"
+
     def save(self, path: str | Path) -> None:
         """Saves the state to an .npz file."""
         with open(path, "wb") as file:
@@ -46,7 +51,7 @@ class State:
             np.savez(file, **{own.name: getattr(self, own.name) for own in reversed(fields(self))})
 
     @classmethod
-    def load(cls, path: str | Path) -> "State":
+    def load(cls, path: str | Path) -> State:
         """Loads a state that `save` wrote. Raises TypeError, OSError or ValueError."""
         saved = read_arrays(path, [own.name for own in fields(cls) if own.name not in LATER], STATE, optional=LATER)
         try:

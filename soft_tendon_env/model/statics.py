@@ -4,6 +4,8 @@ A loaded arm may have many equilibria. The one found is where a slowly loaded ar
 unloaded arm and along which tensions and effects grow together, see load_continuation.
 """
 
+from __future__ import annotations
+
 import warnings
 from dataclasses import replace
 from typing import NamedTuple
@@ -17,6 +19,7 @@ from soft_tendon_env.model.equilibrium_residual import At, Balance, Linearised
 from soft_tendon_env.model.load_continuation import MOST_SETTLINGS, RESIDUAL, End, LoadPath
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.strain_limits import StrainLimitError
+from soft_tendon_env.model.tension_limits import erring_actuators, warn_beyond_limits
 from soft_tendon_env.tools.checks import checked_array, checked_type
 from soft_tendon_env.tools.types import Array
 
@@ -75,10 +78,12 @@ def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None
         found, stable or not, and whether the branch leads there is the caller's business. Where there is none the branch is followed.
     settle: where the branch ends let the arm go, with damping and without inertia, to where it comes to rest, and load it further.
 
-    Raises ValueError or TypeError for arrays of wrong shape or type, or with NaN or infinity.
+    Beyond `tension_limits` tensions are taken as they are, with a TensionLimitWarning. Raises ValueError or TypeError for arrays of wrong
+    shape or type, or with NaN or infinity.
     """
     checked_type("model", model, Model, "see build_model")
     u = checked_array("tension", tension, (model.tendon_count,))
+    warn_beyond_limits(model.discretisation.tension_limits.tolist(), u)
     with model.workspace() as work:
         return _equilibrium(Balance(model, u, work), guess, settle)
 
@@ -155,8 +160,10 @@ def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium
     checked_type("model", model, Model, "see build_model")
     given, effects = checked_array("command", command, (model.tendon_count,)), model.scene.effects
     rod, u, found = model.discretisation, np.zeros(model.tendon_count), None
+    warn_beyond_limits(effects.command_limits(rod.tension_limits).tolist(), given, model.command_unit)
     for iteration in range(MOST_COMMANDED):
-        found = static_equilibrium(model, u, None if found is None else found.q)
+        with erring_actuators():  # a word of the command is enough
+            found = static_equilibrium(model, u, None if found is None else found.q)
         shortening = rod.tendon_length - model.tendon_lengths(found.q)
         wanted = effects.tension(given, shortening, rod.tension_limits)
         by_tension, by_length = effects.slopes(u, shortening, model.length)

@@ -6,7 +6,6 @@
 What the controller knows comes out of the observation and of its own state; what it decides becomes an action.
 """
 
-import warnings
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from soft_tendon_env.accuracy.fidelity import build_model
-from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
+from soft_tendon_env.control.catalogue import CONTROLLERS, LOOKS_AHEAD, Entry
 from soft_tendon_env.control.kalman import USUAL, Uncertainty
 from soft_tendon_env.control.protocol import FAILURES, Controller, Decision, Estimate, Estimator, Measurement, Reference, Situation
 from soft_tendon_env.control.smith_predictor import SAME, SmithPredictor, whole_periods
@@ -109,7 +108,7 @@ def make_policy(
     sensors; None: they are observed. uncertainty: of what it believes, for a Kalman filter.
     latency: delay of commands [s] that it knows of and makes up for (Smith predictor), by default that of the actuators in its model; with
     estimator="adaptive" what it believes at first.
-    Warns where the preview ends before what the controller looks ahead for. Raises TypeError, ValueError, ConfigurationError.
+    Raises TypeError, ValueError; ConfigurationError where the environment does not show what the controller needs.
     """
     finds = None if estimator is None else estimator_entry(estimator)
     episodes, interface = episodes_of(env), interface_of(env)
@@ -130,7 +129,7 @@ def make_policy(
     believed, delay = without_delay(believed)
     late = checked_number("latency", delay if latency is None else latency, 0.0, "a number of seconds, at least 0")
     entry = _entry(controller, episodes.task.name)
-    _warn_if_told_late(entry, controller, interface, _periods_ahead(entry, late, episodes.period, finds))
+    _check_told(entry, controller, interface, _periods_ahead(entry, late, episodes.period, finds))
     greatest = late if finds is None else finds.greatest_latency or late
     predictor = SmithPredictor(believed, greatest, episodes.period) if greatest else None
     setting = estimator_setting(episodes, believed, late, uncertainty)
@@ -171,13 +170,21 @@ def _periods_ahead(entry: Entry, latency: float, period: float, estimator: Estim
     return entry.looks_ahead + late + (rest > 0.0)
 
 
-def _warn_if_told_late(entry: Entry, controller: str | Entry, interface: Interface, periods: int) -> None:
-    """Warns where targets that move are told for less than the periods that a controller looks ahead for."""
-    told, needed = interface.ahead[-1], periods * interface.period
-    if _task(interface.task).goal is None and told < needed * (1.0 - SAME):
+def _check_told(entry: Entry, controller: str | Entry, interface: Interface, periods: int) -> None:
+    """Raises ConfigurationError where a target that moves is not told for as long as a controller looks ahead, or for every period of it.
+
+    Between the times of a preview the target goes straight. What looks two periods ahead takes the target's velocity of that, and feedback
+    makes up for the rest; what plans for longer follows every kink, tens of times as far off.
+    """
+    told, needed = interface.ahead, interface.period * np.arange(1, periods + 1)
+    missed = np.abs(told[:, None] - needed).min(axis=0) > SAME * needed
+    if entry.looks_ahead <= LOOKS_AHEAD:
+        missed = needed > told[-1] * (1.0 + SAME)
+    if _task(interface.task).goal is None and missed.any():
         name = repr(controller) if isinstance(controller, str) else entry.description
-        text = f"{name} looks {needed:.3g} s ahead, and preview tells the target for {told:.3g} s: it takes the last for all later ones"
-        warnings.warn(f"{text}. Make the environment with observation_options(), or a longer preview", stacklevel=3)
+        text = f"tells the target at {shown(told[1:].tolist())} s, and {name} needs it at every control period up to {needed[-1]:.3g} s"
+        allowed = f"observation_options(), which has preview=[{interface.period:g} * k for k in range(1, {periods + 1})]"
+        raise ConfigurationError([Problem(("preview",), f"{text}: make the environment with {allowed}")], "environment")
 
 
 def _task(name: str) -> Task:
@@ -220,7 +227,7 @@ class ControllerPolicy:
         needed = [*TIP, *(group for group, name in PARAMETERS.items() if name in state)]
         needed += [] if "wanted_coordinates" in groups else _task(interface.task).reference
         if missing := [name for name in needed if name not in groups]:
-            text = f"lacks {', '.join(missing)}, which {type(controller).__name__} needs"
+            text = f"lacks {', '.join(missing)}, which {type(controller).__name__} needs: make the environment with observation_options()"
             raise ConfigurationError([Problem(("observation",), text)], "environment")
         if (np.diff(interface.ahead) <= 0.0).any():
             text = f"should be times that increase by at least a control period, but is read as {interface.ahead[1:].tolist()} s"

@@ -157,6 +157,10 @@ class Scene(Configuration):
         override(values, changes)
         return Scene.parse(values, "scene")
 
+    def __repr__(self) -> str:
+        counts = [f"{len(parts)} {name}{'s' * (len(parts) > 1)}" for name, parts in (("segment", self.segments), ("tendon", self.tendons))]
+        return f"Scene({', '.join([repr(self.name), f'{rod_length(self):g} m', *counts, *self.effects.chosen()])})"
+
     @model_validator(mode="after")
     def _parts_fit_the_rod(self) -> Self:
         if problems := list(_misfits(self)):

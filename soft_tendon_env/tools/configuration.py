@@ -9,10 +9,12 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
-from typing import Any, NamedTuple, Self, get_args
+from inspect import Parameter, Signature
+from typing import Any, NamedTuple, Self, get_args, get_type_hints
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from soft_tendon_env.tools.files import parse_toml, text_of
@@ -45,6 +47,21 @@ class ConfigurationError(ValueError):
         return "\n".join(": ".join((self.source, f"{dotted(key)} {text}".strip())) for key, text in self.problems)
 
 
+def _default(field: FieldInfo) -> Any:
+    """Value of a key that is left out, with all others left out too."""
+    return field.get_default(call_default_factory=True, validated_data={})
+
+
+class _Keys:
+    """Signature of a configuration class: its keys, with types and defaults as people read them."""
+
+    def __get__(self, instance: Any, owner: type[BaseModel]) -> Signature:
+        hints = get_type_hints(owner)  # without what pydantic checks besides
+        defaults = {name: Parameter.empty if own.is_required() else _default(own) for name, own in owner.model_fields.items()}
+        keys = [Parameter(name, Parameter.KEYWORD_ONLY, annotation=hints[name], default=value) for name, value in defaults.items()]
+        return Signature(keys)
+
+
 class Configuration(BaseModel):
     """Base of every configuration class: frozen, strict, finite numbers only. Raises `ConfigurationError`.
 
@@ -61,6 +78,14 @@ class Configuration(BaseModel):
         except ValidationError as error:
             problems = [problem for found in error.errors() for problem in _problems(type(self), found)]
             raise ConfigurationError(problems, type(self).__name__) from None
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **given: Any) -> None:
+        cls.__signature__ = _Keys()  # type: ignore[assignment]
+
+    def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
+        """Keys that have other values than by default."""
+        return [(name, value) for name, value in super().__repr_args__() if value != _default(type(self).model_fields[str(name)])]
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], source: str) -> Self:

@@ -71,7 +71,8 @@ def test_commands_that_do_not_change_cut_no_step(uniform):
 
 def test_more_commands_than_there_is_room_for_are_an_error(uniform):
     simulation = Simulation(uniform(changes={**FINE, "integrator.step": 0.02, "effects.actuators.delay": 0.05}))
-    with pytest.raises(SimulationDiverged, match=r"at 0\.02 s .*commands change more often than the delay of their path keeps"):
+    simulation.reset(time=-3.0)
+    with pytest.raises(SimulationDiverged, match=r"at -2\.98 s .*commands change more often than the delay of their path keeps"):
         for i in range(10):
             simulation.step(np.full(3, 0.1 * i), 0.004)
     assert np.isfinite(simulation.state.q).all()
@@ -103,3 +104,19 @@ def test_an_arm_that_is_held_at_rest_stays(build):
     simulation.reset(rest.q)
     simulation.step(u, 0.02)
     assert np.abs(simulation.state.q - rest.q).max() > 1e-2, "which they are not by default"
+
+
+@pytest.mark.cases(
+    "actuators",
+    [{"time_constant": 0.02}, {"rate_limit": 25.0}, {"delay": 0.033}, {"time_constant": 0.03, "rate_limit": 20.0, "delay": 0.0215}],
+)
+def test_motions_are_the_same_from_any_time_on(uniform, actuators):
+    model, tips = uniform(changes={**FINE, "integrator.step": 0.02, "effects.actuators": actuators}), []
+    for time in (0.0, -0.05, -7.3, -1e6, 1e6, 1.7e9):
+        simulation, steps = Simulation(model), 0
+        simulation.reset(time=time)
+        for k in range(8):
+            steps += simulation.step([2.0 - 0.1 * k, 0.1 * k, 0.0], 0.02).steps
+        tips.append(simulation.tip_pose)
+        np.testing.assert_allclose(tips[-1], tips[0], atol=1e-15 + 1e-15 * abs(time))
+        assert steps <= 17

@@ -74,7 +74,7 @@ def test_contact_is_rewarded_where_that_is_asked_for():
     env.reset(seed=0)
     for _ in range(10):
         _, reward, _, _, info = env.step(-np.ones(3))
-    deep, force = 1.0 / (1.0 + (info["penetration"] / 1e-3) ** 2), 1.0 / (1.0 + (info["contact_force"] / 0.5) ** 2)
+    deep, force = 1.0 / (1.0 + (info["penetration"] / 0.3e-3) ** 2), 1.0 / (1.0 + (info["contact_force"] / 0.5) ** 2)
     assert info["reward_penetration"] == pytest.approx(deep) and info["reward_contact_force"] == pytest.approx(force) and force < 0.9
     assert reward == pytest.approx((info["reward_position"] + deep + 2.0 * force) / 4.0)
     plain = TipPoseEnv(**touching())

@@ -3,6 +3,7 @@
 import pickle
 import subprocess
 import sys
+import warnings
 from dataclasses import replace
 from typing import Literal
 
@@ -153,3 +154,19 @@ def test_a_target_needs_a_name_of_its_own():
 def test_what_is_no_target_is_refused(given):
     with pytest.raises(ConfigurationError, match="^Options: target"):
         Options(target=given)
+
+
+@pytest.mark.cases(
+    "options, lasts",
+    [({}, None), ({"control_period": 0.01}, None), ({"control_period": 0.001}, "0.5 s"), ({"control_period": 0.004}, "2 s")],
+)
+def test_episodes_that_a_control_period_makes_short_get_a_word(options, lasts):
+    """Rows know whether their number of steps is given."""
+    makers = (gym.make, {}), (gym.make_vec, {"num_envs": 2}), (gym.make_vec, {"num_envs": 2, "max_episode_steps": 2000})
+    for make, more in makers:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            make("TendonRod-TipPose-v0", scene="three_tendon", fidelity="fast", **options, **more)
+        texts = [str(own.message) for own in caught if "max_episode_steps" in str(own.message)]
+        assert len(texts) == (lasts is not None and "max_episode_steps" not in more)
+        assert all(f"an episode has 500 steps, {lasts}, unless max_episode_steps is given" in text for text in texts)

@@ -192,3 +192,64 @@ def test_terms_of_a_users_own_have_names_of_their_own_and_no_scale(forgotten):
 def test_errors_are_shown_in_units_that_people_use(name, value, text, title):
     assert name in {error.name for task in TASKS.values() for error in (*task.errors, *CONTACT_ERRORS)}
     assert error_unit(name).text(value) == text and error_unit(name).titled == title
+
+
+def endoscope(size):
+    """An arm of silicone, `size` times 0.3 m long, and every length and tension in proportion."""
+    around = np.deg2rad([0.0, 120.0, 240.0])
+    offsets = 0.006 * size * np.stack([np.cos(around), np.sin(around)], axis=1)
+    segment = {"length": 0.3 * size, "young_modulus": 4e5, "poisson_ratio": 0.45, "density": 1070.0, "radius": 0.01 * size}
+    tendons = [{"routing": {"type": "straight", "offset": own.tolist()}, "tension_limits": [0.0, 5.0 * size**2]} for own in offsets]
+    return {"name": "endoscope", "segments": [{**segment, "damping": 5e3 * size}], "tendons": tendons}
+
+
+@pytest.mark.filterwarnings("ignore:.*has no passive fields")
+@pytest.mark.cases("scene, length", [("paper", 1.0), ("catheter", 0.2), (endoscope(0.1), 0.03), (endoscope(0.02), 0.006)])
+def test_sizes_are_shares_of_the_length(scene, length):
+    """Errors that halve the terms, the threshold of Reach; a length that is given stays."""
+    env = TipPoseEnv(scene=scene, fidelity="fast")
+    env.reset(seed=0)
+    *_, info = env.step(-np.ones(env.action_space.shape))
+    assert info["reward_position"] == pytest.approx(closeness(info["position_error"], 0.05 * length), rel=1e-12)
+    assert info["reward_angle"] == pytest.approx(closeness(info["angle_error"], 0.5), rel=1e-12)
+    *_, info = TipPoseEnv(scene=scene, fidelity="fast", reward={"position": {"scale": 0.02}}).reset(seed=0)
+    assert info["reward_position"] == pytest.approx(closeness(info["position_error"], 0.02), rel=1e-12)
+    reach = ReachEnv(scene=scene, fidelity="fast")
+    goal = np.zeros(3)
+    near, far = ([share * length, 0.0, 0.0] for share in (0.0099, 0.0101))
+    assert [reach.compute_reward(goal + own, goal, {}) for own in (near, far)] == [1.0, 0.0]
+    given = ReachEnv(scene=scene, fidelity="fast", threshold=0.003)
+    assert [given.compute_reward(goal + [own, 0.0, 0.0], goal, {}) for own in (0.0029, 0.0031)] == [1.0, 0.0]
+
+
+DRAWN = {"stiffness": [0.5, 2.0], "payload": [0.0, 0.02]}
+HANGING = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
+
+
+@pytest.mark.filterwarnings("ignore:.*has no passive fields")
+@pytest.mark.cases(
+    "options",
+    [
+        {"scene": endoscope(0.1)},
+        {"scene": "three_tendon", "threshold": 0.02},
+        {"scene": "three_tendon", "threshold": 0.02, "target": "steps"},
+        {"scene": "three_tendon", "threshold": 0.02, "target": {"type": "random", "bank": 5}},
+        {"scene": HANGING, "threshold": 0.02, "randomize": DRAWN},
+    ],
+)
+def test_no_drawn_goal_is_reached_before_the_first_action(options):
+    """The same goals for one row and for many."""
+    env, rows = ReachEnv(fidelity="fast", **options), ReachVectorEnv(40, fidelity="fast", **options)
+    begun = [env.reset(seed=seed) for seed in range(40)]
+    assert not any(info["is_success"] for _, info in begun)
+    observation, info = rows.reset(seed=0)
+    assert (observation["desired_goal"] == np.array([own["desired_goal"] for own, _ in begun])).all() and not info["is_success"].any()
+    assert min(info["position_error"]) > env.episodes.threshold
+
+
+def test_a_goal_that_can_only_be_reached_is_taken_with_a_word():
+    env = ReachEnv(scene="three_tendon", fidelity="fast", target={"type": "hold", "fraction": 0.002})
+    with pytest.warns(UserWarning, match="within the threshold, 3 mm, of where the tip begins in 100 draws"):
+        assert env.reset(seed=0)[1]["is_success"]
+    assert ReachEnv(scene="three_tendon", fidelity="fast", target="ramp").reset(seed=0)[1]["is_success"], "a ramp begins at rest"
+    assert ReachEnv(scene="three_tendon", fidelity="fast", target={"type": "hold", "tension": [0, 0, 0]}).reset(seed=0)[1]["is_success"]

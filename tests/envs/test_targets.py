@@ -400,3 +400,15 @@ def test_the_same_seed_draws_the_same_target_and_evaluation_seeds_draw_their_own
     assert all((points[i] == drawn(seed)).all() for i, seed in enumerate(EVALUATION_SEEDS))
     apart = [np.abs(a - b).max() for i, a in enumerate(points) for b in points[:i]]
     assert min(apart) > 0.1
+
+
+@pytest.mark.cases("scene, length", [("paper", 1.0), ("three_tendon", 0.3), ("catheter", 0.2)])
+def test_the_circle_grows_with_the_arm(scene, length):
+    """Unless its lengths are given."""
+    env = TipPoseEnv(scene=scene, fidelity="fast", target="circle")
+    env.reset(seed=0)
+    position = env.target_at([0.0]).tip_pose[0, :3, 3]
+    np.testing.assert_allclose(position, [0.95 * length, 0.25 * length, 0.0], rtol=1e-14)
+    given = TipPoseEnv(scene=scene, fidelity="fast", target={"type": "circle", "radius": 0.05, "centre": [0.1, 0.0, 0.02]})
+    given.reset(seed=0)
+    np.testing.assert_allclose(given.target_at([0.0]).tip_pose[0, :3, 3], [0.1, 0.05, 0.02], rtol=1e-14)

@@ -1,7 +1,5 @@
 """Environments and agents as controllers meet them: interfaces, names, Stable-Baselines3's evaluation, recordings."""
 
-import warnings
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -144,21 +142,22 @@ def test_episodes_of_controllers_are_collected(short, probed):
 @pytest.mark.cases(
     "task, controller, latency, preview, told",
     [
-        ("TipPose", "predictive", 0.0, (0.02, 0.04), "'predictive' looks 0.14 s ahead, and preview tells the target for 0.04 s"),
-        ("Shape", "feedforward", 0.0, (0.02,), "'feedforward' looks 0.04 s ahead, and preview tells the target for 0.02 s"),
-        ("TipPose", "tracking", 0.05, (0.02, 0.04, 0.08), "'tracking' looks 0.1 s ahead, and preview tells the target for 0.08 s"),
+        ("TipPose", "predictive", 0.0, (0.02, 0.04), "0.02, 0.04] s, and 'predictive' needs it at every control period up to 0.14 s"),
+        ("TipPose", "predictive", 0.0, (0.1, 0.2), "'predictive' needs it at every control period up to 0.14 s"),
+        ("TipPose", "long_horizon_predictive", 0.0, (0.5,), r"observation_options.*preview=\[0.02 \* k for k in range\(1, 26\)\]"),
+        ("TipPose", "robust_predictive", 0.03, (0.02, 0.04, 0.06, 0.08, 0.12, 0.14, 0.16, 0.18), "up to 0.18 s"),
+        ("Shape", "predictive", 0.0, (0.1, 0.2), r"preview=\[0.02 \* k for k in range\(1, 8\)\]"),
+        ("Shape", "feedforward", 0.0, (0.02,), "'feedforward' needs it at every control period up to 0.04 s"),
+        ("TipPose", "tracking", 0.05, (0.02, 0.04, 0.08), "'tracking' needs it at every control period up to 0.1 s"),
         ("TipPose", "tracking", 0.05, (0.02, 0.04, 0.1), None),
-        ("TipPose", "predictive", 0.0, (0.1, 0.2), None),
+        ("TipPose", "tracking", 0.0, (0.1, 0.2), None),  # goes straight in between, which feedback makes up for
         ("Reach", "predictive", 0.0, (0.02,), None),  # goals do not move
     ],
 )
-def test_a_preview_that_ends_too_early_is_said(short, task, controller, latency, preview, told):
+def test_a_preview_that_lacks_what_a_controller_looks_at_is_refused(short, task, controller, latency, preview, told):
     env = short("single", IDS[task], preview=preview)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
+    if told is None:
         make_policy(controller, env, latency=latency)
-    texts = [str(warning.message) for warning in caught if "looks" in str(warning.message)]
-    assert len(texts) == (told is not None)
-    if told is not None:
-        assert texts[0].startswith(told)
-        assert texts[0].endswith("Make the environment with observation_options(), or a longer preview")
+    else:
+        with pytest.raises(ConfigurationError, match=told):
+            make_policy(controller, env, latency=latency)

@@ -96,6 +96,11 @@ class Target(Configuration):
         """Whether its course is a ShapeCourse, which tasks that compare shapes need."""
         return False
 
+    @property
+    def begins_at_rest(self) -> bool:
+        """Whether its courses begin where the arm rests, so that no other draw would begin elsewhere."""
+        return False
+
     def check(self, scene: Scene) -> None:
         """Raises ConfigurationError with keys from `target` on, where the target does not fit the scene."""
 

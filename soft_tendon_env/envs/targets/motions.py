@@ -27,24 +27,28 @@ from soft_tendon_env.tools.types import Array, Positive
 class Circle(Target):
     """The tip runs along a circle parallel to the y-z plane, its x axis leaning outward: the task of the paper's Section IV-B.
 
-    `radius` [m], `centre` [m], `tilt` [degrees]; `period` [s] of one turn, which the paper does not give.
+    `radius` [m], by default a quarter of the rod's length; `centre` [m], by default 0.95 of it away along x; `tilt` [degrees]; `period` [s]
+    of one turn, which the paper does not give.
     """
 
     type: Literal["circle"] = "circle"
-    radius: float = Field(default=0.25, gt=0, le=FARTHEST)
-    centre: tuple[Distance, Distance, Distance] = (0.95, 0.0, 0.0)
+    radius: float | None = Field(default=None, gt=0, le=FARTHEST)
+    centre: tuple[Distance, Distance, Distance] | None = None
     tilt: float = Field(default=37.8, ge=-90, le=90)
     period: Positive = 4.0
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        return CircleCourse(self)
+        return CircleCourse(self, setting.arms.model.length)
 
 
 class CircleCourse(PoseCourse):
     """The circle; its body twist follows from R(a) = Rx(a) R(0) Rx(-a), with a the angle and Rx turns about x."""
 
-    def __init__(self, circle: Circle) -> None:
+    def __init__(self, circle: Circle, length: float = 1.0) -> None:
+        """length: [m] of the rod, by default of the paper's."""
         self.circle = circle
+        self.radius = 0.25 * length if circle.radius is None else circle.radius
+        self.centre = np.array((0.95 * length, 0.0, 0.0) if circle.centre is None else circle.centre)
 
     def sample(self, times: Array) -> TargetSamples:
         rate = 2.0 * np.pi / self.circle.period
@@ -59,10 +63,10 @@ class CircleCourse(PoseCourse):
         pose[:, :3, 0] = x_axis
         pose[:, :3, 1] = c[:, None] * radial - s[:, None] * across  # no roll: the axes of the base, carried by the shortest turn
         pose[:, :3, 2] = s[:, None] * radial + c[:, None] * across
-        pose[:, :3, 3] = np.array(self.circle.centre) + self.circle.radius * outward
+        pose[:, :3, 3] = self.centre + self.radius * outward
         rotation = pose[:, :3, :3]
         angular = rate * (rotation[:, 0, :] - np.array([1.0, 0.0, 0.0]))
-        linear = (rotation * (rate * self.circle.radius * across)[:, :, None]).sum(axis=1)
+        linear = (rotation * (rate * self.radius * across)[:, :, None]).sum(axis=1)
         return pose_samples(pose, np.concatenate([angular, linear], axis=1))
 
 
@@ -81,6 +85,11 @@ class Ramp(DrawnShapes):
     def is_random(self) -> bool:
         """Whether tensions are drawn."""
         return self.tension is None
+
+    @property
+    def begins_at_rest(self) -> bool:
+        """True."""
+        return True
 
     def check(self, scene: Scene) -> None:
         """Raises ConfigurationError unless there is a tension per tendon."""

@@ -21,11 +21,13 @@ coordinates, rates, tip_position, tip_rotation, tip_twist, last_action. `achieve
 and `desired_goal` are tip positions in metres, `Box((3,), float32)`.
 
 ## Rewards
-`reward="sparse"` is 1 within `threshold` (10 mm) of the goal, else 0. `reward="dense"` is 1 / (1 + (distance / (5 threshold))^2).
+`reward="sparse"` is 1 within `threshold` (0.01 lengths of the rod) of the goal, else 0. `reward="dense"` is
+1 / (1 + (distance / (5 threshold))^2).
 `compute_reward(achieved_goal, desired_goal, info)` gives the same rewards for many goals.
 
 ## Starting State
-As in `TipPoseEnv`. The goal is drawn: it is the tip's position at rest under random tensions.
+As in `TipPoseEnv`. The goal is drawn: it is the tip's position at rest under random tensions. One within `threshold` of where the
+tip begins is drawn again, up to a hundred times; a goal that is given stays.
 
 ## Episode End
 As in `TipPoseEnv`. Reaching the goal does not end the episode; `info["is_success"]` says whether the tip is within `threshold`.

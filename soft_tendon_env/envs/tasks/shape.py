@@ -29,8 +29,8 @@ As in `TipPoseEnv`, with these groups:
 
 ## Rewards
 As in `TipPoseEnv`, with the term `backbone` (weight 1) in place of `position` and `angle`. Its error is the root mean square
-distance between the backbone and the target, with the scale 0.05 m. `coordinates` (norm of the coordinates' error) and `position`
-are further terms, with weight 0 by default.
+distance between the backbone and the target, with a scale of 0.05 lengths of the rod. `coordinates` (norm of the coordinates'
+error) and `position` are further terms, with weight 0 by default.
 
 ## Starting State
 As in `TipPoseEnv`. `target="ramp"` is the paper's target: tensions rise from rest for 2.5 s and are then held.

@@ -38,7 +38,7 @@ docs/reference/environments.md.
 The reward is a weighted mean of terms between 0 and 1, and 0 where the simulation diverged. `info` has each term as
 `reward_<term>`.
 
-- `position` (weight 1) and `angle` (0.5) are 1 / (1 + (error / scale)^2), with scales 0.05 m and 0.5 rad.
+- `position` (weight 1) and `angle` (0.5) are 1 / (1 + (error / scale)^2), with scales of 0.05 lengths of the rod and 0.5 rad.
 - `effort` (0.05) is 1 minus the mean square tension, as a share of the limits.
 - `smoothness` (0.05) is 1 minus a quarter of the mean square change of the action.
 
@@ -47,8 +47,9 @@ The arm rests under the tensions nearest to zero, or with `start="random"` under
 default it is a closed smooth random motion through poses that the arm can hold. `reset(options=...)` sets both.
 
 ## Episode End
-An episode is truncated after 500 steps (10 s). It is terminated if no time step of the simulation succeeds, however small. Then
-`info["diverged"]` is true, `info["cause"]` says why, and the observation is the last good one.
+An episode is truncated after 500 steps, 10 s at the default control period, unless `gym.make` is given `max_episode_steps`. It
+is terminated if no time step of the simulation succeeds, however small. Then `info["diverged"]` is true, `info["cause"]` says
+why, and the observation is the last good one.
 
 ## Arguments
 Every environment takes the keyword arguments of `soft_tendon_env.envs.Options`: `scene`, `fidelity`, `target`, `observation`,

@@ -198,7 +198,7 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
             step = control.step  # what a row costs another would make results depend on how an input is cut into calls
         while begun < duration * (1.0 - 1e-12):
             u = delivered(arm.effects, commands[row], motion.clock[0], motion.state, scratch.acting, scratch.until)
-            if scratch.until[0] < 0.0:
+            if scratch.until[0] == -math.inf:
                 return Progress(CROWDED, row, time + begun, step, steps, rejected, total_error, evaluations)
             rest = min(duration - begun, scratch.until[0] - motion.clock[0])
             length = rest if step > rest * (1.0 - 1e-9) else step

@@ -46,7 +46,7 @@ def actuation_of(arm, work, i):
 
 @kernel(counted=True)
 def delivered(effects, u, time, state, acting, until):
-    """The command that acts at a time [s] where u (n_a) is commanded, `acting` or u itself, and up to when [s]; -1 where none can."""
+    """The command that acts at a time [s] where u (n_a) is commanded, `acting` or u itself, and up to when [s]; -infinity: none can."""
     until[0] = math.inf
     found = False
     for i in range(effects.count):
