@@ -24,7 +24,7 @@ from soft_tendon_env.mechanics.types import Arm, Loaded, Loads, node_field
 from soft_tendon_env.model.coordinates import effects_inside
 from soft_tendon_env.model.grid import fixed_inertia
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.step_control import step_control, step_method
+from soft_tendon_env.model.step_control import linear_rate, step_control, step_method
 from soft_tendon_env.tools.checks import checked_count
 from soft_tendon_env.tools.parallel import processors
 from soft_tendon_env.tools.types import Array
@@ -161,12 +161,13 @@ class Arms:
             raise ValueError(f"row {changed[0]} has got another material or effects since the period on the tape: go back before that")
         if self._adjoint_memory is None:
             tendons = self.model.scene.effects.state_tendons(self.model.discretisation)
-            self._adjoint_memory = [make_adjoint_memory(self.model.arm, tendons) for _ in range(self.threads)]
-        memories, method, count = self._adjoint_memory, self._scheme.method, checked_count("pieces", pieces, 1)
+            rate = linear_rate(self.model)
+            self._adjoint_memory = [make_adjoint_memory(self.model.arm, tendons, rate) for _ in range(self.threads)]
+        memories, scheme, count = self._adjoint_memory, self._scheme, checked_count("pieces", pieces, 1)
 
         def go_back(part: Indices, scratch: Scratch) -> None:
             memory = memories[self._scratch.index(scratch)]
-            adjoint_rows(self._batch, method, tape, count, part, cotangents, scratch, memory)
+            adjoint_rows(self._batch, scheme, tape, count, part, cotangents, scratch, memory)
 
         self.share(go_back, members, HEAD_START)
         failed = members[cotangents.status[members] != OK]
