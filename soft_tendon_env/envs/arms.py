@@ -146,11 +146,12 @@ class Arms:
         """Derivatives of a scalar by what went into the period on the tape, of the rows `members`: given those by the state after it and by
         what was read of it, those by the state before it, in their place, and by its commands; see Cotangents.
 
-        pieces: into which every part is cut to go back; with two it takes twice as long, and directions are two to four times nearer.
+        pieces: into which every part is cut to go back, beside those that its slowest vibration or stiff tendons call for; with two it
+        takes twice as long.
 
         They are approximate, see mechanics.motion.adjoint: of the continuous motion, to second order in the length of a piece; at
-        kinks, as of contact and slack, of the side that the middle of the piece is on. A delayed command that repeats the last one joins no
-        queue, so that what it changes later is missing. What is read is not overwritten. Rows whose step had failed get zeros.
+        kinks of contact, of the side that the middle of the piece is on, at slack that of its end. Their errors by arm and effect:
+        docs/appendix/derivatives_measured.md. What is read is not overwritten. Rows whose step had failed get zeros.
 
         Raises ValueError where rows have got another material since, and as `check_adjoint`; LinAlgError, which names a row, where its
         motion has no derivative.
