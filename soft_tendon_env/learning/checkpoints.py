@@ -49,13 +49,15 @@ class Midst(NamedTuple):
 
     @classmethod
     def of(cls, model: BaseAlgorithm) -> "Midst":
-        """What a model goes on from."""
+        """Environment of a model as it is now, with the generators."""
         statistics, last = statistics_of(model), {name: getattr(model, name) for name in LAST}
         return cls(unwrapped(statistics), statistics.returns, last, torch.get_rng_state(), np.random.get_state())
 
     def restore(self, model: BaseAlgorithm) -> None:
         """Let a model on this environment go on from there."""
         statistics_of(model).returns = self.returns
+        if not hasattr(self.env.env.episodes, "observed"):
+            return
         for name, value in self.last.items():
             setattr(model, name, value)
         torch.set_rng_state(self.torch_state)
