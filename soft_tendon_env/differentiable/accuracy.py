@@ -40,7 +40,7 @@ def check_gradients(episodes: Episodes) -> None:
     found = gradient_accuracy(episodes.model, episodes.period, scale.least, scale.greatest, change)
     if not found.cosine >= LEAST_COSINE:
         warnings.warn(
-            f"gradients through this arm have a cosine of {found.cosine:.2f} with differences of its motion, and {found.ratio:.2f} times "
+            f"gradients through this arm have a cosine of {found.cosine:.3f} with differences of its motion, and {found.ratio:.2f} times "
             "their length: learning by them may end at larger errors. A shorter control_period, softer tendons or slower commands bring "
             "them nearer; PPO and SAC need none",
             GradientWarning,
