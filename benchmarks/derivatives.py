@@ -1,16 +1,19 @@
-"""CPU time of derivatives relative to a plain step, and the angle between gradients of rollouts by the adjoint and by differences.
+"""CPU time of derivatives relative to a plain step, and their error on every arm that ships and with every effect.
 
     python benchmarks/derivatives.py [--quick] [--soromox] [--write-docs] [--out out]
 
-The arm is the paper's at every preset, with and without effects, with control periods of 20 ms.
+Control periods are 20 ms.
 
-- Cost: CPU time per row and period on one thread, divided by that of a plain step with its reading. Both are measured in turns; the
-  number is the median ratio. "adjoint" is `Arms.adjoint` of the state and the tip's pose. "of all readings" adds the tip's twist, tendon
-  lengths, strains and their rates. "in two pieces" is "adjoint" with `pieces=2`. "rollout" is `Simulation.rollout` of a period.
-- Direction: 1 - cosine between the gradient by the adjoint and that by differences, a product of matrices of `Simulation.linearize`. The
-  cost is half the summed squared distance of the tip from a moving target, over 16 and 64 periods, for all rows together.
-- Motions: "smooth" has tensions as sines of 0.8 Hz, "increments" a random walk of up to 2 N every period. The gradient is with respect to
-  "commands", every command of every period, or to "changes" of commands, which are the actions with `action="increment"`.
+- Cost, on the paper's arm at every preset: CPU time per row and period on one thread, divided by that of a plain step with its reading.
+  Both are measured in turns; the number is the median ratio. "adjoint" is `Arms.adjoint` of the state and the tip's pose. "of all readings"
+  adds the tip's twist, tendon lengths, strains and their rates. "rollout" is `Simulation.rollout` of a period.
+- Gradient, at the presets "fast" and "standard": cosine between the adjoint's gradient and central differences of the same rollout, and the
+  ratio of their lengths, the least cosine of three rollouts. The gradient is that of a tracking error over 16 periods by all commands,
+  which change by up to 5 % of their range every period (`differentiable.accuracy`). "-": no adjoint. Where stiff tendons hang slack, or
+  bodies touch, the motion has kinks, and differences of two step sizes are no nearer to each other.
+- Linearisation: the largest error of the blocks of `Simulation.rollout` by state and by tension, in percent of the largest entry of those
+  of `Simulation.linearize`, in units of the coordinates, after six periods with other tensions. The larger of the two presets. "-":
+  commands are no tensions.
 
 With --soromox, where the extra `peers` is installed, below the tables: the gradient of a period by SoRoMoX, on the same arm.
 """
@@ -21,7 +24,7 @@ import warnings
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -29,10 +32,10 @@ from _results import machine, markdown_table, write_csv, write_page, write_pictu
 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.test_inputs import HOLD, motion_tensions
+from soft_tendon_env.differentiable import gradient_accuracy
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
-from soft_tendon_env.tools.types import Array
 
 PRESETS = ("fast", "standard", "fine")
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
@@ -42,23 +45,29 @@ ARMS: dict[str, dict[str, Any]] = {
     "in water": {**GRAVITY, "effects.fluid.density": 1000.0},
     "actuators": {"effects.actuators": {"time_constant": 0.03, "delay": 0.02}},
 }
-MOTIONS = ("smooth", "increments")
-HORIZONS = (16, 64)  # periods
+FLOOR = {"obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.05]}]}
+EFFECTS: dict[str, dict[str, Any]] = {
+    "gravity": GRAVITY,
+    "tip_load": {**GRAVITY, "effects.tip_load.mass": 0.005},
+    "fluid": {**GRAVITY, "effects.fluid.density": 1000.0},
+    "disturbance": {"effects.disturbance.loads": [{"at": 0.3, "force": [0.0, 0.05, 0.0], "signal": {"type": "sine", "frequency": 2.0}}]},
+    "moving_base": {"effects.moving_base": {"amplitude": [0.0, 0.02, 0.0], "frequency": 2.0}},
+    "nonlinear_elasticity": {"effects.nonlinear_elasticity.bending": 3.0},
+    "actuators": {"effects.actuators": {"time_constant": 0.03, "delay": 0.03}},
+    "tendon_elasticity, 2 kN/m": {"effects.tendon_elasticity": {"stiffness": 2e3, "displacement_limits": [0.0, 0.01]}},
+    "tendon_elasticity, 20 kN/m": {"effects.tendon_elasticity": {"stiffness": 2e4, "displacement_limits": [0.0, 0.01]}},
+    "contact": {**GRAVITY, "effects.contact": FLOOR},
+    "tendon_friction": {"effects.tendon_friction.coefficient": 0.2},
+    "viscoelastic_memory": {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.2}]},
+}
+SHIPPED = ("paper", "three_tendon", "four_tendon", "helical", "two_segment_six", "catheter", "underwater")
+CASES = [*((scene, "as it is", {}) for scene in SHIPPED), *(("three_tendon", name, table) for name, table in EFFECTS.items())]
+CHANGE, SEEDS = 0.05, 3
 LIVELY = 10  # periods of motion before costs are measured
 SENSORS = (0.25, 0.5, 0.75, 1.0)  # of the length
-COSTS = ("adjoint", "of all readings", "in two pieces", "rollout")
-PIECES = (1, 2)
-DIRECTIONS = tuple(f"{motion}, {by}, {horizon}" for motion in MOTIONS for by in ("commands", "changes") for horizon in HORIZONS)
-HEADER = ("preset", "arm", "coordinates", "step [us]", *COSTS, "pieces", *(f"1 - cosine, {name}" for name in DIRECTIONS))
-
-
-class Result(NamedTuple):
-    """Costs and directions of derivatives of one arm at one preset."""
-
-    coordinates: int
-    step: float  # [us]
-    costs: tuple[float, ...]  # in steps, as COSTS
-    apart: Array  # (PIECES, DIRECTIONS) 1 - cosine
+COSTS = ("adjoint", "of all readings", "rollout")
+COST_HEADER = ("preset", "arm", "coordinates", "step [us]", *COSTS)
+ERROR_HEADER = ("arm", "effect", "cosine, fast", "ratio, fast", "cosine, standard", "ratio, standard", "by state [%]", "by tension [%]")
 
 
 def main() -> None:
@@ -69,70 +78,55 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
-    presets, arms, count = (PRESETS[:1], ("bare", "actuators"), 1) if arguments.quick else (PRESETS, tuple(ARMS), 4)
-    found = {}
+    presets, arms, cases = (PRESETS[:1], ("bare",), CASES[7:8]) if arguments.quick else (PRESETS, tuple(ARMS), CASES)
+    times, errors = [], []
     for preset in presets:
         for arm in arms:
             model = ste.build_model(ste.load_scene("paper").replace(ARMS[arm]), preset)
-            apart = 1.0 - np.concatenate([cosines(model, motion, count) for motion in MOTIONS], axis=1)
-            found[preset, arm] = Result(model.coordinate_count, *costs(model, 3 if arguments.quick else 15), apart)
-            print(preset, arm, found[preset, arm], flush=True)
-    text = tables(found) + (of_soromox() if arguments.soromox else "")
+            step, found = costs(model, 3 if arguments.quick else 15)
+            times.append((preset, arm, model.coordinate_count, f"{step:.0f}", *(f"{cost:.1f}" for cost in found)))
+            print(*times[-1], flush=True)
+    for scene, effect, changes in cases:
+        models = [ste.build_model(ste.load_scene(scene).replace(changes), preset) for preset in PRESETS[:2]]
+        away = np.max([rollout_error(model) for model in models], axis=0)
+        percent = ("-" if np.isnan(share) else f"{100.0 * share:.0f}" for share in away)
+        errors.append((scene, effect, *(text for model in models for text in accuracy(model)), *percent))
+        print(*errors[-1], flush=True)
+    text = f"{markdown_table(COST_HEADER, times)}\n\n{markdown_table(ERROR_HEADER, errors)}\n" + (of_soromox() if arguments.soromox else "")
     print(f"\n{machine()}\n\n{text}")
     if arguments.write_docs:
         title, _, told = __doc__.split("\n\n", 2)
-        write_page(DOCS, "Cost and direction of derivatives", (title, told, text))
-    rows = [(*key, *own[:2], *own.costs, *each) for key, own in found.items() for each in zip(PIECES, *own.apart.T, strict=True)]
-    write_csv(arguments.out / "derivatives.csv", HEADER, rows)
-    draw(found, arguments.out / "derivatives.png")
+        write_page(DOCS, "Cost and error of derivatives", (title, told, text))
+    write_csv(arguments.out / "derivatives.csv", ERROR_HEADER, errors)
+    draw(times, arguments.out / "derivatives.png")
 
 
 DOCS = Path(__file__).parent.parent / "docs" / "appendix" / "derivatives_measured.md"
 
 
-class Rollout(NamedTuple):
-    """Gradients of a rollout's cost by commands (rows, horizon, n_a), by the adjoint in each of PIECES, and by differences."""
-
-    adjoint: tuple[Array, ...]
-    differences: Array
-
-
-def cosines(model: Model, motion: Any, rows: int) -> Array:
-    """Cosines (PIECES, 2 HORIZONS) by commands and by their changes, at each horizon."""
-    found = [rollout(model, motion, rows, horizon) for horizon in HORIZONS]
-    ways = (lambda x: x, lambda x: np.cumsum(x[:, ::-1], axis=1))
-    return np.array([[cosine(way(own.adjoint[i]), way(own.differences)) for way in ways for own in found] for i in range(len(PIECES))])
+def accuracy(model: Model) -> tuple[str, str]:
+    """Least cosine of a few rollouts, with the ratio of lengths of that one."""
+    least, greatest = model.scene.effects.command_limits(np.array([tendon.tension_limits for tendon in model.scene.tendons])).T
+    try:
+        found = [gradient_accuracy(model, HOLD, least, greatest, CHANGE * (greatest - least), seed) for seed in range(SEEDS)]
+    except ValueError:  # effects whose states follow the motion
+        return "-", "-"
+    return f"{min(found).cosine:.4f}", f"{min(found).ratio:.2f}"
 
 
-def cosine(x: Array, y: Array) -> float:
-    """Cosine of the angle between two arrays."""
-    return float(np.sum(x * y) / np.linalg.norm(x) / np.linalg.norm(y))
-
-
-def rollout(model: Model, motion: Any, rows: int, horizon: int) -> Rollout:
-    """Gradients of a rollout from rest."""
-    commands = np.stack([motion_tensions(model.scene, motion, row, (horizon + 1) * HOLD)[:horizon] for row in range(rows)])
-    commands += 1e-3 * np.random.default_rng(0).normal(size=commands.shape)  # none is the one before again, see Arms.adjoint
-    arms, members = placed(model, rows), np.arange(rows)
-    tapes, pulls = [arms.make_tape() for _ in range(horizon)], []
-    for k, tape in enumerate(tapes):
-        arms.step(np.ascontiguousarray(commands[:, k : k + 1]), members, None, tape)
-        pose = arms.reading.tip_pose
-        away = pose[:, :3, 3] - target(model, k, rows)
-        pulls.append(np.einsum("rji,rj->ri", pose[:, :3, :3], away))
-    by_adjoint = tuple(gradient(arms, tapes, pulls, pieces) for pieces in PIECES)
-    by_differences = [difference_gradient(model, own, [pull[row] for pull in pulls]) for row, own in enumerate(commands)]
-    return Rollout(by_adjoint, np.array(by_differences))
-
-
-def gradient(arms: Arms, tapes: list[Any], pulls: list[Array], pieces: int) -> Array:
-    """Gradient by commands (rows, horizon, n_a), by the adjoint; pulls: derivatives (rows, 3) by the tips' positions."""
-    members, cotangents, found = np.arange(arms.size), arms.make_cotangents(), []
-    for tape, pull in zip(tapes[::-1], pulls[::-1], strict=True):
-        cotangents.tip_pose[:, 3:] = pull
-        arms.adjoint(tape, members, cotangents, pieces)
-        found.append(cotangents.command[:, 0].copy())
-    return np.stack(found[::-1], axis=1)
+def rollout_error(model: Model) -> tuple[float, float]:
+    """Largest errors of a linearisation by state and by tension, as shares of the largest entries."""
+    n, simulation, random = model.coordinate_count, Simulation(model), np.random.default_rng(0)
+    least, greatest = model.scene.effects.command_limits(np.array([tendon.tension_limits for tendon in model.scene.tendons])).T
+    simulation.reset_at_rest()
+    for _ in range(6):
+        simulation.step(least + 0.2 * (greatest - least) * random.random(least.size), HOLD)
+    command = least + 0.2 * (greatest - least) * random.random(least.size)
+    cheap, exact, scale = simulation.rollout(command[None], HOLD), simulation.linearize(command, HOLD), model.coordinate_scale()
+    unit = np.append(scale, scale / HOLD)
+    pairs = ((cheap.by_state[0] * unit, exact.state[: 2 * n, : 2 * n] * unit), (cheap.by_tension[0], exact.command[: 2 * n]))
+    by_state, by_tension = (np.abs((x - y) / unit[:, None]).max() / max(np.abs(y / unit[:, None]).max(), 1e-30) for x, y in pairs)
+    return by_state, np.nan if model.arm.effects.transmit else by_tension
 
 
 def placed(model: Model, rows: int) -> Arms:
@@ -140,28 +134,6 @@ def placed(model: Model, rows: int) -> Arms:
     arms = Arms(model, rows, HOLD, np.zeros(0), model.length * np.array(SENSORS), threads=1)
     arms.place(np.arange(rows), np.tile(Simulation(model).reset_at_rest().q, (rows, 1)))
     return arms
-
-
-def target(model: Model, k: int, rows: int) -> Array:
-    """Positions (rows, 3) [m] that the tips are to be at after period k, on circles of their own."""
-    angle = 0.1 * k + np.arange(rows)
-    return model.length * np.stack([np.full(rows, 0.9), 0.2 * np.sin(angle), 0.2 * np.cos(angle)], axis=1)
-
-
-def difference_gradient(model: Model, commands: Array, pulls: list[Array]) -> Array:
-    """Gradient by commands (horizon, n_a) of one row, of the Jacobians of all periods; pulls: derivatives by the tip's position."""
-    simulation, maps = Simulation(model), []
-    simulation.reset_at_rest()
-    for command in commands:
-        maps.append(simulation.linearize(command, HOLD))
-        simulation.step(command, HOLD)
-    later, found = np.zeros(len(maps[0].state)), np.empty_like(commands)
-    for k in range(len(maps) - 1, -1, -1):
-        own = maps[k]
-        by_tip = own.tip[3:].T @ pulls[k]
-        found[k] = own.command.T @ later + by_tip[later.size :]
-        later = own.state.T @ later + by_tip[: later.size]
-    return found
 
 
 def costs(model: Model, repeats: int) -> tuple[float, tuple[float, ...]]:
@@ -186,14 +158,13 @@ def costs(model: Model, repeats: int) -> tuple[float, tuple[float, ...]]:
         for name, values in drawn.items():
             getattr(cotangents, name)[:] = values if name in names else 0.0
 
-    def adjoint(pieces: int = 1) -> None:
-        arms.adjoint(tape, members, cotangents, pieces)
+    def adjoint() -> None:
+        arms.adjoint(tape, members, cotangents)
 
     ways: tuple[tuple[Callable[[], None], Callable[[], object], int], ...] = (
         (restore, lambda: arms.step(command, members, None, tape), rows),
         (lambda: give(few), adjoint, rows),
         (lambda: give((*few, *many)), adjoint, rows),
-        (lambda: give(few), lambda: adjoint(2), rows),
         (lambda: None, lambda: simulation.rollout(command[0, :1], HOLD), 1),
     )
     times = np.array([[timed(*way) for way in ways] for _ in range(repeats + 1)][1:])
@@ -208,17 +179,6 @@ def timed(prepare: Callable[[], None], action: Callable[[], object], count: int)
     return (time.thread_time() - started) / count
 
 
-def tables(found: dict[tuple[str, str], Result]) -> str:
-    """Tables of costs and of directions."""
-    in_steps = [(*key, own.coordinates, f"{own.step:.0f}", *(f"{cost:.1f}" for cost in own.costs)) for key, own in found.items()]
-    apart = [
-        (*key, pieces, *(f"{value:.0e}" for value in each))
-        for key, own in found.items()
-        for pieces, each in zip(PIECES, own.apart, strict=True)
-    ]
-    return f"{markdown_table((*HEADER[:4], *COSTS), in_steps)}\n\n{markdown_table((*HEADER[:2], 'pieces', *DIRECTIONS), apart)}\n"
-
-
 def of_soromox() -> str:
     """Cost of a gradient by SoRoMoX, in words."""
     from _peers.soromox_strains import DISTRIBUTION, NAME, gradient_cost
@@ -231,13 +191,14 @@ def of_soromox() -> str:
     )
 
 
-def draw(found: dict[tuple[str, str], Result], path: Path) -> None:
+def draw(times: list[tuple[Any, ...]], path: Path) -> None:
     figure, axis = plt.subplots(figsize=(6, 4), constrained_layout=True)
-    for (preset, arm), own in found.items():
-        axis.loglog(own.costs[:3:2], own.apart.mean(axis=1), "o-", label=f"{preset}, {arm}")
-    axis.set(xlabel="cost of the adjoint in one piece and in two [steps]", ylabel="1 - cosine, mean")
+    for preset in dict.fromkeys(own[0] for own in times):
+        names, adjoint = zip(*((own[1], float(own[4])) for own in times if own[0] == preset), strict=True)
+        axis.plot(names, adjoint, "o-", label=preset)
+    axis.set(ylabel="cost of the adjoint [steps]", ylim=(0.0, None))
     axis.legend(frameon=False, fontsize=7)
-    axis.grid(alpha=0.3, which="both")
+    axis.grid(alpha=0.3)
     write_picture(figure, path)
 
 

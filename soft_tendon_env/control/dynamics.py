@@ -13,7 +13,6 @@ from soft_tendon_env.tools.checks import checked_number
 from soft_tendon_env.tools.types import Array
 
 DECADES = 4.0  # time constants until an error has settled to 2 %
-RESOLVED = 0.3  # phase [rad] of the slowest mode that one step of a linearised motion may cover
 
 
 class ImplicitStep(NamedTuple):
@@ -53,11 +52,6 @@ def slowest_mode(model: Model) -> Mode:
     slowest = int(np.argmin(squares.real))
     shape = shapes[:, slowest].real
     return Mode(float(np.sqrt(squares[slowest].real)), float(shape @ terms.damping @ shape / (shape @ terms.mass @ shape)))
-
-
-def linear_steps(model: Model, period: float) -> int:
-    """Number of implicit steps in which the linearised motion over a period [s] resolves the slowest mode, see `Simulation.rollout`."""
-    return int(np.ceil(period * slowest_mode(model).frequency / RESOLVED))
 
 
 class Gains(NamedTuple):

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.control.dynamics import linear_steps
 from soft_tendon_env.control.kalman_measurement import MeasurementModel, Sensing
 from soft_tendon_env.control.protocol import FAILURES, Estimate, InputError, Measurement
 from soft_tendon_env.control.rigid_motions import moved_pose
@@ -116,7 +115,6 @@ class ExtendedKalmanFilter:
         self.uncertainty, self._sensors = uncertainty, MeasurementModel(model, sensing)
         self.needs = self._sensors.uses
         self._scale, self._tension = model.coordinate_scale(), _bending_tensions(model)
-        self._steps = linear_steps(model, self.period)
         self._simulation = Simulation(model)
         self._rest = static_equilibrium(model, self.start).q
         self._at = at = self._sensors.layout
@@ -170,7 +168,7 @@ class ExtendedKalmanFilter:
         try:
             self._simulation.reset(q, q_dot, time=began, effects=last.effects)
             with erring_actuators():
-                rollout = self._simulation.rollout((gain * tension + offset)[None], seconds, forces=self._forces, steps=self._steps)
+                rollout = self._simulation.rollout((gain * tension + offset)[None], seconds, forces=self._forces)
         except FAILURES:
             return self._first()
         transition, noise = self._linearised(rollout, tension, seconds, gain, self._white(measured.sent, last))

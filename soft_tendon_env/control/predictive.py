@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
-from soft_tendon_env.control.dynamics import DECADES, implicit_step, linear_steps
+from soft_tendon_env.control.dynamics import DECADES, implicit_step
 from soft_tendon_env.control.objectives import Objective
 from soft_tendon_env.control.protocol import FAILURES, Decision, InputError, Situation
 from soft_tendon_env.model.model import Model
@@ -89,7 +89,6 @@ class Predictive:
         self._change = np.eye(self.horizon * size) - np.eye(self.horizon * size, k=-size)
         self._effort, self._smoothness = tuning.effort**2, tuning.smoothness**2 * self._change.T
         self._penalty = self._effort * np.eye(self.horizon * size) + self._smoothness @ self._change
-        self._steps = linear_steps(model, self._interval)
         rest = np.zeros(model.coordinate_count)
         self._inertia = implicit_step(model.terms(rest, rest), rest, period).system
         self._simulation = Simulation(model)
@@ -103,7 +102,7 @@ class Predictive:
         try:
             self._simulation.reset(now.q, now.q_dot, time=now.time, effects=None if memory is None else memory.effects)
             with erring_actuators():
-                rollout = self._simulation.rollout(error.gain * plan + error.offset, self._interval, steps=self._steps)
+                rollout = self._simulation.rollout(error.gain * plan + error.offset, self._interval)
         except FAILURES:
             return Decision(last, None, {"limited": 1.0, "singular": 1.0})
         hessian, gradient = self._program(rollout, error.gain, now)

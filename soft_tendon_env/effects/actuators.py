@@ -84,33 +84,64 @@ def forget(place):
 
 
 @kernel
+def leave(k, last, waiting):
+    """Take the k-th command out of the queue, of which `last` remain."""
+    for place in range(k, last):
+        copy(waiting[place + 1], waiting[place])
+    forget(waiting[last])
+
+
+@kernel
+def differ(command, other):
+    """Whether two commands differ."""
+    for i in range(command.size):
+        if command[i] != other[i]:
+            return True
+    return False
+
+
+@kernel
+def first_change(acting, waiting, changes):
+    """Place of the first command in the queue that differs from the one before it, or without `changes` of the first that repeats it; or
+    its length."""
+    for k in range(len(waiting)):
+        if differ(acting if k == 0 else waiting[k - 1, 1:], waiting[k, 1:]) == changes:
+            return k
+    return len(waiting)
+
+
+@kernel
 def queue(actuators, delivery):
-    """Keep a new command until its time, and put in its place the one that has arrived."""
-    tendons, state = delivery.command.size, delivery.state
+    """Keep a new command until its time, and put in its place the one that has arrived.
+
+    Where there is room, one that begins and repeats the last one is kept too: it has a derivative of its own.
+    """
+    tendons, state, arrival = delivery.command.size, delivery.state, delivery.time + actuators.delay
     acting, waiting = state[tendons : 2 * tendons], state[2 * tendons :].reshape(-1, 1 + tendons)
     count = 0
     while count < len(waiting) and waiting[count, 0] < NEVER:
         count += 1
-    newest = acting if count == 0 else waiting[count - 1, 1:]
-    is_new = False
-    for i in range(tendons):
-        is_new = is_new or newest[i] != delivery.command[i]
-    if is_new:
-        if count == len(waiting):
+    is_new = differ(acting if count == 0 else waiting[count - 1, 1:], delivery.command)
+    if is_new and count == len(waiting):
+        k = first_change(acting, waiting, False)
+        if k == count:
             delivery.until[0] = -math.inf
             return
-        waiting[count, 0] = delivery.time + actuators.delay
+        count -= 1
+        leave(k, count, waiting)
+    repeats = delivery.begins and count < len(waiting) and (count == 0 or waiting[count - 1, 0] < arrival - EARLY)
+    if is_new or repeats:
+        waiting[count, 0] = arrival
         copy(delivery.command, waiting[count, 1:])
         count += 1
     while count > 0 and waiting[0, 0] <= delivery.time + EARLY + ROUND_OFF * abs(delivery.time):
         copy(waiting[0, 1:], acting)
-        for k in range(count - 1):
-            copy(waiting[k + 1], waiting[k])
         count -= 1
-        forget(waiting[count])
+        leave(0, count, waiting)
     copy(acting, delivery.command)
-    if count > 0:
-        delivery.until[0] = min(delivery.until[0], waiting[0, 0])
+    k = first_change(acting, waiting[:count], True)
+    if k < count:
+        delivery.until[0] = min(delivery.until[0], waiting[k, 0])
 
 
 @kernel

@@ -24,7 +24,7 @@ from soft_tendon_env.mechanics.types import Arm, Loaded, Loads, node_field
 from soft_tendon_env.model.coordinates import effects_inside
 from soft_tendon_env.model.grid import fixed_inertia
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.step_control import step_control, step_method
+from soft_tendon_env.model.step_control import linear_rate, step_control, step_method
 from soft_tendon_env.tools.checks import checked_count
 from soft_tendon_env.tools.parallel import processors
 from soft_tendon_env.tools.types import Array
@@ -146,11 +146,12 @@ class Arms:
         """Derivatives of a scalar by what went into the period on the tape, of the rows `members`: given those by the state after it and by
         what was read of it, those by the state before it, in their place, and by its commands; see Cotangents.
 
-        pieces: into which every part is cut to go back; with two it takes twice as long, and directions are two to four times nearer.
+        pieces: into which every part is cut to go back, beside those that its slowest vibration or stiff tendons call for; with two it
+        takes twice as long.
 
         They are approximate, see mechanics.motion.adjoint: of the continuous motion, to second order in the length of a piece; at
-        kinks, as of contact and slack, of the side that the middle of the piece is on. A delayed command that repeats the last one joins no
-        queue, so that what it changes later is missing. What is read is not overwritten. Rows whose step had failed get zeros.
+        kinks of contact, of the side that the middle of the piece is on, at slack that of its end. Their errors by arm and effect:
+        docs/appendix/derivatives_measured.md. What is read is not overwritten. Rows whose step had failed get zeros.
 
         Raises ValueError where rows have got another material since, and as `check_adjoint`; LinAlgError, which names a row, where its
         motion has no derivative.
@@ -161,12 +162,13 @@ class Arms:
             raise ValueError(f"row {changed[0]} has got another material or effects since the period on the tape: go back before that")
         if self._adjoint_memory is None:
             tendons = self.model.scene.effects.state_tendons(self.model.discretisation)
-            self._adjoint_memory = [make_adjoint_memory(self.model.arm, tendons) for _ in range(self.threads)]
-        memories, method, count = self._adjoint_memory, self._scheme.method, checked_count("pieces", pieces, 1)
+            rate = linear_rate(self.model)
+            self._adjoint_memory = [make_adjoint_memory(self.model.arm, tendons, rate) for _ in range(self.threads)]
+        memories, scheme, count = self._adjoint_memory, self._scheme, checked_count("pieces", pieces, 1)
 
         def go_back(part: Indices, scratch: Scratch) -> None:
             memory = memories[self._scratch.index(scratch)]
-            adjoint_rows(self._batch, method, tape, count, part, cotangents, scratch, memory)
+            adjoint_rows(self._batch, scheme, tape, count, part, cotangents, scratch, memory)
 
         self.share(go_back, members, HEAD_START)
         failed = members[cotangents.status[members] != OK]

@@ -22,6 +22,7 @@ from stable_baselines3.common.utils import safe_mean
 from stable_baselines3.common.vec_env import VecNormalize
 
 from soft_tendon_env.differentiable import Trajectories, rollout
+from soft_tendon_env.differentiable.accuracy import check_gradients
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
 from soft_tendon_env.learning.vec_env import unwrapped
@@ -77,7 +78,7 @@ class APG(BaseAlgorithm):
         others: see BaseAlgorithm.
 
     Raises TypeError for environments of other packages; ValueError for effects, and ConfigurationError from `learn` for observation
-    groups and rewards, naming what gradients cannot pass.
+    groups and rewards, naming what gradients cannot pass. Warns (GradientWarning) where gradients through the arm are far from differences.
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
@@ -150,6 +151,8 @@ class APG(BaseAlgorithm):
         """Learn for so many steps of all rows together; log_interval: windows between entries of the log. Raises as the class says."""
         total, called = self._setup_learn(total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar)
         called.on_training_start(locals(), globals())
+        if self.num_timesteps == 0:
+            check_gradients(self._rows().episodes)
         windows, self._returns, self._lengths = 0, np.zeros(self.n_envs), np.zeros(self.n_envs, dtype=np.int64)
         while self.num_timesteps < total and self._learn_window(called):
             windows += 1

@@ -2,8 +2,9 @@
 
 A checkpoint is a folder with the agent, as `load_policy` takes it without unpickling: `weights.pt`, `statistics.npz` (running mean and
 variance of observations) and `config.json` (what it was trained with, and the digests of the other files). What a training goes on from
-has the model with its optimiser (`model.zip`), `vecnormalize.pkl` and, for off-policy algorithms, the transitions (`replay_buffer.pkl`) as
-well; these are unpickled when it goes on, and only then.
+has the model with its optimiser (`model.zip`), `vecnormalize.pkl`, the environment in the midst of its episodes with the generators
+(`environment.pkl`) and, for off-policy algorithms, the transitions (`replay_buffer.pkl`) as well; these are unpickled when it goes on, and
+only then.
 """
 
 import csv
@@ -12,13 +13,16 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
+import numpy as np
+import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
 from soft_tendon_env.evaluation.provenance import origin, write_json
 from soft_tendon_env.learning.config import Training
+from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, unwrapped
 from soft_tendon_env.policies.agent import save_agent
 from soft_tendon_env.policies.agent_checks import layout_of, strain_of
 from soft_tendon_env.policies.agent_files import CONFIG, AgentConfig
@@ -26,10 +30,38 @@ from soft_tendon_env.policies.normalization import normalization_of
 from soft_tendon_env.tools.files import check_digests, digests, open_file, read_json, read_numbers
 from soft_tendon_env.tools.messages import UserError, first_line
 
-BUFFER, MODEL, PICKLED = "replay_buffer.pkl", "model.zip", "vecnormalize.pkl"
+BUFFER, MODEL, PICKLED, ENVIRONMENT = "replay_buffer.pkl", "model.zip", "vecnormalize.pkl", "environment.pkl"
+LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts", "action_space")
+"""Attributes of a model that belong to the environment as it is."""
 Kind = TypeVar("Kind")
 COLUMNS = ("steps", "seconds", "return", "diverged")
 """First columns of every learning curve, before the task's own."""
+
+
+class Midst(NamedTuple):
+    """An environment in the midst of its episodes, with all else that the next step of a training depends on."""
+
+    env: StableBaselinesVecEnv
+    returns: Any  # (rows,) discounted, as VecNormalize has them
+    last: dict[str, Any]  # see LAST
+    torch_state: Any  # of the generators of PyTorch and NumPy
+    numpy_state: Any
+
+    @classmethod
+    def of(cls, model: BaseAlgorithm) -> "Midst":
+        """Environment of a model as it is now, with the generators."""
+        statistics, last = statistics_of(model), {name: getattr(model, name) for name in LAST}
+        return cls(unwrapped(statistics), statistics.returns, last, torch.get_rng_state(), np.random.get_state())
+
+    def restore(self, model: BaseAlgorithm) -> None:
+        """Let a model on this environment go on from there."""
+        statistics_of(model).returns = self.returns
+        if not hasattr(self.env.env.episodes, "observed"):
+            return
+        for name, value in self.last.items():
+            setattr(model, name, value)
+        torch.set_rng_state(self.torch_state)
+        np.random.set_state(self.numpy_state)
 
 
 def config_record(training: Training, episodes: Any) -> dict[str, Any]:
@@ -46,6 +78,7 @@ def save_checkpoint(folder: Path, model: BaseAlgorithm, config: Mapping[str, Any
         if resumable:
             model.save(new / MODEL)
             statistics_of(model).save(str(new / PICKLED))
+            (new / ENVIRONMENT).write_bytes(pickle.dumps(Midst.of(model)))
             if hasattr(model, "save_replay_buffer"):
                 model.save_replay_buffer(new / BUFFER)
 

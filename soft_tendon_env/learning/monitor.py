@@ -30,6 +30,7 @@ class TrainingMonitor(ABC):
     """
 
     watch: Watch | None = None
+    _bar: Any = None
 
     def __init__(self, training: Training, folder: Path, checkpoint: Path | None) -> None:
         done, self._before = (0, 0.0) if checkpoint is None else learned_before(checkpoint)
@@ -89,7 +90,11 @@ class TrainingMonitor(ABC):
         if self.curve.rows[-1]["steps"] < self.steps_done():
             self.untimed(self.evaluate)
         self.untimed(self.checkpoint)
-        self._bar.close()
+
+    def close(self) -> None:
+        """Close the bar, after the end or an error."""
+        if self._bar is not None:
+            self._bar.close()
 
     def untimed(self, work: Callable[[], None]) -> None:
         """Do work whose time does not count as learning."""

@@ -20,8 +20,10 @@ from stable_baselines3.common.vec_env import VecNormalize
 from soft_tendon_env.learning.callback import TrainingCallback
 from soft_tendon_env.learning.checkpoints import (
     BUFFER,
+    ENVIRONMENT,
     MODEL,
     PICKLED,
+    Midst,
     find_checkpoint,
     learned_before,
     read_checkpoint,
@@ -31,7 +33,7 @@ from soft_tendon_env.learning.checkpoints import (
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.hyperparameters import learns_from_replay, training_class
 from soft_tendon_env.learning.monitor import Watch
-from soft_tendon_env.learning.training_env import make_training_env
+from soft_tendon_env.learning.training_env import Timed, make_training_env
 from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.policies.agent_files import CONFIG, find_agent
@@ -103,14 +105,22 @@ def learn(model: BaseAlgorithm, callback: TrainingCallback) -> None:
         model.learn(training.steps - done, callback=callback, reset_num_timesteps=False)
     except REFUSALS as error:
         callback.check()  # what is not finite ends in errors of PyTorch
-        if model._n_updates:
+        if model._n_updates or _is_of_environment(error):
             raise
         last = traceback.extract_tb(error.__traceback__)[-1]
         where = f"({Path(last.filename).name}, line {last.lineno})"
         raise UserError(f"{training.algorithm} cannot learn with these hyperparameters: {first_line(error)} {where}") from error
+    finally:
+        callback.close()
     if learns_from_replay(training.algorithm) and not model._n_updates:
         say(f"{training.algorithm} has made no update: see learning_starts, gradient_steps and train_freq of its hyperparameters")
     callback.report(callback.environment_seconds())
+
+
+def _is_of_environment(error: BaseException) -> bool:
+    """Whether an error was raised in a step or a reset of the environment, as by a reward of a user's own."""
+    names = (frame.f_globals.get("__name__", "") for frame, _ in traceback.walk_tb(error.__traceback__))
+    return any(name.startswith("soft_tendon_env.envs.") for name in names)
 
 
 def make_model(training: Training) -> BaseAlgorithm:
@@ -149,8 +159,8 @@ def copy_network(name: str, task: str, model: BaseAlgorithm) -> None:
 def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
     """Agent of a checkpoint, with all that it needs to learn on. Raises ValueError, OSError."""
     done, _ = learned_before(checkpoint)
-    env = make_training_env(training)
-    env.seed(training.arm_seed(done))
+    midst = read_pickle(checkpoint / ENVIRONMENT, Midst)
+    env = Timed(midst.env)
     statistics = read_pickle(checkpoint / PICKLED, VecNormalize)
     if statistics.observation_space != env.observation_space:
         raise ValueError(f"{checkpoint / PICKLED} is of other observations than the training has")
@@ -163,7 +173,9 @@ def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
         raise ValueError(f"{checkpoint} is of two trainings: its {MODEL} has learned {model.num_timesteps} steps, {CONFIG} says {done}")
     if hasattr(model, "load_replay_buffer"):
         with unpickling(checkpoint / BUFFER):
-            model.load_replay_buffer(checkpoint / BUFFER)
+            whole = {"truncate_last_traj": False} if learns_from_replay(training.algorithm) else {}
+            model.load_replay_buffer(checkpoint / BUFFER, **whole)
+    midst.restore(model)
     return model
 
 

@@ -111,6 +111,7 @@ class Delivery(NamedTuple):
     state: np.ndarray  # the effect's own internal state
     command: np.ndarray  # tendons: what is commanded from now on; to be replaced by what acts now
     until: np.ndarray  # (1) [s] up to which that acts unless another command comes; infinity at first. -infinity: there is no room for it
+    begins: bool  # whether it is commanded anew from this time on, though it may repeat the last one
 
 
 _ROW = np.zeros(1)
@@ -125,7 +126,7 @@ HOOKS: dict[str, tuple[Any, ...]] = {
     "base": (Base(0.0, _ROW, _ROW, _ROW),),
     "limit": (_NODES, _ROW),
     "sweep": (Before(0.0, _ROW, _ROW), _NODES, _ROW, _ROW),
-    "deliver": (Delivery(0.0, _ROW, _ROW, _ROW),),
+    "deliver": (Delivery(0.0, _ROW, _ROW, _ROW, False),),
     "tension": (_ACTUATION,),
     "loss": (_ACTUATION,),
     "follow": (0.0, _ACTUATION),

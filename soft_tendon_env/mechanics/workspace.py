@@ -144,7 +144,7 @@ class Workspace(Struct):
     G: np.ndarray  # (n, n)
     bias: FloatVector  # (n) C q_dot
     drive: FloatVector  # (n) B u - K - D q_dot
-    driven: FloatVector  # (1) 1 where u is a command, of which effects make tensions; 0 where it is the tensions
+    driven: FloatVector  # (1) 1, or ON_PARTS, where u is a command, of which effects make tensions; 0 where it is the tensions
     command: FloatVector  # (n_a) that which has arrived
     tension: FloatVector  # (n_a) [N] that effects make of it
     tendon_stiffness: FloatVector  # (n_a) [N/m]

@@ -68,8 +68,8 @@ def ends(model: Model, period: Period, inputs: Array, sensors: Array) -> list[Ar
     method, control = step_method(model)._replace(strain_tolerance=STRAIN), step_control(model, period.taken[:, 0].sum() or 1.0)
     control = control._replace(adaptive=False, tolerance=SPARE * control.tolerance)
     scratch, tape = make_scratch(arm, method.columns), make_tape(arm, 0, 0)
-    for length, columns in period.taken:
-        scheme = Scheme(method._replace(columns=int(columns), least=int(columns)), control)
+    for begins, (length, columns) in zip([True, *[False] * len(period.taken)], period.taken, strict=False):
+        scheme = Scheme(method._replace(columns=int(columns), least=int(columns)), control, begins)
         step_copies(batch, scheme, np.flatnonzero(~failed), commands[:, None].copy(), np.full((count, 1), length), scratch, tape)
         failed |= batch.outcome.status != OK
     if failed[0]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
@@ -18,7 +19,7 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.rollout import Rollout, checked_plan, roll_out
 from soft_tendon_env.model.state import SHORTEST, State, checked_motion, state_of
 from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.model.step_control import Command, cause_of, command_table, step_control, step_method
+from soft_tendon_env.model.step_control import Command, cause_of, command_table, linear_rate, step_control, step_method
 from soft_tendon_env.model.strain_limits import nearest_limit
 from soft_tendon_env.model.tension_limits import warn_beyond_limits
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type, shown_numbers
@@ -223,20 +224,21 @@ class Simulation:
         finally:
             self._take(start.copy(), step)
 
-    def rollout(self, commands: ArrayLike, duration: ArrayLike, *, forces: ArrayLike | None = None, steps: int = 1) -> Rollout:
+    def rollout(self, commands: ArrayLike, duration: ArrayLike, *, forces: ArrayLike | None = None, steps: int | None = None) -> Rollout:
         """Simulated motion over N periods from the present state, with its linearisation; leaves the simulation where it was.
 
         commands (N, n_a), each held for `duration` [s], or (N, p, n_a) of p parts of a period, each held for its own of the durations
         (p,) [s]. forces (n, k): generalised forces by which to differentiate besides. steps: implicit steps of a period that the
-        linearisation takes.
+        linearisation takes, by default as many as resolve the slowest vibration.
 
         Raises ValueError or TypeError for bad arguments, `SimulationDiverged` where the motion ends, LinAlgError where there is no
         linearisation.
         """
         plan = checked_plan(self.model, commands, duration, forces)
         warn_beyond_limits(self._limits, plan.command, self.model.command_unit)
-        steps, control = checked_count("steps", steps, 1), step_control(self.model, float(plan.duration.sum()))
-        motion = self._motion.copy()
+        period, motion = float(plan.duration.sum()), self._motion.copy()
+        steps = math.ceil(period * linear_rate(self.model)) if steps is None else checked_count("steps", steps, 1)
+        control = step_control(self.model, period)
         code, row, found = roll_out(self.model.arm, advance.Scheme(self._method, control), motion, steps, self._scratch, plan)
         if code != status.OK:
             raise self._diverged(code, motion, plan.command[min(row, len(plan.command) - 1), 0], control)

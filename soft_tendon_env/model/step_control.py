@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +25,8 @@ apart by more than a millionth of the position error."""
 BESIDE_MIDDLE = (-0.5 / np.sqrt(3.0), 0.5 / np.sqrt(3.0))
 """Places in a step, as shares of it from its middle, where a command that is a function of time is looked at besides: Gauss points, which
 no period that fits into steps hits alike."""
+RESOLVED = 0.3
+"""Phase [rad] of the slowest vibration that one step of a linearised motion may cover."""
 UNRESOLVED = 0.05
 """Share of the range of such a command: the most that it may change there otherwise than from step to step."""
 
@@ -59,6 +62,14 @@ def step_control(model: Model, duration: float) -> Control:
         smallest=step * 0.5**integrator.max_halvings,
         horizon=0.0 if integrator.quasi_static else integrator.step,
     )
+
+
+@lru_cache(maxsize=8)
+def linear_rate(model: Model) -> float:
+    """Steps per second [1/s] in which a linearised motion resolves the slowest vibration of the bare arm about its stress-free shape."""
+    still = np.zeros(model.coordinate_count)
+    terms = model.terms(still, still)
+    return float(np.sqrt(np.linalg.eigvals(np.linalg.solve(terms.mass, terms.stiffness)).real.min())) / RESOLVED
 
 
 class CommandWarning(UserWarning):

@@ -6,8 +6,9 @@ import pytest
 import torch
 from gymnasium.error import ResetNeeded
 
+from soft_tendon_env import build_model, load_scene
 from soft_tendon_env.control.rigid_motions import pose_error
-from soft_tendon_env.differentiable import rollout
+from soft_tendon_env.differentiable import gradient_accuracy, rollout
 from soft_tendon_env.envs import IDS, TASKS
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.observation import HISTORY, Group
@@ -181,3 +182,46 @@ def test_groups_that_cannot_be_differentiated_are_refused_by_name(monkeypatch):
     env = rows_of("TipPose", observation=["half"])
     env.reset(seed=0)
     assert rollout(env, lambda observation: observation.expand(-1, 3), 1).observation.shape == (3, 1)
+
+
+ELASTIC = {"stiffness": 2e3, "displacement_limits": [0.0, 0.01]}
+DELAYED = {"scene": "three_tendon", "effects.actuators": {"delay": 0.03}}
+ACCURACY = [  # arm, changes, shares of the range that commands change by in a period; least cosine
+    ("paper", {}, 0.05, 0.995),
+    ("two_segment_six", {}, 0.1, 0.999),
+    ("four_tendon", {}, 0.1, 0.999),
+    ("catheter", {}, 0.02, 0.99),
+    ("catheter", {}, 0.1, 0.99),
+    ("catheter", {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}, 0.05, 0.99),
+    ("underwater", {}, 0.05, 0.99),
+    ("three_tendon", {"effects.actuators": {"time_constant": 0.02, "delay": 0.05}}, 0.05, 0.99),
+    ("three_tendon", {"effects.tendon_elasticity": ELASTIC}, 0.05, 0.98),
+    ("underwater", {"effects.tendon_elasticity": {**ELASTIC, "displacement_limits": [0.0, 0.012]}}, 0.05, 0.92),
+]
+
+
+@pytest.mark.cases("name, changes, share, least", ACCURACY)
+def test_gradients_of_every_kind_of_arm_are_those_of_differences(name, changes, share, least):
+    """Cosines, and lengths within 15 %: a period is long beside a stiff wire's vibration, and elastic tendons go slack and taut."""
+    model = build_model(load_scene(name).replace(changes), "fast")
+    low, high = model.scene.effects.command_limits(np.array([tendon.tension_limits for tendon in model.scene.tendons])).T
+    found = gradient_accuracy(model, 0.02, low, high, share * (high - low), seed=1)
+    assert found.cosine > least and 0.85 < found.ratio < 1.15, found
+
+
+@pytest.mark.cases(
+    "action, delay, latency", [("tension", 0.03, 0.0), ("increment", 0.03, 0.0), ("increment", 0.05, 0.0), ("increment", 0.01, 0.0)]
+)
+def test_commands_that_repeat_behind_a_delay_have_gradients(action, delay, latency):
+    """A policy whose action stays what it was, so that commands repeat; an increment pulls from slack, to one side alone."""
+    env = rows_of("TipPose", 1, action=action, scene={**DELAYED, "effects.actuators": {"delay": delay}}, randomize={"latency": latency})
+
+    def cost(bias):
+        env.reset(seed=0)
+        return 1e3 * rollout(env, lambda observation: bias.expand(1, 3), 10, torch.float64).position_error[:, 0].square().sum()
+
+    at = torch.tensor([0.3, -0.1, 0.1] if action == "tension" else [0.0, 0.0, 0.0], dtype=torch.float64, requires_grad=True)
+    cost(at).backward()
+    with torch.no_grad():
+        slopes = torch.stack([(cost(at + 1e-4 * way) - cost(at)) / 1e-4 for way in torch.eye(3, dtype=torch.float64)])
+    assert at.grad is not None and slopes.norm() > 1.0 and torch.allclose(at.grad, slopes, rtol=0.02), (at.grad, slopes)

@@ -16,9 +16,12 @@ import numpy as np
 import pytest
 import stable_baselines3
 import yaml
+from gymnasium.utils import EzPickle
 
 from soft_tendon_env.envs import IDS
+from soft_tendon_env.envs.rewards import Reward
 from soft_tendon_env.envs.tasks import TASKS, register_task
+from soft_tendon_env.envs.vector import TendonRodVectorEnv
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS, evaluate, summarise
 from soft_tendon_env.learning import callback, checkpoints, config, monitor, train, training_env, validation
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env, unwrapped
@@ -130,6 +133,41 @@ def test_the_same_seed_gives_the_same_learning_curve(tmp_path, training):
         train.train(training(seed=seed), tmp_path / name)
         curves[name] = [{key: value for key, value in row.items() if key != "seconds"} for row in curve(tmp_path / name)]
     assert curves["a"] == curves["b"] != curves["c"]
+
+
+@pytest.mark.skipif(issubclass(TendonRodVectorEnv, EzPickle), reason="pickled environments begin anew")
+@pytest.mark.parametrize("run", ["PPO", "SAC", "APG", "hindsight", "running"])
+def test_a_training_that_was_stopped_ends_as_one_that_was_not(tmp_path, training, run):
+    """Stopped at an evaluation, it goes on from the checkpoint before: the same weights, bit for bit."""
+    options = {**RUNS[run].get("options", SMALL), "randomize": {"latency": [0.0, 0.03], "noise": {"position": 1e-3}}}
+    chosen = training(**{**RUNS[run], "options": options, "learning_rate": (1e-3, 0.0)})
+
+    def stop(row):
+        if row["steps"] >= 128:
+            raise InterruptedError
+
+    whole = train.train(chosen, tmp_path / "whole")
+    with pytest.raises(InterruptedError):
+        train.train(chosen, tmp_path / "parts", watch=stop)
+    found = train.train(chosen, tmp_path / "parts", train.checkpoint_to_resume(tmp_path / "parts", chosen, resume=True))
+    weights = [model.policy.state_dict().values() for model in (whole, found)]
+    assert all(bool((one == other).all()) for one, other in zip(*weights, strict=True))
+
+
+def test_an_error_of_a_users_own_reward_is_none_of_hyperparameters(tmp_path, training, monkeypatch):
+    whole, calls, closed = Reward.of, [], []
+
+    def reward(*arguments):
+        calls.append(0)
+        if len(calls) > 30:
+            raise ValueError("of my own")
+        return whole(*arguments)
+
+    monkeypatch.setattr(Reward, "of", reward)
+    monkeypatch.setattr(monitor.tqdm, "close", lambda bar: closed.append(bar))
+    with pytest.raises(ValueError, match="^of my own$"):
+        train.train(training(), tmp_path)
+    assert closed
 
 
 def test_a_training_can_begin_with_the_network_of_an_agent(tmp_path, training):
@@ -326,7 +364,7 @@ def test_files_for_rl_zoo3_say_what_the_trainings_of_this_package_do(algorithm, 
     """rl_zoo3 takes keys of its own out of a table, evaluates what is text, and gives the rest to the algorithm."""
     table = yaml.safe_load((ROOT / "configs" / "rl_zoo3" / f"{algorithm}.yml").read_text())[id]
     task = {name: task for task, name in IDS.items()}[id]
-    same = config.read_training(ROOT / "configs" / f"{algorithm}_{ {'TipPose': 'tip_pose'}.get(task, task.lower())}.toml")
+    same = config.read_training(ROOT / "configs" / f"{algorithm}_{ {'TipPose': 'tip_pose'}.get(task, task.lower()) }.toml")
     assert (table.pop("n_timesteps"), table.pop("n_envs")) == (same.steps, same.arms)
     normalised = eval(table.pop("normalize", "dict(norm_obs=False, norm_reward=False)"))
     assert normalised == {"norm_obs": same.normalise.observations, "norm_reward": same.normalise.rewards}

@@ -106,11 +106,14 @@ class RllibTraining(TrainingMonitor):
             return
         engine = {"engine": RLLIB, "runners": self.runners}
         self.begin({**config_record(self.training, episodes_of(self.validation.envs)), **engine})
-        while self._done < self.training.steps:
-            if self._done > self.began:
-                self.between_rollouts()
-            self._iterate()
-        self.end()
+        try:
+            while self._done < self.training.steps:
+                if self._done > self.began:
+                    self.between_rollouts()
+                self._iterate()
+            self.end()
+        finally:
+            self.close()
         self.report(note=f" with {self.runners} runners")
 
     def _iterate(self) -> None:

@@ -2,14 +2,19 @@
 commands.
 
 A tape holds where every part of a period began. Backward, a part has the linear map of implicit_map, its matrices of one evaluation in the
-middle of the way, with the gradient of the forces that these matrices leave out taken along one direction, see force_gradient.
+middle of the way, with the gradient of the forces that these matrices leave out taken along one direction, see force_gradient. Where stiff
+tendons hang slack or give way, the evaluation is that at the end, as the integrator has it: between the ends no tension is that of the
+motion. There, and where a part is long beside the slowest vibration, it is integrated anew in pieces, each of which is then a part.
 """
+
+import math
 
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.linear import copy
+from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
+from soft_tendon_env.mechanics.motion.advance import Record, advance
 from soft_tendon_env.mechanics.motion.batch import Places
 from soft_tendon_env.mechanics.motion.force_gradient import GradientMemory, corrected, force_gradient, make_gradient_memory
 from soft_tendon_env.mechanics.motion.implicit_map import MapMemory, linearise, make_map_memory, tensions_by_command, transposed_map
@@ -17,11 +22,15 @@ from soft_tendon_env.mechanics.motion.path_adjoint import PathMemory, begin_path
 from soft_tendon_env.mechanics.motion.reading_adjoint import read_adjoint
 from soft_tendon_env.mechanics.motion.scratch import Motion
 from soft_tendon_env.mechanics.motion.status import OK
+from soft_tendon_env.mechanics.motion.tape import Tape, make_tape, tape_border, tape_part
 from soft_tendon_env.mechanics.terms.strain_under_loads import combined_columns
 from soft_tendon_env.mechanics.terms.tendons import tendon_forces
-from soft_tendon_env.mechanics.terms.transmission import delivered
+from soft_tendon_env.mechanics.terms.transmission import ON_PARTS, delivered, transmitted
 from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector
 from soft_tendon_env.mechanics.workspace import zeros_of
+
+MOST_PIECES = 16  # of a part
+STIFF_PIECES = 2  # of a part where tendons are stiff: with one, cosines with differences are 0.86 to 0.99, with two 0.93 to 0.99
 
 
 class Cotangents(Struct):
@@ -63,31 +72,38 @@ class AdjointMemory(Struct):
     map: MapMemory
     gradient: GradientMemory
     path: PathMemory
+    tape: Tape  # of one row: a part in pieces
+    rate: float  # [1/s] of pieces that resolve the slowest vibration
+    share: FloatVector  # (1) of a part, where its matrices are evaluated
     middle: FloatVector  # (n)
     rates: FloatVector  # (n)
     xi: FloatVector  # points x 6
     state: FloatVector  # (states)
     clock: FloatVector  # (1)
+    lasting: FloatVector  # (1) [s] of a piece
+    poses: np.ndarray  # (0, 4, 4) of no samples
     still: np.ndarray  # (n_a) zeros
     pull: np.ndarray  # (2, n_a) cotangents of the tensions in the halves of a piece
 
 
-def make_adjoint_memory(arm: Arm, state_tendons: IntVector | None) -> AdjointMemory:
-    """Zeroed AdjointMemory for one arm; state_tendons: see make_path_memory."""
+def make_adjoint_memory(arm: Arm, state_tendons: IntVector | None, rate: float) -> AdjointMemory:
+    """Zeroed AdjointMemory for one arm. state_tendons: see make_path_memory; rate: [1/s] of pieces that resolve the slowest vibration."""
     n, n_a, points = arm.strain.size, arm.tendons.size, 2 * arm.rod.length.size
     arrays = zeros_of(
         ((n,), "middle rates"),
         ((points * 6,), "xi"),
         ((arm.effects.state.size,), "state"),
-        ((1,), "clock"),
+        ((1,), "clock share lasting"),
+        ((0, 4, 4), "poses"),
         ((n_a,), "still"),
         ((2, n_a), "pull"),
     )
-    return AdjointMemory(map=make_map_memory(arm), gradient=make_gradient_memory(arm), path=make_path_memory(arm, state_tendons), **arrays)
+    own = {"map": make_map_memory(arm), "gradient": make_gradient_memory(arm), "path": make_path_memory(arm, state_tendons)}
+    return AdjointMemory(tape=make_tape(arm, 1, MOST_PIECES), rate=rate, **own, **arrays)
 
 
 @kernel
-def adjoint_rows(batch, method, tape, pieces, members, cotangents, scratch, memory):
+def adjoint_rows(batch, scheme, tape, pieces, members, cotangents, scratch, memory):
     """Cotangents of the rows named in `members`, in place: from those of state and reading after a period to those of the state before it
     and of its commands. A row whose step had failed gets zeros; cotangents.status (rows) where there is no derivative."""
     for row in members:
@@ -97,8 +113,10 @@ def adjoint_rows(batch, method, tape, pieces, members, cotangents, scratch, memo
             clear_row(cotangents, row)
         else:
             status = read_adjoint(own, batch.places, tape, cotangents, row, scratch.work, memory)
+            transmitted(own, tape.command[row, part], scratch.work)
+            memory.share[0] = 0.5 if scratch.work.bounded.any[0] == 0.0 else 1.0
             while part >= 0 and status == OK:
-                status = part_adjoint(own, method, tape, (row, part), pieces, cotangents, scratch, memory)
+                status = part_adjoint(own, scheme, tape, (row, part), pieces, cotangents, scratch, memory)
                 part -= 1
         cotangents.status[row] = status
 
@@ -122,69 +140,98 @@ def clear_row(cotangents, row):
 
 
 @kernel
-def motion_within(tape, row, part, share, memory):
-    """The motion at a share of a part, between its ends, with its mean acceleration in memory.gradient.a and the states of memory.path."""
-    h, q, v, xi = tape.duration[row, part], tape.q[row], tape.q_dot[row], tape.xi[row]
+def motion_within(tape, row, part, memory):
+    """The motion at memory.share of a part, between its ends, with its mean acceleration in memory.gradient.a and the states of
+    memory.path."""
+    h, q, v, xi, share = tape.duration[row, part], tape.q[row], tape.q_dot[row], tape.xi[row], memory.share[0]
     for i in range(memory.middle.size):
         memory.middle[i] = q[part, i] + share * (q[part + 1, i] - q[part, i])
         memory.rates[i] = v[part, i] + share * (v[part + 1, i] - v[part, i])
         memory.gradient.a[i] = (v[part + 1, i] - v[part, i]) / h
     for m in range(memory.xi.size):
         memory.xi[m] = xi[part, m] + share * (xi[part + 1, m] - xi[part, m])
-    copy(memory.path.middle, memory.state)
+    copy(memory.path.middle if share < 1.0 else memory.path.end, memory.state)
     memory.clock[0] = tape.clock[row, part] + share * h
     return Motion(memory.middle, memory.rates, memory.xi, memory.state, memory.clock)
 
 
 @kernel
-def part_adjoint(arm, method, tape, place, pieces, cotangents, scratch, memory):
-    """Cotangents from the end of a part to its beginning, in so many pieces, and of the command that was held; place: row and part; a
-    status."""
+def part_adjoint(arm, scheme, tape, place, pieces, cotangents, scratch, memory):
+    """Cotangents from the end of a part to its beginning, and of the command that was held; place: row and part; a status.
+
+    It goes back in so many pieces, or in as many times more as its slowest vibration or stiff tendons call for.
+    """
     row, part = place
-    h, own, path, command = tape.duration[row, part], memory.map, memory.path, cotangents.command[row, part]
+    duration, own, command = tape.duration[row, part], memory.map, cotangents.command[row, part]
     command[:] = 0.0
-    if h == 0.0:
+    if duration == 0.0:
         return OK
-    has_states, times, is_last = path.start.size > 0, tape.clock[row, part : part + 2], part + 2 == tape.clock.shape[1]
-    if has_states:
-        copy(tape.state[row, part], path.start)
-        copy(tape.command[row, part], path.command)
-        begin_path(arm, times, is_last, scratch, path)
     copy(cotangents.q[row], own.q)
     copy(cotangents.q_dot[row], own.v)
-    for back in range(pieces):
-        piece = pieces - 1 - back
-        motion = motion_within(tape, row, part, (piece + 0.5) / pieces, memory)
-        status = piece_adjoint(arm, method, tape.command[row, part], motion, h / pieces, scratch, memory)
-        if status != OK:
-            return status
-        for i in range(command.size):
-            for side in range(2 if has_states else 0):
-                path.force[0 if 2 * piece + side < pieces else 1, i] += memory.pull[side, i]
-            for j in range(0 if has_states else command.size):
-                command[j] += (memory.pull[0, i] + memory.pull[1, i]) * own.by_command[i, j]
+    least, status = max(STIFF_PIECES if memory.share[0] == 1.0 else 1, math.ceil(duration * memory.rate)), OK
+    count, integrates = min(pieces * least, MOST_PIECES), least > 1 or memory.path.start.size > 0
+    if count == 1 or not cut_part(arm, scheme, tape, place, count, integrates, scratch, memory):
+        status = piece_adjoint(arm, scheme.method, tape, place, cotangents.state[row], command, scratch, memory)
+    else:
+        for back in range(count):
+            if status == OK:
+                last = 0, count - 1 - back
+                status = piece_adjoint(arm, scheme.method, memory.tape, last, cotangents.state[row], command, scratch, memory)
     copy(own.q, cotangents.q[row])
     copy(own.v, cotangents.q_dot[row])
-    return path_adjoint(arm, times, is_last, scratch, path, cotangents.state[row], command) if has_states else OK
+    return status
 
 
 @kernel
-def piece_adjoint(arm, method, command, motion, h, scratch, memory):
-    """Cotangents memory.map.q and memory.map.v from the end of a piece of a length h to its beginning, with what a newton in each tendon
-    does in its two halves, memory.pull; a status. The motion is that in the middle of the piece."""
-    work, own, gradient = scratch.work, memory.map, memory.gradient
-    u = delivered(arm.effects, command, motion.clock[0], motion.state, scratch.acting, scratch.until)
+def cut_part(arm, scheme, tape, place, count, integrates, scratch, memory):
+    """Cuts a part into equal pieces on memory.tape: it integrates them, or interpolates between the ends; whether it could."""
+    row, part = place
+    command, own, lasting, share = tape.command[row, part : part + 1], memory.tape, memory.lasting, memory.share[0]
+    none = Record(tape.q[row, :0], tape.q_dot[row, :0], memory.poses)
+    motion = Motion(memory.middle, memory.rates, memory.xi, memory.state, memory.clock)
+    lasting[0] = tape.duration[row, part] / count
+    for border in range(count + 1):
+        if border == 0 or not integrates:
+            memory.share[0] = border / count
+            motion_within(tape, row, part, memory)
+        if border == 0:
+            copy(tape.state[row, part], motion.state)
+        tape_border(own, 0, border, motion)
+        if border < count:
+            tape_part(own, 0, border, command[0], lasting[0])
+            if integrates and advance(arm, scheme, command, lasting, motion, scheme.control.step, scratch, none).status != OK:
+                count = 0
+    memory.share[0] = share
+    return count > 0
+
+
+@kernel
+def piece_adjoint(arm, method, tape, place, state, command, scratch, memory):
+    """Cotangents memory.map.q, memory.map.v and `state` (states) from the end of a part on a tape to its beginning, in place, and those
+    added to `command` (n_a), which was held; place: row and part; a status."""
+    row, part = place
+    work, own, gradient, path, h = scratch.work, memory.map, memory.gradient, memory.path, tape.duration[row, part]
+    has_states = path.start.size > 0
+    if has_states:
+        begin_path(arm, tape, place, scratch, path)
+    motion = motion_within(tape, row, part, memory)
+    u = delivered(arm.effects, tape.command[row, part], False, motion.clock[0], motion.state, scratch.acting, scratch.until)
     status = linearise(arm, method, u, motion, h, scratch, own)
     if status != OK:
         return status
+    work.driven[0] = ON_PARTS
     transposed_map(method.with_inertia, scratch.first, h, own)
     for side in range(2):
         combined_columns(work.Phi, own.impulse[side], gradient.along)
         tendon_forces(arm.rod, arm.tendons, work.share, work.tangent, gradient.along, memory.pull[side])
-    if memory.state.size == 0:
+    if not has_states:
         tensions_by_command(arm, u, work, own.command, own.by_command)
+        for i in range(command.size):
+            for j in range(command.size):
+                command[j] += (memory.pull[0, i] + memory.pull[1, i]) * own.by_command[i, j]
     for i in range(gradient.w.size):
         gradient.w[i] = own.impulse[0, i] + own.impulse[1, i]
     force_gradient(arm, u, motion, h, method.with_inertia, work, gradient)
     corrected(scratch.first, gradient, own.q, own.v)
-    return OK
+    copy_matrix(memory.pull, path.force)
+    return path_adjoint(arm, tape.clock[row, part : part + 2], scratch, path, state, command) if has_states else OK

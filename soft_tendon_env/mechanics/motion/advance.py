@@ -41,6 +41,7 @@ class Scheme(NamedTuple):
 
     method: Extrapolated
     control: Control
+    begins: bool = True  # commands begin with the motion; False: the motion goes on under one
 
 
 class Progress(NamedTuple):
@@ -185,7 +186,7 @@ def tip_pose(arm, motion, work, out):
 def advance(arm, scheme, commands, durations, motion, step, scratch, record):
     """Integrate the motion in place under every row of commands (rows, n_a) for its duration (rows) [s], with samples evenly among them,
     if any. A command is held until the next one, and acts as effects deliver and transmit it: as tensions, where there are none."""
-    method, control = scheme
+    method, control, begins = scheme
     every = commands.shape[0] // max(record.q.shape[0], 1)
     time, steps, rejected, total_error, evaluations = 0.0, 0, 0, 0.0, 0
     for row in range(commands.shape[0]):
@@ -197,7 +198,7 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
         if not control.adaptive:
             step = control.step  # what a row costs another would make results depend on how an input is cut into calls
         while begun < duration * (1.0 - 1e-12):
-            u = delivered(arm.effects, commands[row], motion.clock[0], motion.state, scratch.acting, scratch.until)
+            u = delivered(arm.effects, commands[row], begins and begun == 0.0, motion.clock[0], motion.state, scratch.acting, scratch.until)
             if scratch.until[0] == -math.inf:
                 return Progress(CROWDED, row, time + begun, step, steps, rejected, total_error, evaluations)
             rest = min(duration - begun, scratch.until[0] - motion.clock[0])
@@ -234,6 +235,7 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
             step = min(control.step, max(next_step(aim, method.columns, length, attempt), kept))
         time += duration
         motion.clock[0] = start + duration  # a sum over rows: the same however an input is cut into calls
+        delivered(arm.effects, commands[row], False, motion.clock[0], motion.state, scratch.acting, scratch.until)  # what has arrived
         if record.q.shape[0] > 0 and (row + 1) % every == 0:
             sample(arm, motion, scratch.work, row // every, record)
     return Progress(OK, commands.shape[0], time, step, steps, rejected, total_error, evaluations)

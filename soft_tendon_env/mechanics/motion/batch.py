@@ -161,7 +161,7 @@ def step_rows(batch, scheme, members, commands, durations, scratch, tape):
         scratch.work.clock[0] = motion.clock[0]
         if own.effects.count > 0:
             copy(motion.state, scratch.work.state)
-            acting = delivered(own.effects, commands[row, -1], motion.clock[0], motion.state, scratch.acting, scratch.until)
+            acting = delivered(own.effects, commands[row, -1], False, motion.clock[0], motion.state, scratch.acting, scratch.until)
             copy(transmitted(own, acting, scratch.work), reading.tension[row])
         read(own, batch.places, motion.q_dot, scratch.work, row, reading)
 

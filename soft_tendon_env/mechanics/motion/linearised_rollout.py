@@ -130,7 +130,7 @@ class Tip(NamedTuple):
 def begin_period(arm, method, command, motion, k, scratch, plan):
     """Evaluates the motion under a command (n_a) and keeps it as the beginning of the k-th period; a status."""
     copy(motion.xi, scratch.work.xi)
-    u = delivered(arm.effects, command, motion.clock[0], motion.state, scratch.acting, scratch.until)
+    u = delivered(arm.effects, command, False, motion.clock[0], motion.state, scratch.acting, scratch.until)
     status = evaluate_force(arm, method, u, motion.q, motion.q_dot, motion.state, motion.clock[0], scratch)
     if status == OK:
         copy(motion.q, plan.q[k])

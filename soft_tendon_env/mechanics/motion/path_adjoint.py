@@ -1,8 +1,8 @@
 """Adjoint of the path from commands to tensions over a part of a period: actuators that lag, limit their rate or delay.
 
-The effects' kernels alone are run through the part, in the configuration of its middle, for the mean tensions in its two halves and the
-internal states at its end; forward differences of these by every internal state and command give the cotangents, of all tendons at once
-where effects treat every tendon by itself.
+The effects' kernels alone are run through the part, in one configuration of it, for the mean tensions in its two halves and the internal
+states at its end; forward differences of these by every internal state and command give the cotangents, of all tendons at once where
+effects treat every tendon by itself. Tensions stay on the parts of their laws that they are on in that configuration.
 """
 
 import numpy as np
@@ -18,6 +18,7 @@ from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector
 from soft_tendon_env.mechanics.workspace import zeros_of
 
 SHARE = 1e-6  # of a number, or of 1, by which it is moved
+DISTINCT = 1e-9  # by which commands on their way are told apart: what repeats the one before ends no step of a run
 SHORTEST = 1e-9  # of half of a part, what is left of it
 MOST = 64  # steps of a run
 APART = 1e-3  # by which strains and their rates are moved to see whether internal states follow them
@@ -67,9 +68,9 @@ def make_path_memory(arm: Arm, state_tendons: IntVector | None) -> PathMemory:
 
 
 @kernel
-def run_path(arm, times, is_last, is_reference, scratch, path):
-    """Runs internal states from path.start between two times [s]; mean tensions into path.tension. What arrives at the end of a period's
-    last part has arrived. Steps are those of the reference, so that results are smooth: it ends them where commands arrive."""
+def run_path(arm, times, is_reference, scratch, path):
+    """Runs internal states from path.start between two times [s]; mean tensions into path.tension. Steps are those of the reference, so
+    that results are smooth: it ends them where commands arrive."""
     work, half, place = scratch.work, 0.5 * (times[1] - times[0]), 0
     copy(path.start, path.state)
     for side in range(2):
@@ -77,7 +78,7 @@ def run_path(arm, times, is_last, is_reference, scratch, path):
         mean[:] = 0.0
         while left > SHORTEST * half:
             work.clock[0] = times[0] + (side + 1) * half - left
-            acting = delivered(arm.effects, path.command, work.clock[0], path.state, scratch.acting, scratch.until)
+            acting = delivered(arm.effects, path.command, place == 0, work.clock[0], path.state, scratch.acting, scratch.until)
             if is_reference:
                 step = scratch.until[0] - work.clock[0]
                 path.step[place] = step if SHORTEST * half < step < left and place < MOST - 2 else left
@@ -91,8 +92,7 @@ def run_path(arm, times, is_last, is_reference, scratch, path):
             left, place = left - step, place + 1
         if side == 0:
             copy(path.state, path.middle)
-    if is_last:
-        delivered(arm.effects, path.command, times[1], path.state, scratch.acting, scratch.until)
+    delivered(arm.effects, path.command, False, times[1], path.state, scratch.acting, scratch.until)
 
 
 @kernel
@@ -103,22 +103,30 @@ def add_tension(share, tension, out):
 
 
 @kernel
-def begin_path(arm, times, is_last, scratch, path):
-    """Runs the path in another configuration than that of the part, for the states in the middle and at the end, path.end."""
-    work = scratch.work
+def begin_path(arm, tape, place, scratch, path):
+    """Runs the path of a part, row and part its place, in another configuration than that of the part, for the states in the middle and
+    at the end, path.end."""
+    row, part = place
+    work, tendons = scratch.work, path.command.size
+    copy(tape.state[row, part], path.start)
+    copy(tape.command[row, part], path.command)
+    for k in range(path.start.size):
+        path.start[k] += DISTINCT * (k // (tendons + 1) % 3 if path.tendon[k] >= 0 else 0.0)
+    for i in range(tendons):
+        path.command[i] += 3.0 * DISTINCT
     for m in range(work.xi.size):
         work.xi[m] += APART * (1.0 + m % 5)
         work.xi_dot[m] += APART * (1.0 + m % 7)
-    run_path(arm, times, is_last, True, scratch, path)
+    run_path(arm, tape.clock[row, part : part + 2], True, scratch, path)
     copy(path.state, path.end)
     path.force[:] = 0.0
 
 
 @kernel
-def path_adjoint(arm, times, is_last, scratch, path, state, command):
-    """Cotangents `state` (states), in place from the end of a part to its beginning, and `command` (n_a), by path.force, in the
-    configuration of scratch.work; a status: FOLLOWS where the states of `begin_path` were others."""
-    run_path(arm, times, is_last, True, scratch, path)
+def path_adjoint(arm, times, scratch, path, state, command):
+    """Cotangents `state` (states), in place from the end of a part to its beginning, and those added to `command` (n_a), by path.force, in
+    the configuration of scratch.work; a status: FOLLOWS where the states of `begin_path` were others."""
+    run_path(arm, times, True, scratch, path)
     for k in range(path.end.size):
         if path.state[k] != path.end[k]:
             return FOLLOWS
@@ -127,7 +135,7 @@ def path_adjoint(arm, times, is_last, scratch, path, state, command):
     states = path.start.size
     for group in range(path.groups):
         move_inputs(path, group)
-        run_path(arm, times, is_last, False, scratch, path)
+        run_path(arm, times, False, scratch, path)
         find_changes(path, state)
         for number in range(path.gradient.size):
             if path.group[number] == group:
@@ -139,7 +147,7 @@ def path_adjoint(arm, times, is_last, scratch, path, state, command):
     for k in range(states):
         state[k] = path.gradient[k]
     for i in range(command.size):
-        command[i] = path.gradient[states + i]
+        command[i] += path.gradient[states + i]
     return OK
 
 

@@ -19,6 +19,7 @@ from soft_tendon_env.mechanics.workspace import make_workspace
 
 SMOOTH = 0.05  # of the greatest tension, the change of any that extrapolation in time may make
 SAME = 1e-12  # relative difference of tensions that is rounding
+ON_PARTS = 2.0  # work.driven, where every tension stays on its part of the law: for derivatives beside a kink
 
 
 @kernel(counted=True)
@@ -45,8 +46,9 @@ def actuation_of(arm, work, i):
 
 
 @kernel(counted=True)
-def delivered(effects, u, time, state, acting, until):
-    """The command that acts at a time [s] where u (n_a) is commanded, `acting` or u itself, and up to when [s]; -infinity: none can."""
+def delivered(effects, u, begins, time, state, acting, until):
+    """The command that acts at a time [s] where u (n_a) is commanded, from then on if it `begins`, `acting` or u itself, and up to
+    when [s]; -infinity where none can."""
     until[0] = math.inf
     found = False
     for i in range(effects.count):
@@ -54,15 +56,15 @@ def delivered(effects, u, time, state, acting, until):
             if not found:
                 copy(u, acting)
                 found = True
-            call_late(deliver, effects.late, (effects, i, time, state, acting, until))
+            call_late(deliver, effects.late, (effects, i, begins, time, state, acting, until))
     return acting if found else u
 
 
-@late(lambda effects: effects.deliver.any(), lambda arm: (arm.effects, 0, 0.0, *[np.zeros(1)] * 3))
+@late(lambda effects: effects.deliver.any(), lambda arm: (arm.effects, 0, False, 0.0, *[np.zeros(1)] * 3))
 @kernel
-def deliver(effects, i, time, state, acting, until):
+def deliver(effects, i, begins, time, state, acting, until):
     """Applies the delay of the i-th effect: replaces `acting` by the command that acts at the time."""
-    call(effects.deliver[i], (values_of(effects, i), Delivery(time, state_of(effects, state, i), acting, until)))
+    call(effects.deliver[i], (values_of(effects, i), Delivery(time, state_of(effects, state, i), acting, until, begins)))
 
 
 @kernel
@@ -98,19 +100,20 @@ def transmit(arm, u, work):
     for i in range(effects.count):
         if effects.tension[i] != 0:
             call(effects.tension[i], (values_of(effects, i), actuation_of(arm, work, i)))
-    bound_tensions(work.tension, work.tendon_stiffness, work.bounded)
+    bound_tensions(work.tension, work.tendon_stiffness, work.driven[0] == ON_PARTS, work.bounded)
 
 
 @kernel
-def bound_tensions(tension, stiffness, bounded):
-    """Bring the tensions (n_a) within their bounds, and keep in `bounded` what they would be without them."""
+def bound_tensions(tension, stiffness, on_parts, bounded):
+    """Bring the tensions (n_a) within their bounds, or with `on_parts` to the parts of their laws that were found last; keep in `bounded`
+    what they would be without them."""
     bounded.any[0] = 0.0
     for i in range(tension.size):
         limited = bounded.least[i] > -math.inf or bounded.greatest[i] < math.inf
         bounded.free[i] = tension[i]
         bounded.stiffness[i] = stiffness[i] if limited else 0.0
-        bounded.part[i] = part_of(bounded, i, tension[i])
-        tension[i] = min(max(tension[i], bounded.least[i]), bounded.greatest[i])
+        bounded.part[i] = bounded.part[i] if on_parts else part_of(bounded, i, tension[i])
+        tension[i] = held_tension(bounded, i)
         if bounded.stiffness[i] != 0.0:
             bounded.any[0] = 1.0
 

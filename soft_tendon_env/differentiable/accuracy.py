@@ -1,0 +1,86 @@
+"""Accuracy of gradients through an arm: the adjoint's beside central differences of the same rollout."""
+
+import warnings
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.envs.arms import Arms
+from soft_tendon_env.envs.episodes import Episodes
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.simulation import Simulation
+from soft_tendon_env.tools.types import Array
+
+LEAST_COSINE = 0.99
+"""Cosine with differences below which gradients lead a training astray."""
+WITHIN = (0.05, 0.2, 0.6)
+"""Shares of the range of commands: the least of a trial, where it begins, and its greatest."""
+WAY = 0.01
+"""Share of the range by which commands are moved for the differences: as an optimiser's steps, above the jumps of an adaptive order."""
+CHANGE = 0.05
+"""Share of the range that commands of absolute actions change by in a period."""
+DIRECTIONS, PERIODS = 16, 16
+
+
+class GradientWarning(UserWarning):
+    """Gradients of this arm are far from differences of its motion."""
+
+
+class GradientAccuracy(NamedTuple):
+    """Adjoint gradient beside central differences, along random directions of the commands."""
+
+    cosine: float
+    ratio: float  # of its length to theirs
+
+
+def check_gradients(episodes: Episodes) -> None:
+    """Warns (GradientWarning) where gradients through the arm of an environment, under its commands, are below LEAST_COSINE."""
+    scale = episodes.actuation.actions
+    change = CHANGE * (scale.greatest - scale.least) if scale.increment is None else scale.increment
+    found = gradient_accuracy(episodes.model, episodes.period, scale.least, scale.greatest, change)
+    if not found.cosine >= LEAST_COSINE:
+        warnings.warn(
+            f"gradients through this arm have a cosine of {found.cosine:.3f} with differences of its motion, and {found.ratio:.2f} times "
+            "their length: learning by them may end at larger errors. A shorter control_period, softer tendons or slower commands bring "
+            "them nearer; PPO and SAC need none",
+            GradientWarning,
+            stacklevel=3,
+        )
+
+
+def gradient_accuracy(model: Model, period: float, least: Array, greatest: Array, change: Array, seed: int = 0) -> GradientAccuracy:
+    """Accuracy of the gradient of a tracking error over 16 control periods [s] by all commands, from rest; seconds at most.
+
+    The commands are random walks within limits least, greatest (n_a,), by up to `change` (n_a,) every period. The arm tracks where another
+    walk leads it. Rows side by side have commands that are moved to either side along 16 directions. Raises as `Arms.adjoint`.
+    """
+    random, reach = np.random.default_rng(seed), greatest - least
+    low, begin, high = (least + share * reach for share in WITHIN)
+    walks = begin + np.cumsum(random.uniform(-1.0, 1.0, (2, PERIODS, reach.size)) * np.minimum(change, 0.5 * (high - low)), axis=1)
+    walks = low + np.abs((walks - low + (high - low)) % (2.0 * (high - low)) - (high - low))  # reflected at both ends
+    ways = random.normal(size=(DIRECTIONS, PERIODS, reach.size)) * WAY * reach
+    commands = np.concatenate([walks, walks[0] + ways, walks[0] - ways])
+    arms, first = Arms(model, len(commands), period, np.zeros(0), np.zeros(0)), np.arange(1)
+    every = np.arange(arms.size)
+    arms.place(every, np.tile(Simulation(model).reset_at_rest().q, (arms.size, 1)))
+    costs, tapes, pulls = np.zeros(arms.size), [arms.make_tape(arms.substeps) for _ in range(PERIODS)], []
+    for k, tape in enumerate(tapes):
+        arms.step(np.repeat(commands[:, k : k + 1], arms.substeps, axis=1), every, tape=tape)
+        pose = arms.reading.tip_pose
+        away = pose[:, :3, 3] - pose[1, :3, 3]
+        costs += 0.5 * (away * away).sum(axis=1)
+        pulls.append(pose[0, :3, :3].T @ away[0])
+    moved = costs[2 : 2 + DIRECTIONS] - costs[2 + DIRECTIONS :]
+    found = 2.0 * np.einsum("dka,ka->d", ways, _gradient(arms, tapes, pulls, first))
+    sizes = np.linalg.norm(found), np.linalg.norm(moved)
+    return GradientAccuracy(float(found @ moved / np.prod(sizes)), float(sizes[0] / sizes[1]))
+
+
+def _gradient(arms: Arms, tapes: list[Any], pulls: list[Array], first: Any) -> Array:
+    """Gradient (periods, n_a) of the first row's cost, whose derivatives by the tip's displacements in its frame are `pulls` (3,)."""
+    cotangents, found = arms.make_cotangents(arms.substeps), []
+    for tape, pull in zip(tapes[::-1], pulls[::-1], strict=True):
+        cotangents.tip_pose[0, 3:] = pull
+        arms.adjoint(tape, first, cotangents)
+        found.append(cotangents.command[0].sum(axis=0))
+    return np.array(found[::-1])
