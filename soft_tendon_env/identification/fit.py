@@ -50,7 +50,7 @@ class Fit(NamedTuple):
 
     @property
     def score(self) -> Array:
-        """What each reading adds (N, k) to the first derivatives of half the cost."""
+        """Share (N, k) of each reading in the first derivatives of half the cost."""
         return np.asarray(self.jacobian.T * (self.weight * self.residual)).T / self.sigma**2
 
     @property

@@ -52,7 +52,7 @@ class Readings:
         return np.concatenate([placed, np.broadcast_to(of_sample[:, None], self._sensed.seen.shape)[self._sensed.seen]])
 
     def with_plants(self, plants: Plants) -> "Readings":
-        """The same readings of other plants, whose equilibria are sought from these on."""
+        """Readings of the same recordings by other plants, whose equilibria are sought from these on."""
         found = copy.copy(self)
         found.plants = plants
         return found

@@ -69,10 +69,12 @@ def suspects(found: Fit, readings: Readings) -> list[Suspect]:
     root, prior = np.sqrt(found.weight) / found.sigma, np.sqrt(found.prior)
     Q, _ = np.linalg.qr(np.vstack([root[:, None] * found.jacobian, np.diag(prior)]))
     residual = np.concatenate([root * found.residual, prior * found.x])
-    tested = []
-    for fault in _faults(readings.plants):
+    plants, faults, tested = readings.plants, _faults(readings.plants), list[Suspect]()
+    more = dict.fromkeys(own for fault in faults for own in fault.parameters)
+    faulty = readings.with_plants(Plants(plants.scene, plants.model, plants.markers, [*plants.parameters, *more]))
+    for fault in faults:
         with contextlib.suppress(NoHoldError, ConfigurationError):
-            effect = np.concatenate([root * _effect(fault, found, readings), np.zeros(prior.size)])
+            effect = np.concatenate([root * _effect(fault, found, faulty), np.zeros(prior.size)])
             alone = effect - Q @ (Q.T @ effect)
             squares = float(alone @ alone)
             if squares > MADE_UP**2 * float(effect @ effect):
@@ -87,11 +89,10 @@ def suspects(found: Fit, readings: Readings) -> list[Suspect]:
 
 
 def _effect(fault: _Fault, found: Fit, readings: Readings) -> Array:
-    """Derivative (N,) of the readings by the amount of a fault. Raises NoHoldError, ConfigurationError."""
-    plants, amount = readings.plants, STEP * min(own.scale for own in fault.parameters)
-    faulty = Plants(plants.scene, plants.model, plants.markers, [*plants.parameters, *fault.parameters])
-    x = np.concatenate([found.x, [amount / own.scale for own in fault.parameters]])
-    return (readings.with_plants(faulty).residual(x) - found.residual) / amount
+    """Derivative (N,) of the readings by the amount of a fault, by a difference. Raises NoHoldError, ConfigurationError."""
+    amount, parameters = STEP * min(own.scale for own in fault.parameters), readings.plants.parameters
+    steps = [amount / own.scale if own in fault.parameters else 0.0 for own in parameters[found.x.size :]]
+    return (readings.residual(np.concatenate([found.x, steps])) - found.residual) / amount
 
 
 def _faults(plants: Plants) -> list[_Fault]:

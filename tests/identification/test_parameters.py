@@ -17,7 +17,8 @@ def test_a_wildcard_of_the_scene_is_one_factor_and_one_of_the_measurement_is_man
     scene = load_scene("two_segment_six")
     E, *offsets = read_parameters(["segments.*.young_modulus", "markers.*.offset"], scene, placed)
     assert E.keys == ("segments.0.young_modulus", "segments.1.young_modulus") and E.is_factor and E.prior is None
-    assert len(offsets) == 9 and offsets[1].name == "markers.base.offset.1" and offsets[1].value == 0.012 and offsets[1].prior == pytest.approx(0.01)
+    assert len(offsets) == 9 and (offsets[1].name, offsets[1].value) == ("markers.base.offset.1", 0.012)
+    assert offsets[1].prior == pytest.approx(0.01)
 
 
 def test_bounds_stop_where_the_scene_does(arm, placed):
