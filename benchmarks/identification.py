@@ -87,7 +87,7 @@ def experiment(fidelity: str, seed: int) -> Tried:
     readings = Readings(model, holds)
     found = fit(readings)
     finer = Readings(robot, holds)
-    spread = intervals(found, readings.recording, model.parameters, None if model is robot else shift(found, finer))
+    spread = intervals(found, readings.cluster, model.parameters, None if model is robot else shift(found, finer))
     truth = np.array([own.at(at) for own, at in zip(model.parameters, x, strict=True)])
     hit = (spread.low <= truth) & (truth <= spread.high)
     return Tried(hit, (spread.high - spread.low) / truth, ~spread.identified, time.process_time() - start)

@@ -9,12 +9,18 @@ from soft_tendon_env.identification.fit import Fit
 from soft_tendon_env.identification.intervals import SHARE, Direction, Intervals
 from soft_tendon_env.identification.parameters import Parameter
 from soft_tendon_env.identification.readings import Readings
+from soft_tendon_env.identification.split import same_commands
+from soft_tendon_env.identification.structure import suspects
 from soft_tendon_env.tools.types import Array
 
 AT_BOUND = 1e-3
 """Distance from a bound, of that of both, at which a parameter is at it."""
-CHANCE, PERMUTATIONS = 0.01, 999
-"""Probability of chance below which residuals follow the commands, and how many permutations it is estimated from."""
+CHANCE, PERMUTATIONS = 0.005, 999
+"""Probability of chance below which residuals have a structure, and how many permutations it is estimated from."""
+ALIKE, MOST = 0.5, 3
+"""Share of what the likeliest fault explains of the residuals from which another is named beside it, and how many are."""
+EXACT = 1e-6
+"""Root mean square residual, as a share of the rod's length, below which data are exact: cameras see 1e-5 at best."""
 CORRELATED = 0.3
 """Correlation of successive residuals from which they are no noise."""
 COARSE = 0.5
@@ -78,7 +84,10 @@ def bound_texts(x: Array, parameters: Sequence[Parameter]) -> list[str]:
 
 def misfit_texts(found: Fit, readings: Readings, noise: float | None) -> list[str]:
     """Signs that the model lacks something: residuals above a known noise [m], and residuals that follow the commands."""
-    texts, root = [], float(np.sqrt(np.mean(found.residual[: int(readings.seen.sum())] ** 2)))
+    texts, root = list[str](), float(np.sqrt(np.mean(found.residual[: int(readings.seen.sum())] ** 2)))
+    if root < EXACT * readings.plants.length:
+        text = f"The fit explains the data to the solver's tolerance, by {1e3 * root:.1g} mm: they have no noise, as simulated data"
+        return [f"{text}; intervals are no measure of a real arm."]
     if noise is not None and root > FAR * noise:
         texts.append(f"Residuals are {1e3 * root:.3g} mm where the noise is {1e3 * noise:.3g} mm: {LACKING}.")
     probability, size = commands_in_residuals(found, readings)
@@ -86,11 +95,40 @@ def misfit_texts(found: Fit, readings: Readings, noise: float | None) -> list[st
         texts.append(
             f"Residuals of holds follow the commands, by {1e3 * size:.2g} mm (by chance with probability {probability:.2g}): {LACKING}."
         )
+    texts += structure_texts(found, readings)
     correlation, size = memory_of_residuals(found, readings)
     if correlation > CORRELATED:
         text = f"Residuals of motions are no noise: successive ones correlate by {correlation:.2f}, {1e3 * size:.2g} mm"
         texts.append(f"{text}: {LACKING}; viscous damping alone cannot make up for friction or hysteresis.")
     return texts
+
+
+def structure_texts(found: Fit, readings: Readings) -> list[str]:
+    """Faults of the drawing or the commands that the residuals of holds look like."""
+    likely = [own for own in suspects(found, readings) if own.probability <= CHANCE]
+    if not likely:
+        return []
+    alike = [own for own in likely if own.explained >= ALIKE * likely[0].explained][:MOST]
+    what, chance = ", or as if ".join(own.what for own in alike), max(own.probability for own in alike)
+    text = f"Residuals of holds look as if {what} (by chance with probability {chance:.1g})"
+    return [f"{text}: measure this first, or estimate it; zeros of sensors, slack, friction and the routing can look alike."]
+
+
+def repeats_text(fitted: Readings, unseen: Readings) -> str | None:
+    """Warning where held-out recordings have commands of the fit; None where they do not."""
+    group, count = same_commands([*fitted.recordings, *unseen.recordings]), len(fitted.recordings)
+    again = int(np.isin(group[count:], group[:count]).sum())
+    if not again:
+        return None
+    return f"{again} of {len(group) - count} held-out recordings repeat commands of the fit: their error says little about other commands."
+
+
+def twins_text(twins: Sequence[str]) -> str | None:
+    """Note on recordings that are there twice; None without any."""
+    if not twins:
+        return None
+    more = f" and {len(twins) - MOST} more" if len(twins) > MOST else ""
+    return f"Recordings that stand twice in the data count once: left out are {', '.join(twins[:MOST])}{more}."
 
 
 def memory_of_residuals(found: Fit, readings: Readings) -> tuple[float, float]:

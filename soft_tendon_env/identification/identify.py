@@ -8,7 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from soft_tendon_env.accuracy.fidelity import AS_SCENE, at_fidelity, checked_fidelity
-from soft_tendon_env.identification.findings import bound_texts, coarse_text, family, misfit_texts, over_fitting_text, unseen_text
+from soft_tendon_env.identification.findings import (
+    bound_texts,
+    coarse_text,
+    family,
+    misfit_texts,
+    over_fitting_text,
+    repeats_text,
+    twins_text,
+    unseen_text,
+)
 from soft_tendon_env.identification.fit import Fit, Loss, fit
 from soft_tendon_env.identification.intervals import Intervals, intervals, shift
 from soft_tendon_env.identification.markers import MarkerSet, load_markers
@@ -16,7 +25,7 @@ from soft_tendon_env.identification.parameters import Parameter, read_parameters
 from soft_tendon_env.identification.plant import Measurement, Plants, base_rotation
 from soft_tendon_env.identification.readings import Readings, mean_of_finite
 from soft_tendon_env.identification.recordings import Recording, read_recordings
-from soft_tendon_env.identification.split import SHARE, split
+from soft_tendon_env.identification.split import SHARE, split, without_twins
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_type
@@ -82,7 +91,8 @@ def identify(
     files = [data] if isinstance(data, str | os.PathLike) else [*data]
     placed = markers if isinstance(markers, MarkerSet) else load_markers(markers, scene)
     chosen = read_parameters(parameters, scene, placed)
-    parts = split(read_recordings([Path(file) for file in files], scene, placed), str(held_out))
+    recordings, twins = without_twins(read_recordings([Path(file) for file in files], scene, placed))
+    parts = split(recordings, str(held_out))
     try:
         checked_fidelity(fidelity)
     except ValueError as error:
@@ -92,7 +102,7 @@ def identify(
     fitted, unseen = Readings(plants, parts.fit), Readings(plants, parts.held_out)
     found = fit(fitted, noise, loss)
     moved = _moved(found, fitted, scene, fidelity)
-    spread = intervals(found, fitted.recording, chosen, moved)
+    spread = intervals(found, fitted.cluster, chosen, moved)
     nominal = np.zeros(len(chosen))
     measurement = plants.measurement(found.x)
     return Estimate(
@@ -105,7 +115,10 @@ def identify(
         error_fit=fitted.errors(found.x),
         error_held_out=unseen.errors(found.x),
         before=(mean_of_finite(fitted.errors(nominal)), mean_of_finite(unseen.errors(nominal))),
-        findings=(*_findings(found, spread, fitted, unseen, noise, loss), *filter(None, [coarse_text(moved, found, chosen, spread)])),
+        findings=(
+            *_findings(found, spread, fitted, unseen, noise, loss),
+            *filter(None, [coarse_text(moved, found, chosen, spread), twins_text(twins), repeats_text(fitted, unseen)]),
+        ),
         fit=found,
         fitted=fitted,
         held_out=unseen,

@@ -1,8 +1,9 @@
 """Intervals of estimates: linear and bootstrap ones, correlations, and directions in which the data say nothing.
 
-Linear: Student's t times the standard deviations of (J^T J / sigma^2 + P)^-1, as if readings were independent. Bootstrap: recordings are
-drawn again as a whole, since errors within one are common, each time with one Gauss-Newton step from the estimate and with priors drawn
-around theirs (A. C. Davison and D. V. Hinkley, Bootstrap Methods and their Application, 1997, sections 3.8 and 7.6).
+Linear: Student's t times the standard deviations of (J^T J / sigma^2 + P)^-1, as if readings were independent; of a robust loss those of
+its M-estimator (P. J. Huber, Robust Statistics, 1981, section 7.6). Bootstrap: clusters of recordings with the same commands are drawn
+again as a whole, since errors within one are common, each time with one Newton step from the estimate and with priors drawn around theirs
+(A. C. Davison and D. V. Hinkley, Bootstrap Methods and their Application, 1997, sections 3.8 and 7.6).
 """
 
 from collections.abc import Sequence
@@ -50,21 +51,21 @@ class Intervals(NamedTuple):
 
 def shift(found: Fit, finer: Readings) -> Array:
     """Change (k,) of the estimate with a finer model of the same data, by one Gauss-Newton step."""
-    gradient = found.jacobian.T @ (found.weight * finer.residual(found.x)) / found.sigma**2 + found.prior * found.x
-    return -np.asarray(np.linalg.pinv(found.information + np.diag(found.prior), hermitian=True) @ gradient)
+    step = found.slope * found.jacobian.T @ (found.weight * (finer.residual(found.x) - found.residual)) / found.sigma**2
+    return -np.asarray(np.linalg.pinv(found.curvature + np.diag(found.prior), hermitian=True) @ step)
 
 
-def intervals(found: Fit, recording: Array, parameters: Sequence[Parameter], moved: Array | None = None) -> Intervals:
-    """Intervals of an estimate. recording (N,): index of the recording of each reading; moved (k,): `shift` by a finer model, by which
-    low and high are wider."""
+def intervals(found: Fit, cluster: Array, parameters: Sequence[Parameter], moved: Array | None = None) -> Intervals:
+    """Intervals of an estimate. cluster (N,): index of each reading's recordings, see Readings.cluster; moved (k,): `shift` by a finer
+    model, by which low and high are wider."""
     from scipy.special import stdtrit  # here: it takes longer to import than all else that most scenes need
 
-    recordings, count = int(recording.max()) + 1, found.x.size
+    clusters, count = int(cluster.max()) + 1, found.x.size
     covariance = _inverse(found.information + np.diag(found.prior))
     tail = 0.5 * (1.0 + CONFIDENCE)
     dof = max(found.residual.size - count, 1)
     reach = stdtrit(dof, tail) * np.sqrt(np.diag(covariance))
-    spread = stdtrit(max(recordings - 1, 1), tail) * _bootstrap(found, recording).std(axis=0)
+    spread = stdtrit(max(clusters - 1, 1), tail) * _bootstrap(found, cluster).std(axis=0)
     unseen = _unseen(found)
     identified = np.array([not any(abs(own.coordinates[i]) >= SHARE for own in unseen) for i in range(count)])
     bounds = np.array([own.bounds for own in parameters])
@@ -93,16 +94,16 @@ def _inverse(information: Array) -> Array:
     return np.asarray(covariance)
 
 
-def _bootstrap(found: Fit, recording: Array) -> Array:
+def _bootstrap(found: Fit, cluster: Array) -> Array:
     """Coordinates (draws, k) of resampled estimates."""
-    random, recordings = np.random.default_rng(0), int(recording.max()) + 1
-    J, r, W = found.jacobian / found.sigma, found.residual / found.sigma, found.weight
-    of = [recording == i for i in range(recordings)]
-    information = np.array([(J[own].T * W[own]) @ J[own] for own in of])
-    gradient = np.array([(J[own].T * W[own]) @ r[own] for own in of])
-    drawn = random.multinomial(recordings, np.full(recordings, 1.0 / recordings), size=RESAMPLES).astype(float)
+    random, clusters = np.random.default_rng(0), int(cluster.max()) + 1
+    J, weight, score = found.jacobian, found.slope / found.sigma**2 * found.weight, found.score
+    of = [cluster == i for i in range(clusters)]
+    curvature = np.array([(J[own].T * weight[own]) @ J[own] for own in of])
+    gradient = np.array([score[own].sum(axis=0) for own in of])
+    drawn = random.multinomial(clusters, np.full(clusters, 1.0 / clusters), size=RESAMPLES).astype(float)
     centre = random.normal(size=(RESAMPLES, found.x.size)) * np.sqrt(found.prior)
-    A = np.einsum("dr,rij->dij", drawn, information) + np.diag(found.prior)
+    A = np.einsum("dr,rij->dij", drawn, curvature) + np.diag(found.prior)
     b = drawn @ gradient + found.prior * found.x - centre
     ridge = SINGULAR * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(found.x.size)
     return found.x - np.linalg.solve(A + ridge, b[..., None])[..., 0]

@@ -9,7 +9,7 @@ import tomli_w
 
 from soft_tendon_env.evaluation.provenance import origin, write_json
 from soft_tendon_env.identification.identify import Estimate
-from soft_tendon_env.identification.parameters import DELAY
+from soft_tendon_env.identification.parameters import DELAY, command_limits
 from soft_tendon_env.scene.scene import scene_to_dict
 from soft_tendon_env.tools.configuration import plain
 from soft_tendon_env.tools.files import digest, replacing
@@ -99,12 +99,14 @@ def as_json(found: Estimate) -> dict[str, Any]:
 def randomize(found: Estimate) -> dict[str, Any]:
     """Table `randomize` of an environment with the identified scene: what the intervals leave open.
 
-    Parameters that neither the data nor a prior contain are left out. Latency comes on top of the delay that the scene has.
+    Parameters that neither the data nor a prior contain are left out. Latency comes on top of the delay that the scene has. Offsets are
+    tensions [N], of which an environment takes the share of the range of displacements where an arm is driven by these.
     """
     table = dict[str, Any]()
     gains, offsets = list[float](), list[float]()
     of_rod = {tuple(f"segments.{i}.{name}" for i in range(len(found.scene.segments))): factor for name, factor in RANDOMIZED.items()}
-    spread = found.intervals
+    spread, tension = found.intervals, np.array([tendon.tension_limits for tendon in found.scene.tendons])
+    unit = np.ptp(tension, axis=1) / np.ptp(command_limits(found.scene), axis=1)  # [N] of an offset by 1
     for own, value, low, high, seen in zip(found.parameters, found.value, spread.low, spread.high, spread.identified, strict=True):
         if not seen and own.prior is None:
             continue
@@ -112,8 +114,10 @@ def randomize(found: Estimate) -> dict[str, Any]:
             table[of_rod[own.keys]] = [low / value, high / value]
         elif own.name == DELAY:
             table["latency"] = [0.0, high - value]
+        elif own.name.endswith(".gain"):
+            gains.extend((low, high))
         elif own.name.startswith("commands."):
-            (gains if own.name.endswith("gain") else offsets).extend((low, high))
+            offsets.extend(unit[int(own.name.split(".")[1])] * np.array([low, high]))
         elif own.name.startswith("effects.") and own.is_factor:
             table.setdefault("effects", {})[own.name.removeprefix("effects.")] = [low, high]
     table |= {"tension_gain": [min(gains), max(gains)]} if gains else {}

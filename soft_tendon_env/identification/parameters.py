@@ -14,11 +14,14 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from soft_tendon_env.identification.markers import MarkerSet
 from soft_tendon_env.scene.parameters import Parameter as SceneParameter
 from soft_tendon_env.scene.parameters import scene_parameters
-from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import ConfigurationError, not_among
+from soft_tendon_env.tools.types import Array
 
 MEASUREMENT = ("mount", "markers", "commands")
 """Tables of the measurement."""
@@ -26,12 +29,16 @@ FACTOR = 30.0
 """How far a factor may go either way, where no bounds are given."""
 WIDE = 5.0
 """Standard deviations of a prior that a difference may go either way, where no bounds are given."""
-ROTATION, SHIFT, OFFSET, GAIN = 3.0, 5e-3, 1e-2, 0.1
-"""Standard deviations of the priors of mount rotation [deg], shift [m], marker offsets [m] and gains."""
+ROTATION, GAIN = 3.0, 0.1
+"""Standard deviations of the priors of mount rotation [deg] and gains."""
+SHIFT, OFFSET = 0.0125, 0.025
+"""Standard deviations of the priors of the mount's shift and of marker offsets, as shares of the rod's length."""
 COMMAND_OFFSET = 0.05
-"""Standard deviation of the prior of a command's offset, as a share of the tendon's range of tensions."""
+"""Standard deviation of the prior of a command's offset, as a share of the range of the tendon's commands, in their unit."""
 DELAY, LONGEST_DELAY = "commands.delay", 0.5
 """Name of the delay of commands, which the scene has as effects.actuators.delay, and its upper bound [s]."""
+DISTANCES = ("offset", "start_offset", "end_offset", "fraction", "radius", "y", "z")
+"""Numbers of a routing in proportion to the tendon's distance from the axis."""
 HALVINGS = 40
 
 
@@ -117,6 +124,28 @@ def _parsed(text: str) -> _Asked:
     return _Asked(key, (numbers[0], numbers[1]) if bounded else None, numbers[0] if prior else None)
 
 
+def command_limits(scene: Scene) -> Array:
+    """Limits (n_a, 2) of commands in their unit."""
+    return scene.effects.command_limits(np.array([tendon.tension_limits for tendon in scene.tendons]))
+
+
+def distance_parameter(scene: Scene) -> Parameter | None:
+    """Common factor of the distances of all tendons from the axis; None where all of them lie on it."""
+    values = {
+        ".".join(map(str, ("tendons", i, "routing", name, *place))): float(number)
+        for i, tendon in enumerate(scene.tendons)
+        for name, numbers in tendon.routing
+        if name in DISTANCES
+        for place, number in np.ndenumerate(np.array(numbers))
+        if number
+    }
+    if not values:
+        return None
+    own = SceneParameter("tendons.*.routing", tuple(values), tuple(values.values()), max(map(abs, values.values())))
+    low, high = sorted((own.value / FACTOR, own.value * FACTOR))
+    return Parameter(own.name, own, own.value, low, high, None, True)
+
+
 def _begins(key: str, pattern: str) -> bool:
     """Whether a key begins as a pattern says, in which `*` stands for any part."""
     parts, own = pattern.split("."), key.split(".")
@@ -129,14 +158,14 @@ def _of_measurement(scene: Scene, markers: MarkerSet) -> dict[str, Parameter]:
     def difference(key: str, value: float, prior: float) -> Parameter:
         return Parameter(key, None, value, value - WIDE * prior, value + WIDE * prior, prior, False)
 
+    length = rod_length(scene)
     found = [difference(f"mount.rotation.{axis}", 0.0, ROTATION) for axis in range(3)]
-    found += [difference(f"mount.shift.{axis}", 0.0, SHIFT) for axis in range(3)]
+    found += [difference(f"mount.shift.{axis}", 0.0, SHIFT * length) for axis in range(3)]
     for name, marker in markers.markers.items():
-        found += [difference(f"markers.{name}.offset.{axis}", value, OFFSET) for axis, value in enumerate(marker.offset)]
-    for i, tendon in enumerate(scene.tendons):
-        span = tendon.tension_limits[1] - tendon.tension_limits[0]
+        found += [difference(f"markers.{name}.offset.{axis}", value, OFFSET * length) for axis, value in enumerate(marker.offset)]
+    for i, span in enumerate(np.ptp(command_limits(scene), axis=1)):
         found.append(Parameter(f"commands.{i}.gain", None, 1.0, 1.0 / FACTOR, FACTOR, GAIN, True))
-        found.append(difference(f"commands.{i}.offset", 0.0, COMMAND_OFFSET * span))
+        found.append(difference(f"commands.{i}.offset", 0.0, COMMAND_OFFSET * float(span)))
     actuators = scene.effects.chosen().get("actuators")
     found.append(Parameter(DELAY, None, getattr(actuators, "delay", 0.0), 0.0, LONGEST_DELAY, None, False))
     return {parameter.name: parameter for parameter in found}

@@ -1,5 +1,6 @@
 """Readings of recordings beside those that are simulated: residuals and their derivatives by the parameters."""
 
+import copy
 from collections.abc import Sequence
 from functools import cached_property
 
@@ -9,6 +10,7 @@ from soft_tendon_env.identification.motions import Motions
 from soft_tendon_env.identification.plant import Plant, Plants
 from soft_tendon_env.identification.recordings import Recording
 from soft_tendon_env.identification.sensed import Sensed
+from soft_tendon_env.identification.split import same_commands
 from soft_tendon_env.identification.statics import Statics
 from soft_tendon_env.model.tension_limits import erring_actuators
 from soft_tendon_env.tools.types import Array
@@ -39,11 +41,22 @@ class Readings:
         return np.isfinite(self.measured)
 
     @cached_property
-    def recording(self) -> Array:
-        """Index of the recording of each reading (N,)."""
-        of_sample = np.repeat(np.arange(len(self.recordings)), [len(own.command) for own in self.recordings])
+    def group(self) -> Array:
+        """Index (recordings,) that recordings with the same commands share."""
+        return same_commands(self.recordings)
+
+    @cached_property
+    def cluster(self) -> Array:
+        """Index of the recordings with the same commands of each reading (N,), as whose errors are common."""
+        of_sample = np.repeat(self.group, [len(own.command) for own in self.recordings])
         placed = np.broadcast_to(of_sample[:, None, None], self.measured.shape)[self.seen]
         return np.concatenate([placed, np.broadcast_to(of_sample[:, None], self._sensed.seen.shape)[self._sensed.seen]])
+
+    def with_plants(self, plants: Plants) -> "Readings":
+        """Readings of the same recordings by other plants, whose equilibria are sought from these on."""
+        found = copy.copy(self)
+        found.plants = plants
+        return found
 
     def positions(self, x: Array) -> Array:
         """Simulated positions (samples, m, 3) [m] at coordinates x (k,). Raises NoHoldError, ConfigurationError."""

@@ -76,6 +76,31 @@ def test_a_forgotten_payload_and_a_wrong_routing_are_told_by_the_residuals(arm, 
     assert any("the model lacks something" in text for text in found.findings)
 
 
+def test_rows_that_stand_twice_are_told_and_narrow_nothing(arm, holds, placed, found, tmp_path):
+    header, *rows = holds.read_text().splitlines()
+    path = tmp_path / "twice.csv"
+    path.write_text("\n".join([header, *rows, *(f"again{row}" for row in rows)]) + "\n")
+    twice = identify(arm, path, placed, [E, RHO], fidelity="scene")
+    assert np.array_equal([twice.intervals.low, twice.intervals.high], [found.intervals.low, found.intervals.high])
+    (text,) = twice.findings
+    assert "left out are againholds0 (as holds0), againholds1 (as holds1), againholds2 (as holds2) and 13 more" in text
+
+
+def test_held_out_repeats_that_a_column_chose_are_told(arm, record, placed, tensions, truth):
+    path = record("repeated", truth, [*tensions[:8], *tensions[:2], *tensions[8:10]])
+    header, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([f"{header},judges", *(f"{row},{int(i > 7)}" for i, row in enumerate(rows))]) + "\n")
+    found = identify(arm, path, placed, [E, RHO], fidelity="scene", held_out="judges")
+    assert any("2 of 4 held-out recordings repeat commands of the fit" in text for text in found.findings)
+
+
+def test_exact_data_are_said_to_be_met_to_the_solvers_tolerance(arm, record, placed, tensions, truth):
+    found = identify(arm, record("exact", truth, tensions, noise=0.0), placed, [E, RHO], fidelity="scene")
+    (text,) = found.findings
+    assert text.startswith("The fit explains the data to the solver's tolerance, by ")
+    assert ((found.intervals.low <= [*truth.values()]) & ([*truth.values()] <= found.intervals.high)).all()
+
+
 def test_a_parameter_too_many_is_told_by_held_out_data(arm, record, placed, tensions, truth):
     few = record("few", {**truth, "tendons.0.routing.offset": [0.006, 0.002]}, tensions[:9], noise=2e-3)
     found = identify(arm, few, placed, [E, RHO, "markers.*.offset~0.05"], fidelity="scene", held_out=7)

@@ -1,9 +1,13 @@
 """Parameters: keys with wildcards, bounds, priors, and where they lead."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from soft_tendon_env.identification.parameters import read_parameters
+from soft_tendon_env.identification.markers import Marker, MarkerSet
+from soft_tendon_env.identification.output import randomize
+from soft_tendon_env.identification.parameters import distance_parameter, read_parameters
 from soft_tendon_env.identification.plant import Plants, base_rotation
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.scene.file import load_scene
@@ -13,7 +17,8 @@ def test_a_wildcard_of_the_scene_is_one_factor_and_one_of_the_measurement_is_man
     scene = load_scene("two_segment_six")
     E, *offsets = read_parameters(["segments.*.young_modulus", "markers.*.offset"], scene, placed)
     assert E.keys == ("segments.0.young_modulus", "segments.1.young_modulus") and E.is_factor and E.prior is None
-    assert len(offsets) == 9 and offsets[1].name == "markers.base.offset.1" and offsets[1].value == 0.012 and offsets[1].prior == 0.01
+    assert len(offsets) == 9 and (offsets[1].name, offsets[1].value) == ("markers.base.offset.1", 0.012)
+    assert offsets[1].prior == pytest.approx(0.01)
 
 
 def test_bounds_stop_where_the_scene_does(arm, placed):
@@ -48,7 +53,7 @@ def test_a_mount_that_turns_turns_gravity_against_the_arm_and_its_markers_with_i
     parameters = read_parameters(["mount", "commands.*.gain", "commands.delay"], arm, placed)
     plants = Plants(arm, build_model(arm), placed, parameters)
     x = np.zeros(len(parameters))
-    x[:6] = [0.0, 0.0, 2.0, 1.0, 0.0, 0.0]  # 6 degrees about z, 5 mm along x
+    x[:6] = [0.0, 0.0, 2.0, parameters[3].coordinate(5e-3), 0.0, 0.0]  # 6 degrees about z, 5 mm along x
     x[6], x[-1] = np.log(1.1), 0.0
     plant = plants.at(x)
     R = base_rotation(np.array([0.0, 0.0, 6.0]))
@@ -57,3 +62,41 @@ def test_a_mount_that_turns_turns_gravity_against_the_arm_and_its_markers_with_i
     inside = straight[:, :3, 3] + placed.offsets
     assert np.allclose(plant.positions(straight), inside @ R.T + [5e-3, 0.0, 0.0])
     assert np.allclose(plant.command(np.ones(3)), [1.1, 1.0, 1.0])
+
+
+@pytest.mark.cases(
+    "name, changes, key, prior",
+    [
+        (
+            "three_tendon",
+            {"effects.tendon_elasticity": {"stiffness": 3e3, "displacement_limits": [-0.01, 0.03]}},
+            "commands.1.offset",
+            2e-3,
+        ),
+        ("three_tendon", {}, "commands.1.offset", 0.25),
+        ("three_tendon", {"segments.0.length": 3.0}, "mount.shift.2", 0.0375),
+        ("catheter", {}, "markers.tip.offset.0", 0.005),
+    ],
+)
+def test_priors_are_shares_of_the_arms_length_and_of_its_actuators_ranges(name, changes, key, prior):
+    scene = load_scene(name).replace(changes)
+    (own,) = read_parameters([key], scene, MarkerSet(markers={"tip": Marker(arc_length=0.2)}))
+    assert own.prior == pytest.approx(prior) and own.high - own.value == pytest.approx(5.0 * prior)
+
+
+def test_offsets_of_displacements_are_randomised_as_the_tensions_that_environments_make_them_of(placed):
+    elastic = {"stiffness": 3e3, "displacement_limits": [-0.01, 0.03]}
+    scene = load_scene("three_tendon").replace({"effects.tendon_elasticity": elastic})
+    parameters = read_parameters(["commands.*.offset", "commands.0.gain"], scene, placed)
+    low, high = np.array([-2e-3, -1e-3, -1e-3, 0.9]), np.array([1e-3, 1e-3, 4e-3, 1.2])
+    spread = SimpleNamespace(low=low, high=high, identified=np.ones(4, dtype=bool))
+    table = randomize(SimpleNamespace(scene=scene, parameters=parameters, value=0.5 * (low + high), intervals=spread))
+    assert table == {"tension_gain": [0.9, 1.2], "tension_offset": [pytest.approx(-0.25), pytest.approx(0.5)]}  # 5 N for 40 mm
+
+
+def test_the_common_distance_of_tendons_is_a_factor_of_all_routings():
+    scene = load_scene("two_segment_six")
+    own = distance_parameter(scene)
+    further = scene.replace(own.changes(own.at(np.log(1.1))))
+    for before, after in zip(scene.tendons, further.tendons, strict=True):
+        assert np.array(after.routing.offset) == pytest.approx(1.1 * np.array(before.routing.offset))

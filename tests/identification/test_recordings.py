@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.identification import load_markers
-from soft_tendon_env.identification.recordings import read_recordings
-from soft_tendon_env.identification.split import split
+from soft_tendon_env.identification.recordings import Recording, read_recordings
+from soft_tendon_env.identification.split import same_commands, split, without_twins
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 
@@ -114,3 +114,41 @@ def test_bad_shares_are_told(arm, holds, placed, held_out, message):
     with pytest.raises(ValueError, match="held_out is") as raised:
         split(read_recordings([holds], arm, placed), held_out)
     assert message in str(raised.value)
+
+
+def held(*commands, period=0.0):
+    """Recordings of commands, a motion for each list of them."""
+    return [Recording(f"{i}", "simulated", np.atleast_2d(own), np.full((1, 1, 3), i), period, {}) for i, own in enumerate(commands)]
+
+
+@pytest.mark.cases(
+    "commands, groups",
+    [
+        ([[1.0, 0.0], [1.004, 0.001], [2.0, 0.0], [0.996, 0.0], [1.0, 0.1]], [0, 0, 1, 0, 2]),
+        ([[0.001, 0.0], [0.00101, 0.0], [0.002, 0.0], [0.0, 0.002]], [0, 0, 1, 2]),
+        ([[2.0, 1.0], [2.002, 1.0], [1.999, 1.001]], [0, 0, 0]),
+        ([[[0.0], [1.0], [1.0]], [[0.0], [1.01], [1.0], [1.0]], [[0.0], [0.0], [1.0]]], [0, 0, 1]),
+        ([[0.1 * i] for i in range(11)], [*range(11)]),
+    ],
+)
+def test_repeats_of_the_same_commands_are_found(commands, groups):
+    assert same_commands(held(*commands)).tolist() == groups
+
+
+@pytest.mark.cases("share, count", [("0.25", 4), ("3", 4), ("0.5", 8), ("1", 4)])
+def test_repeats_stay_together_when_some_are_held_out(share, count):
+    tensions = np.random.default_rng(0).uniform(0.0, 5.0, (4, 3))
+    parts = split(held(*(np.tile(tensions, (4, 1)) + 0.01 * np.random.default_rng(1).uniform(size=(16, 3)))), share)
+    seen, unseen = ({int(own.name) % 4 for own in part} for part in parts)
+    assert len(parts.held_out) == count and not seen & unseen
+
+
+def test_holding_out_repeats_of_one_hold_is_refused():
+    with pytest.raises(ValueError, match="leaves nothing to fit to of 3 recordings: those with the same commands stay together"):
+        split(held([1.0], [1.0], [1.0]), "1")
+
+
+def test_recordings_that_stand_twice_are_left_out():
+    first, second, third = held([1.0], [1.0], [2.0])
+    kept, twins = without_twins([first, second, third, Recording("copy", "simulated", third.command, third.positions, 0.0, {})])
+    assert kept == [first, second, third] and twins == ["copy (as 2)"]
