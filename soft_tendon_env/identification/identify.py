@@ -105,7 +105,7 @@ def identify(
     try:
         found = fit(fitted, noise, loss)
     except NoHoldError as error:
-        raise NoHoldError(f"{error}. {misread_text(fitted, None, noise, loss) or LOOK}") from error
+        raise NoHoldError(f"{str(error).rstrip('.')}. {misread_text(fitted, None, noise, loss) or LOOK}") from error
     moved = _moved(found, fitted, scene, fidelity)
     spread = intervals(found, fitted.recording, chosen, moved)
     nominal = np.zeros(len(chosen))

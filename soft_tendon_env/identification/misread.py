@@ -29,7 +29,7 @@ TRIED = 3
 """Readings that a fit is made for: those with the least error at the scene's own numbers."""
 
 LOOK = "Look at units and signs of the commands, at the unit of time, at [frame], at the scene's stiffness and at the parameters' bounds."
-"""What to look at where the arm does not hold the data."""
+"""Advice for data that the arm does not hold."""
 
 
 class Reading(NamedTuple):
@@ -132,7 +132,7 @@ def _frames(markers: MarkerSet) -> list[Reading]:
     R, shift = frame.matrix[:3, :3], np.array(frame.translation)
 
     def reading(text: str, matrix: Array, after: Array = shift) -> Reading:
-        """Of data in their frame, R^T (p - shift)."""
+        """By a matrix of data in their frame, R^T (p - shift)."""
         return Reading(text, (matrix @ R.T, after - matrix @ R.T @ shift))
 
     found = []

@@ -150,7 +150,7 @@ def _found(table: Table, sources: Mapping[str, Source], optional: Set[str]) -> d
 
 
 def _notes(path: Path, table: Table, rows: Sequence[_Row], sources: Mapping[str, Source]) -> tuple[str, ...]:
-    """What was made of a file, in sentences. Raises ValueError for numbers with decimal points and commas."""
+    """Notes on how a file was read, in sentences. Raises ValueError for numbers with decimal points and commas."""
     notes = []
     if table.skipped:
         lines = ", ".join(map(str, table.skipped[:5])) + (", ..." if len(table.skipped) > 5 else "")
@@ -176,8 +176,9 @@ def _recording(name: str, rows: Sequence[_Row], sheet: _Sheet, markers: MarkerSe
     sensed = _numbers(rows, sheet.sensed)
     _check_quaternions(rows, sensed, [name for name, marker in markers.markers.items() if marker.orientation])
     others, period = _others(rows[0], sheet.others), 0.0
-    if sheet.time is not None:
-        steps = steps_of(np.array([row.number(sheet.time) for row in rows]), [row.where for row in rows])
+    times = _numbers(rows, [sheet.time] if sheet.time else [])[:, :1].ravel()
+    if len(times) > 1 or (times >= 0.0).any():  # one row before time 0 is a log that was cut off behind the row at rest, which is a hold
+        steps = steps_of(times, [row.where for row in rows])
         period = steps.period
         command, positions, sensed = steps.held(command), steps.spread(positions), steps.spread(sensed)
         notes += [f"Motion {name!r}: {steps.note}."] if steps.note else []

@@ -77,21 +77,17 @@ def _read_csv(path: Path, names: set[str]) -> Table:
 
 def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]:
     """Place of the header among the lines, its separator and its cells."""
-    best = 0, ",", list[str]()
-    most = -1
+    best, most = (0, ",", list[str]()), -1
     for place, line in enumerate(lines[:PREAMBLE]):
         is_comment = line.startswith(COMMENTS)
-        text = line.lstrip("".join(COMMENTS) + " \t") if is_comment else line
-        if not text.strip():
-            continue
-        separator = max(SEPARATORS, key=text.count)
-        if separator not in text.strip():
-            separator, text = " ", _single_spaced(text)
-        cells = [cell.strip() for cell in next(csv.reader([text], delimiter=separator, skipinitialspace=True))]
-        # a comment counts by its names alone
-        found = len(names.intersection(map(str.casefold, cells))) - is_comment
-        if found > most:
-            best, most = (place, separator, cells), found
+        for text in (line.lstrip("".join(COMMENTS) + " \t"), line)[not is_comment :]:
+            separator = max(SEPARATORS, key=text.count)
+            if separator not in text.strip():
+                separator, text = " ", _single_spaced(text)
+            cells = [cell.strip() for own in csv.reader([text], delimiter=separator, skipinitialspace=True) for cell in own]
+            found = len(names.intersection(map(str.casefold, cells))) - is_comment  # a comment counts by its names alone
+            if any(cells) and found > most:
+                best, most = (place, separator, cells), found
     place, separator, cells = best
     while cells and not cells[-1]:
         cells = cells[:-1]

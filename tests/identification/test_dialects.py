@@ -70,6 +70,11 @@ def test_dialects_give_the_same_numbers(tmp_path, content, notes):
             [1 / 9.80665] * 3 + [100, -1, 100],
             ["hold", *(f"effort[{i}]" for i in range(3)), *(f"pose.{axis}" for axis in "xyz")],
         ),
+        (
+            {"hold": {"name": "%run"}, "*_x": {"name": "* X"}, "*_y": {"name": "* Y"}, "*_z": {"name": "* Z", "unit": "mm"}},
+            [1, 1, 1, 1, 1, 1e3],
+            ["%run", *HEADER[1:4], "M X", "m y", "m Z"],
+        ),
         ({"hold": {"name": "trial"}, "tension_0": {"unit": "mN", "sign": -1}}, [-1e3, 1, 1, 1, 1, 1], ["trial", *HEADER[1:]]),
     ],
 )

@@ -134,6 +134,15 @@ def test_motions_that_do_not_begin_at_rest_are_told(motion, tmp_path):
     assert "in the first period markers move" in text and "at rest up to 1.5 mm" in text and "Samples are 0.02 s apart" in text
 
 
+def test_a_motion_that_cannot_be_simulated_says_what_to_look_at(motion, tmp_path):
+    scene, rows = motion
+    with pytest.raises(NoHoldError) as raised:
+        moved(tmp_path, scene.replace({"segments.0.young_modulus": 2e3, "effects.gravity.acceleration": [-300.0, 900.0, 0.0]}), rows)
+    text = str(raised.value)
+    assert "line 2: motion 'steps' cannot be simulated" in text and "It should begin at rest under its first command" in text
+    assert "Samples are 0.02 s apart, if the unit of time is right. Look at units and signs of the commands" in text
+
+
 def test_stiffness_far_from_the_drawing_is_told(tmp_path):
     """Without other loads, a wrong unit of the tensions goes into the stiffness alone."""
     scene = load_scene("three_tendon")
