@@ -126,10 +126,10 @@ def _sheet(path: Path, scene: Scene, markers: MarkerSet) -> _Sheet:
         if len(cells) != len(table.header):
             raise ValueError(f"{where}: there are {len(cells)} cells, the header has {len(table.header)}: {table.where}")
         rows.append(_Row(where, dict(zip(table.header, cells, strict=True))))
-    parts = ([found[quantity] for quantity in part] for part in (commands, places, sensed))
+    first, second, third = ([found[quantity] for quantity in part] for part in (commands, places, sensed))
     names = {source.name for source in found.values()}
     others = [name for name in table.header if name not in names and table.header.count(name) == 1]
-    return _Sheet(rows, *parts, found.get("time"), found.get("hold"), others, _notes(path, table, rows, found))
+    return _Sheet(rows, first, second, third, found.get("time"), found.get("hold"), others, _notes(path, table, rows, found))
 
 
 def _found(table: Table, sources: Mapping[str, Source], optional: Set[str]) -> dict[str, Source]:
