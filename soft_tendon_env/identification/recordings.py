@@ -93,8 +93,6 @@ def read_recordings(paths: Sequence[str | Path], scene: Scene, markers: MarkerSe
     names = [recording.name for recording in found]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(f"hold {twice[0]!r} is there {names.count(twice[0])} times: every hold should have a name of its own")
-    if not found:
-        raise ValueError(f"{', '.join(map(str, paths))}: there are no rows beneath the first line")
     return found
 
 
@@ -103,11 +101,11 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
     sheet = _sheet(path, scene, markers)
     groups = itertools.groupby(sheet.rows, lambda row: row.cells[sheet.hold.name] if sheet.hold else path.stem)
     found = [_recording(name, list(group), sheet, markers) for name, group in groups]
-    if found and sheet.notes:
+    if sheet.notes:
         found[0] = replace(found[0], notes=(*sheet.notes, *found[0].notes))
     for recording in found:
         check_commands(recording, scene)
-        _check_sensed(recording, markers.sensed(len(scene.tendons)), rod_length(scene))
+    _check_sensed(found, markers.sensed(len(scene.tendons)), rod_length(scene))
     _check_unit(found, rod_length(scene), path, next(iter(markers.markers)))
     return found
 
@@ -121,6 +119,8 @@ def _sheet(path: Path, scene: Scene, markers: MarkerSet) -> _Sheet:
     sources = markers.sources({**commands, **places, **sensed, "time": "s", "hold": ""})
     table = read_table(path, [source.name for source in sources.values()])
     found = _found(table, sources, optional={"time", "hold"} - markers.columns.keys())
+    if not table.rows:
+        raise ValueError(f"{table.where}: there are no rows beneath the header")
     rows = []
     for where, cells in table.rows:
         if len(cells) != len(table.header):
@@ -243,20 +243,20 @@ def check_commands(recording: Recording, scene: Scene) -> None:
             raise ValueError(f"{recording.where}: {COMMANDS[unit]}_{i} is {odd[0]:g} {unit}: {what}{guess}")
 
 
-def _check_sensed(recording: Recording, units: Mapping[str, str], length: float) -> None:
-    """Raises ValueError for numbers of sensors that differ by more than those of an arm can."""
-    assert recording.sensed is not None
+def _check_sensed(recordings: Sequence[Recording], units: Mapping[str, str], length: float) -> None:
+    """Raises ValueError for numbers of sensors in a file that differ by more than those of an arm can."""
     most = {"m": REACH * length, "1/m": CURVED / length, "1": CHANGED}
-    for (quantity, unit), values in zip(units.items(), recording.sensed.T, strict=True):
+    every = np.concatenate([own.sensed for own in recordings if own.sensed is not None])
+    for (quantity, unit), values in zip(units.items(), every.T, strict=True):
         change = float(np.ptp(values[np.isfinite(values)])) if np.isfinite(values).any() else 0.0
         if change > most[unit]:
             text = f"{quantity} changes by {change:g} {unit}, on a rod of {length:g} m"
-            raise ValueError(f"{recording.where}: {text}{unit_guess(quantity, change, most[unit], unit)}")
+            raise ValueError(f"{recordings[0].where}: {text}{unit_guess(quantity, change, most[unit], unit)}")
 
 
 def unit_guess(quantity: str, value: float, most: float, unit: str) -> str:
     """End of an error about a value that should be at most `most`: units in which it would be plausible, and where to say so."""
-    like = [name for name, factor in UNITS[unit].items() if LEAST * most <= value * factor <= most]
+    like = [name for name, factor in UNITS[unit].items() if name != unit and LEAST * most <= value * factor <= most]
     text = f"; is it in {' or '.join(like)}? [columns] of the markers' file says so: {quantity} = {{ unit = "
     return f'{text}"{like[0]}" }}' if like else ""
 

@@ -14,6 +14,8 @@ MOST_LOST = 5
 """Samples that may be lost one after another: their commands are not known."""
 SHORTEST, LONGEST = 1e-5, 100.0
 """Sample periods [s] beyond which the unit of time is wrong."""
+LATEST = 1e11
+"""Time [s] beyond which its unit is wrong: three thousand years after 1970."""
 USUAL = (1e-3, 1.0)
 """Sample periods [s] by which a unit of time is guessed."""
 
@@ -45,7 +47,7 @@ def steps_of(times: Array, wheres: Sequence[str]) -> Steps:
         at = int(odd[0]) + (not np.isnan(times[odd[0]]))
         raise ValueError(f"{wheres[at]}: time is {times[at]:.9g} s after {times[odd[0]]:.9g} s: it should be a number, and grow")
     middle = float(np.median(change))
-    if not SHORTEST <= middle <= LONGEST:
+    if not SHORTEST <= middle <= LONGEST or times[-1] > LATEST:
         like = next((unit for unit, factor in UNITS["s"].items() if USUAL[0] <= middle * factor < USUAL[1]), "...")
         guess = f'is it in {like}? [columns] of the markers\' file says so: time = {{ unit = "{like}" }}'
         raise ValueError(f"{wheres[0]}: samples are {middle:.4g} s apart in time: {guess}")

@@ -84,6 +84,8 @@ def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]
             separator = max(SEPARATORS, key=text.count)
             if separator not in text.strip():
                 separator, text = " ", _single_spaced(text)
+            if len(text) > csv.field_size_limit():
+                continue  # which the reader tells
             cells = [cell.strip() for own in csv.reader([text], delimiter=separator, skipinitialspace=True) for cell in own]
             found = len(names.intersection(map(str.casefold, cells))) - is_comment  # a comment counts by its names alone
             if any(cells) and found > most:

@@ -118,6 +118,9 @@ def test_columns_that_do_not_fit_are_told(tmp_path, columns, message):
         (table(numbers=NUMBERS * [1, 1, 1, 1e-3, 1e-3, 1e-3]), "all markers are within"),
         (table().rstrip()[:-12], "line 4: there are 5 cells"),
         ("", "there is no column"),
+        (",".join(HEADER), "line 1 (separated by ','): there are no rows beneath the header"),
+        (table().replace("0.5", "-0.5"), "line 2: tension_0 is -0.5 N: the scene's tension_limits are 0 to 5 N"),
+        (table() + "d," + "1" * 200_000 + ",1,1,0,0,0\n", "line 5 cannot be read: field larger than field limit"),
         (b"\x00\xff\xfe" * 40, "there is no column"),
         (table() + table(), "line 5: tension_0 is 'tension_0'"),
         (table().replace("0.031", "0.03l"), "line 2: m_y is '0.03l'"),
@@ -178,6 +181,7 @@ def test_jitter_and_lost_samples_are_told(tmp_path):
         ([float("nan"), 0.01, 0.02], "line 2: time is nan s"),
         ([0.0, 0.01, 0.015, 0.025, 0.03, 0.045], "time should go on in equal steps, which are 0.01 s in the middle"),
         ([0.0, 0.01, 0.02, 0.03, 0.1, 0.11], "line 5: 6 samples are missing behind it, and their commands with them"),
+        ([1.7634e12, 1.7634e12 + 20, 1.7634e12 + 40], "line 2: samples are 20 s apart in time: is it in ms?"),
         ([0.0], "line 2: a motion should have at least two samples"),
         ([0.0, 1000.0, 2000.0], "line 2: samples are 1000 s apart in time: is it in us?"),
     ],
@@ -199,3 +203,13 @@ def test_a_marker_at_exactly_zero_was_not_seen(tmp_path):
 def test_cells_without_a_number_are_markers_that_were_not_seen(tmp_path, text):
     found = read(tmp_path, table().replace("0.251,-0.08,0.06", ",".join([text] * 3)))
     assert np.isnan(found[1].positions).all() and np.isfinite(found[2].positions).all()
+
+
+def test_units_of_sensors_are_guessed(tmp_path):
+    names = [f"strain_0_{name}" for name in ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")]
+    markers = MarkerSet(markers=MARKERS.markers, sensors={"strain": (0.1,)})
+    content = table(header=[*HEADER, *names], numbers=np.hstack([NUMBERS, 100.0 * np.arange(3)[:, None] * [0, 1, 0, 0, 0, 0]]))
+    with pytest.raises(ValueError, match="strain_0_bend_y changes by 200 1/m, on a rod of 0.3 m; is it in deg/m"):
+        read(tmp_path, content, markers)
+    told = MarkerSet(**{**dict(markers), "columns": {"strain_0_bend_y": {"unit": "deg/m"}}})
+    assert read(tmp_path, content, told)[2].sensed[0, 1] == pytest.approx(np.deg2rad(200.0))
