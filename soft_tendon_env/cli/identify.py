@@ -26,9 +26,9 @@ class Identify(ArmSettings):
     """Identify an arm from measured marker positions: estimate parameters of its scene by least squares, and judge them on held-out data.
 
     Attributes:
-        data: CSV or Parquet files, SI units: a row a hold (columns hold, tension_i or displacement_i, MARKER_x, MARKER_y, MARKER_z) or,
-            with a column time, a sample of a motion that begins at rest.
-        markers: TOML file with the markers' places on the arm and the frame of the data.
+        data: CSV or Parquet files: a row a hold (columns hold, tension_i or displacement_i, MARKER_x, MARKER_y, MARKER_z) or, with a column
+            time, a sample of a motion that begins at rest.
+        markers: TOML file with the markers' places on the arm, the frame of the data, and names and units of its columns (by default SI).
         parameters: keys such as segments.*.young_modulus, mount.rotation, markers.*.offset or commands.*.gain; KEY=LOW..HIGH with bounds,
             KEY~SIGMA with a prior's standard deviation (of factors in parts of the value).
         held_out: held-out recordings that judge the fit: a share or a number, stratified by tension; a column, COLUMN=NUMBER, or 0.

@@ -25,6 +25,8 @@ CORRELATED = 0.3
 """Correlation of successive residuals from which they are no noise."""
 COARSE = 0.5
 """Share of an interval's reach by which a finer model may move a parameter."""
+UNLIKELY = 5.0
+"""Factor of a Young's modulus from which a unit may be wrong."""
 MATTERS = 1.01
 """Factor of the error of held-out data from which it counts as higher."""
 FAR = 1.5
@@ -79,6 +81,16 @@ def bound_texts(x: Array, parameters: Sequence[Parameter]) -> list[str]:
         for bound in own.bounds:
             if abs(at - bound) <= AT_BOUND * (own.bounds[1] - own.bounds[0]):
                 found.append(f"{own.name} is at its bound, {own.at(bound):.4g}: {experiment(own.name)}, or the bound is wrong.")
+    return found
+
+
+def unlikely_texts(x: Array, parameters: Sequence[Parameter]) -> list[str]:
+    """Stiffness so far from the scene's that a unit may be wrong: at rest it is in proportion to the commands where nothing else loads."""
+    found = []
+    for own, at in zip(parameters, x, strict=True):
+        if own.name.endswith("young_modulus") and abs(at) > np.log(UNLIKELY):
+            far = f"{np.exp(abs(at)):.2g} times {'greater' if at > 0 else 'less'} than in the scene"
+            found.append(f"{own.name} is {far}: is a unit wrong? Tensions in kg that are read as N make it 9.8 times less.")
     return found
 
 

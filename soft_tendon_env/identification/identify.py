@@ -16,16 +16,20 @@ from soft_tendon_env.identification.findings import (
     over_fitting_text,
     repeats_text,
     twins_text,
+    unlikely_texts,
     unseen_text,
 )
 from soft_tendon_env.identification.fit import Fit, Loss, fit
 from soft_tendon_env.identification.intervals import Intervals, intervals, shift
-from soft_tendon_env.identification.markers import MarkerSet, load_markers
+from soft_tendon_env.identification.markers import MarkerSet, check_places, load_markers
+from soft_tendon_env.identification.misread import LOOK, are_far, misread_text
+from soft_tendon_env.identification.motions import begins_at_rest, rest_text
 from soft_tendon_env.identification.parameters import Parameter, read_parameters
 from soft_tendon_env.identification.plant import Measurement, Plants, base_rotation
 from soft_tendon_env.identification.readings import Readings, mean_of_finite
 from soft_tendon_env.identification.recordings import Recording, read_recordings
 from soft_tendon_env.identification.split import SHARE, split, without_twins
+from soft_tendon_env.identification.statics import NoHoldError
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_type
@@ -90,6 +94,7 @@ def identify(
         raise ValueError(f"noise is {noise}: it should be a positive number of metres")
     files = [data] if isinstance(data, str | os.PathLike) else [*data]
     placed = markers if isinstance(markers, MarkerSet) else load_markers(markers, scene)
+    check_places(placed, scene, "markers")
     chosen = read_parameters(parameters, scene, placed)
     recordings, twins = without_twins(read_recordings([Path(file) for file in files], scene, placed))
     parts = split(recordings, str(held_out))
@@ -100,7 +105,10 @@ def identify(
     accurate = _fit_for(at_fidelity(scene, fidelity), [*parts.fit, *parts.held_out])
     plants = Plants(accurate, build_model(accurate), placed, chosen)
     fitted, unseen = Readings(plants, parts.fit), Readings(plants, parts.held_out)
-    found = fit(fitted, noise, loss)
+    try:
+        found = fit(fitted, noise, loss)
+    except NoHoldError as error:
+        raise NoHoldError(f"{str(error).rstrip('.')}. {misread_text(fitted, None, noise, loss) or LOOK}") from error
     moved = _moved(found, fitted, scene, fidelity)
     spread = intervals(found, fitted.cluster, chosen, moved)
     nominal = np.zeros(len(chosen))
@@ -133,11 +141,18 @@ def _fit_for(scene: Scene, recordings: Sequence[Recording]) -> Scene:
 
 
 def _findings(found: Fit, spread: Intervals, fitted: Readings, unseen: Readings, noise: float | None, loss: Loss) -> list[str]:
-    """Findings in words, what the data do not contain first."""
+    """Findings in words: what was done to the data, that they are misread, or what they do not contain and the model lacks."""
+    recordings, length = [*fitted.recordings, *unseen.recordings], fitted.plants.length
+    notes = [note for own in recordings for note in own.notes]
+    restless = [own for own in recordings if own.period and not begins_at_rest(own, length)]
+    notes += [f"Motion {own.name!r} does not begin at rest. {rest_text(own, length)}" for own in restless]
+    error = mean_of_finite(fitted.errors(found.x))
+    if are_far(fitted, error) and (text := misread_text(fitted, found.x, noise, loss)):
+        return [text, *notes]
     parameters = fitted.plants.parameters
     texts = [unseen_text(direction, parameters) for direction in spread.unseen]
-    texts += bound_texts(found.x, parameters) + misfit_texts(found, fitted, noise)
-    return texts + over_fitting(found, fitted, unseen, loss)
+    texts += bound_texts(found.x, parameters) + unlikely_texts(found.x, parameters) + misfit_texts(found, fitted, noise)
+    return texts + over_fitting(found, fitted, unseen, loss) + notes
 
 
 def _moved(found: Fit, fitted: Readings, scene: Scene, fidelity: str) -> Array:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from soft_tendon_env.identification.plant import Plant
 from soft_tendon_env.identification.recordings import Recording
+from soft_tendon_env.identification.sampling import longest_still, moved
 from soft_tendon_env.identification.statics import NoHoldError
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import NoEquilibriumError, Simulation, SimulationDiverged, simulate
@@ -14,6 +15,9 @@ from soft_tendon_env.model.state import State
 from soft_tendon_env.model.statics import commanded_equilibrium
 from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.tools.types import Array
+
+STILL = 0.005
+"""Share of the rod's length within which markers may be at rest: noise."""
 
 
 class Motions:
@@ -33,7 +37,21 @@ class Motions:
             start = _at_rest(plant.model, command[0])
             return simulate(plant.model, command[:-1], duration, motion.period, start).q
         except (SimulationDiverged, NoEquilibriumError, StrainLimitError) as error:
-            raise NoHoldError(f"{motion.where}: motion {motion.name!r} cannot be simulated: {error}") from error
+            text = f"{motion.where}: motion {motion.name!r} cannot be simulated: {error}. {rest_text(motion, plant.model.length)}"
+            raise NoHoldError(text) from error
+
+
+def begins_at_rest(motion: Recording, length: float) -> bool:
+    """Whether markers of a motion stay under its first command, which is held from rest on, on a rod of a length [m]."""
+    return moved(*motion.positions[:2]) <= STILL * length
+
+
+def rest_text(motion: Recording, length: float) -> str:
+    """How still a motion is, as sentences that say what to look at."""
+    first, still = 1e3 * moved(*motion.positions[:2]), motion.period * longest_still(motion.positions, STILL * length)
+    text = f"It should begin at rest under its first command: in the first period markers move {first:.2g} mm, at rest up to"
+    text += f" {1e3 * STILL * length:.2g} mm, which they keep to for {still:.3g} s at most"
+    return f"{text}. Samples are {motion.period:.3g} s apart, if the unit of time is right."
 
 
 def _at_rest(model: Model, command: Array) -> State:

@@ -23,7 +23,7 @@ class Sensed:
 
     def __init__(self, markers: MarkerSet, recordings: Sequence[Recording], tendons: int) -> None:
         self._markers, self._tendons = markers, tendons
-        columns = len(markers.columns(tendons))
+        columns = len(markers.sensed(tendons))
         given = [own.sensed if own.sensed is not None else np.full((len(own.command), columns), np.nan) for own in recordings]
         measured = np.concatenate([np.zeros((0, columns)), *given])
         self._oriented = [i for i, marker in enumerate(markers.markers.values()) if marker.orientation]

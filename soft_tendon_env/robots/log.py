@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.robots.protocol import COMMANDS, Measurement, Unit
-from soft_tendon_env.tools.tables import rows_of
+from soft_tendon_env.tools.tables import read_table
 from soft_tendon_env.tools.types import Array
 
 STRAINS = ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")
@@ -174,10 +174,9 @@ def _count(table: dict[str, Array], pattern: str) -> int:
 
 def _read_table(path: Path) -> dict[str, Array]:
     """Columns of numbers by name. Raises ValueError, FileNotFoundError."""
-    table = rows_of(path)
-    _, header = next(table, ("", []))
+    _, header, lines, _ = read_table(path)
     rows = []
-    for where, cells in table:
+    for where, cells in lines:
         try:
             rows.append([float(cell) for name, cell in zip(header, cells, strict=True) if name != "hold"])
         except ValueError as error:

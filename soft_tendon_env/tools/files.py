@@ -1,6 +1,7 @@
 """Reading of files, one function per kind: bytes, text, JSON, TOML, CSV and arrays. A file that is missing, cut, endless or of something
 else is an error that names it. Files are replaced whole, and checked by their digests."""
 
+import codecs
 import contextlib
 import csv
 import errno
@@ -58,15 +59,18 @@ def read_bytes(path: str | os.PathLike[str], most: int = MOST_BINARY) -> bytes:
     return content
 
 
-def text_of(path: str | os.PathLike[str], most: int = MOST_TEXT) -> str:
-    """The text of a file in UTF-8 of at most `most` bytes, lines ending with a newline alone. Raises OSError, UnicodeDecodeError."""
-    return io.TextIOWrapper(io.BytesIO(read_bytes(path, most)), encoding="utf-8").read()
+def text_of(path: str | os.PathLike[str], most: int = MOST_TEXT, errors: str = "strict") -> str:
+    """The text of a file of at most `most` bytes in UTF-8, or UTF-16 with its mark, lines ending with a newline alone; errors: what
+    becomes of other bytes, see `bytes.decode`. Raises OSError, UnicodeDecodeError."""
+    content = read_bytes(path, most)
+    encoding = "utf-16" if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+    return io.TextIOWrapper(io.BytesIO(content), encoding, errors).read()
 
 
-def read_text(path: Path, most: int = MOST_TEXT) -> str:
-    """The text of a file of at most `most` bytes. Raises ValueError, FileNotFoundError."""
+def read_text(path: Path, most: int = MOST_TEXT, errors: str = "strict") -> str:
+    """The text of a file, see `text_of`. Raises ValueError, FileNotFoundError."""
     try:
-        return text_of(path, most)
+        return text_of(path, most, errors)
     except FileNotFoundError as error:
         raise FileNotFoundError(f"there is no file {path}") from error
     except (OSError, UnicodeDecodeError) as error:

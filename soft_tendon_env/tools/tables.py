@@ -1,36 +1,105 @@
-"""Tables from files: rows of text from CSV or Parquet, each with where it stands."""
+"""Tables from files: rows of text from CSV in its dialects, or Parquet, each with where it stands."""
 
 import csv
 import warnings
-from collections.abc import Iterator
+from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from soft_tendon_env.tools.files import MOST_BINARY, read_text
 
 LOGGED = "measured_time"
 """Column by which logs of robots are known, every row of which ends with a newline."""
+SEPARATORS = ",;\t|"
+"""Separators of cells; a header with none of them is separated by spaces."""
+COMMENTS = ("#", "%")
+"""Beginnings of lines that are skipped; the header may be one of them, as NumPy and rostopic write it."""
+PREAMBLE = 100
+"""Lines among which the header is looked for."""
 
 
-def rows_of(path: Path) -> Iterator[tuple[str, list[str]]]:
-    """Rows of a table, its header first, as where they stand and their cells; by its suffix it is Parquet, else CSV.
+class Table(NamedTuple):
+    """Table of text. where: the header stands, with the separator that was recognised; rows: where each stands, and its cells."""
 
+    where: str
+    header: list[str]
+    rows: list[tuple[str, list[str]]]
+    skipped: list[int]  # numbers of lines that were not read: comments, and what stands above the header
+
+
+def read_table(path: Path, names: Collection[str] = ()) -> Table:
+    """The table of a file; by its suffix it is Parquet, else CSV.
+
+    The header of a CSV file is the line with most of the `names`, by default the first that is no comment. Its separator is a comma,
+    semicolon, tab, bar or spaces. Blank lines and comments (#, %) are left out.
     Raises FileNotFoundError, and ValueError for a file that cannot be read, or for Parquet without PyArrow.
     """
     if path.suffix != ".parquet":
-        lines = csv.reader(whole_lines(path, read_text(path, MOST_BINARY)))  # minutes of a log have tens of megabytes
-        for cells in lines:
-            yield f"{path}, line {lines.line_num}", cells
-        return
+        return _read_csv(path, {name.casefold() for name in names})
     try:
         columns = pyarrow().parquet.read_table(path).to_pydict()
     except FileNotFoundError as error:
         raise FileNotFoundError(f"there is no file {path}") from error
     except OSError as error:  # ArrowInvalid is a ValueError that says all
         raise ValueError(f"{path} cannot be read as Parquet: {error}") from error
-    yield str(path), [*columns]
-    for number, values in enumerate(zip(*columns.values(), strict=True), 1):
-        yield f"{path}, row {number}", ["" if value is None else str(value) for value in values]
+    rows = [
+        (f"{path}, row {number}", ["" if value is None else str(value) for value in values])
+        for number, values in enumerate(zip(*columns.values(), strict=True), 1)
+    ]
+    return Table(str(path), [*columns], rows, [])
+
+
+def _read_csv(path: Path, names: set[str]) -> Table:
+    """The table of a CSV file. Raises ValueError, FileNotFoundError."""
+    # minutes of a log have tens of megabytes; bytes that are no text are no numbers
+    lines = whole_lines(path, read_text(path, MOST_BINARY, "replace"))
+    first, separator, header = _header(lines, names)
+    skipped = [number for number, line in enumerate(lines[:first], 1) if line.strip()]
+    # a blank line stays one, so that the reader counts all of them
+    kept = ["" if line.startswith(COMMENTS) else line for line in lines[first + 1 :]]
+    skipped += [number for number, line in enumerate(lines[first + 1 :], first + 2) if line.startswith(COMMENTS)]
+    reader = csv.reader(kept if separator != " " else map(_single_spaced, kept), delimiter=separator, skipinitialspace=True, strict=True)
+    rows, number = [], first + 2
+    try:
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                rows.append((f"{path}, line {number}", _cut([cell.strip() for cell in cells], len(header))))
+            number = first + 2 + reader.line_num
+    except csv.Error as error:
+        raise ValueError(f"{path}, line {number} cannot be read: {error}") from error
+    where = f"{path}, line {first + 1}" + (f" (separated by {separator!r})" if len(header) > 1 else "")
+    return Table(where, header, rows, skipped)
+
+
+def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]:
+    """Place of the header among the lines, its separator and its cells."""
+    best, most = (0, ",", list[str]()), -1
+    for place, line in enumerate(lines[:PREAMBLE]):
+        is_comment = line.startswith(COMMENTS)
+        for text in (line.lstrip("".join(COMMENTS) + " \t"), line)[not is_comment :]:
+            separator = max(SEPARATORS, key=text.count)
+            if separator not in text.strip():
+                separator, text = " ", _single_spaced(text)
+            if len(text) > csv.field_size_limit():
+                continue  # which the reader tells
+            cells = [cell.strip() for own in csv.reader([text], delimiter=separator, skipinitialspace=True) for cell in own]
+            found = len(names.intersection(map(str.casefold, cells))) - is_comment  # a comment counts by its names alone
+            if any(cells) and found > most:
+                best, most = (place, separator, cells), found
+    place, separator, cells = best
+    while cells and not cells[-1]:
+        cells = cells[:-1]
+    return place, separator, cells
+
+
+def _single_spaced(line: str) -> str:
+    """A line with one space where there are many, or tabs."""
+    return " ".join(line.split())
+
+
+def _cut(cells: list[str], count: int) -> list[str]:
+    """Cells without empty ones beyond the header's."""
+    return cells[:count] if not any(cells[count:]) else cells
 
 
 def whole_lines(path: Path, text: str) -> list[str]:
@@ -38,7 +107,7 @@ def whole_lines(path: Path, text: str) -> list[str]:
     text = text.rstrip("\0")  # of blocks that never came to the disk
     lines = text.splitlines()
     if len(lines) > 1 and not text.endswith("\n"):
-        earlier, last = (sum(map(line.count, ",;\t|")) for line in lines[-2:])
+        earlier, last = (sum(map(line.count, SEPARATORS)) for line in lines[-2:])
         if LOGGED in lines[0] or last < earlier:
             warnings.warn(f"{path}, line {len(lines)} was cut off: it is left out, the rows before it are whole", stacklevel=2)
             return lines[:-1]

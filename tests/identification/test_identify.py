@@ -151,7 +151,7 @@ def test_orientations_lengths_and_strains_show_what_positions_of_the_base_do_not
     told = MarkerSet(**{"markers": {"base": BASE}, "frame": Frame(quaternion=(0.5, 0.5, 0.5, 0.5)), **markers})
     model, path = build_model(arm.replace({"segments.0.young_modulus": 4e5})), tmp_path / "sensed.csv"
     header = ["hold", *(f"tension_{i}" for i in range(3)), *(f"{name}_{axis}" for name in told.markers for axis in "xyz")]
-    rows = [[*header, *told.columns(3)]]
+    rows = [[*header, *told.sensed(3)]]
     for hold, tension in enumerate(tensions[:6]):
         q = static_equilibrium(model, tension).q
         turned = told.frame.matrix[:3, :3].T @ model.backbone_at(q, [0.24])[0, :3, :3]

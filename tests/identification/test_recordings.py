@@ -41,14 +41,20 @@ def test_a_marker_that_was_not_seen_is_left_out(arm, changed, placed):
 @pytest.mark.cases(
     "line, column, text, message",
     [
-        (1, 3, "tension_x", "there is no column tension_2: the first line should have tension_0, tension_1, tension_2, base_x"),
-        (4, 7, "nan", "line 4: middle_x is 'nan': it should be a finite number, or empty where a marker was not seen"),
+        (1, 3, "tension_x", "line 1 (separated by ','): there is no column tension_2: [columns] of the markers' file gives"),
+        (1, 3, "tension_0", "column tension_0 is there 2 times"),
+        (4, 7, "lost", "line 4: middle_x is 'lost': it should be a finite number, or empty where a marker was not seen"),
+        (4, 7, "1_0", "line 4: middle_x is '1_0': it should be a finite number"),
+        (4, 7, "inf", "line 4: middle_x is 'inf': it should be a finite number"),
+        (4, 7, '"0,1"', "line 4: middle_x is '0,1', but in"),
+        (4, 7, '"0.1', "line 4 cannot be read: unexpected end of data"),
         (4, 7, "", "line 4: marker 'middle' has some of x, y, z: it should have all, or none"),
         (5, 1, "", "line 5: tension_0 is empty"),
         (5, 1, "99", "line 5: tension_0 is 99 N: the scene's tension_limits are 0 to 5 N"),
+        (5, 1, "306", "line 5: tension_0 is 306 N: the scene's tension_limits are 0 to 5 N; is it in mN or g? [columns] of the"),
         (3, 0, "holds0", "line 3: hold 'holds0' has a second row: samples of a motion need a column time"),
         (5, 0, "holds0", "hold 'holds0' is there 2 times"),
-        (3, 4, "0.1,0.2", "line 3: there are 14 cells, the first line has 13"),
+        (3, 4, "0.1,0.2", "line 3: there are 14 cells, the header has 13"),
     ],
 )
 def test_bad_data_are_told_with_their_place(arm, changed, placed, line, column, text, message):
@@ -57,30 +63,14 @@ def test_bad_data_are_told_with_their_place(arm, changed, placed, line, column, 
     assert message in str(raised.value) and "\n" not in str(raised.value)
 
 
-def test_millimetres_are_told_and_not_converted(arm, holds, placed, tmp_path):
-    header, *rows = holds.read_text().splitlines()
-    cells = [row.split(",") for row in rows]
-    path = tmp_path / "mm.csv"
-    path.write_text("\n".join([header, *(",".join([*row[:4], *(str(1e3 * float(own)) for own in row[4:])]) for row in cells)]) + "\n")
-    with pytest.raises(ValueError, match="are they in millimetres"):
-        read_recordings([path], arm, placed)
-
-
-def test_times_in_uneven_steps_are_refused(arm, holds, placed, tmp_path):
-    header, *rows = holds.read_text().splitlines()
-    times = [0.0, 0.01, 0.03, 0.04]
-    path = tmp_path / "uneven.csv"
-    lines = [",".join([str(time), *row.split(",")[1:]]) for time, row in zip(times, rows, strict=False)]
-    path.write_text("\n".join([header.replace("hold", "time"), *lines]) + "\n")
-    with pytest.raises(ValueError, match="line 3: time should go on in equal steps, which are 0.0133333 s in the mean"):
-        read_recordings([path], arm, placed)
-
-
 @pytest.mark.cases(
     "text, message",
     [
         ("[markers.a]\narc_length = 0.9", "markers.a.arc_length is 0.9: it should be at most the rod's length, 0.3 m"),
+        ("[markers.a]\narc_length = 90", "markers.a.arc_length is 90: it should be at most the rod's length, 0.3 m; is it in mm?"),
+        ("[markers.a]\narc_length = 0.1\noffset = [0, 0, 12]", "markers.a.offset is 12: it should be at most the rod's length"),
         ("[markers.a]\narc = 0.1", "markers.a"),
+        ("[markers.a]\narc_length = 0.1\n[columns.a_x]\nsign = 2", "columns.sign is 2: it should be 1 or -1"),
         ("[markers.a]\narc_length = 0.1\n[frame]\nquaternion = [1, 1, 0, 0]", "should have length 1, not 1.414"),
     ],
 )

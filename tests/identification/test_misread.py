@@ -1,0 +1,153 @@
+"""Data that are read in another way than they were recorded: a finding names how, and there is none for data that are read right."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.identification import Frame, Marker, MarkerSet, identify
+from soft_tendon_env.identification.statics import NoHoldError
+from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.simulation import Simulation, simulate
+from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.scene.file import load_scene
+
+E = "segments.*.young_modulus"
+SHIFT = np.array([0.02, -0.01, 0.03])
+
+
+@pytest.fixture(scope="module")
+def holds():
+    """holds(scene): the arm, tensions and positions of two markers of holds of it, softer than it is drawn."""
+    cache = {}
+
+    def of(name):
+        if name not in cache:
+            scene = load_scene(name).replace({"effects.gravity.acceleration": [6.0, 2.0, -5.0]})
+            length = sum(own.length for own in scene.segments)
+            model = build_model(
+                scene.replace({f"segments.{i}.young_modulus": 0.8 * own.young_modulus for i, own in enumerate(scene.segments)})
+            )
+            most = 0.4 * np.array([own.tension_limits[1] for own in scene.tendons])
+            tensions = np.random.default_rng(5).uniform(0.0, 1.0, (10, len(scene.tendons))) * most
+            places = np.array([0.6, 1.0]) * length
+            positions = [model.backbone_at(static_equilibrium(model, own).q, places)[:, :3, 3] for own in tensions]
+            positions = np.array(positions) + 1e-3 * length * np.random.default_rng(6).normal(size=(10, 2, 3))
+            cache[name] = scene, tensions, positions, {f"m{i}": Marker(arc_length=own) for i, own in enumerate(places)}
+        return cache[name]
+
+    return of
+
+
+def found_of(folder, scene, tensions, positions, markers, frame=None, columns=None):
+    header = ["hold", *(f"tension_{i}" for i in range(tensions.shape[1])), *(f"m{i}_{axis}" for i in range(2) for axis in "xyz")]
+    rows = [[f"h{k}", *map(repr, own.tolist())] for k, own in enumerate(np.hstack([tensions, positions.reshape(len(tensions), -1)]))]
+    path = folder / "holds.csv"
+    path.write_text("\n".join(",".join(row) for row in [header, *rows]))
+    markers = MarkerSet(markers=markers, frame=frame or Frame(), columns=columns or {})
+    return identify(scene, path, markers, [E], held_out=0, fidelity="scene", noise=None)
+
+
+TURN = Frame(quaternion=(0.5, 0.1, -0.7, 0.5), translation=tuple(SHIFT))
+CASES = {
+    "as it is": (lambda u, p: (u, p), {}, None),
+    "mirrored": (
+        lambda u, p: (u, p * [1, 1, -1]),
+        {},
+        "x, y, z of the data read as x, y, -z (a mirror image: the frame of the data is left-h",
+    ),
+    "exchanged axes": (lambda u, p: (u, p[..., [2, 1, 0]]), {}, "x, y, z of the data read as z, y, x (a mirror image"),
+    "turned axes": (lambda u, p: (u, p[..., [1, 2, 0]]), {}, "x, y, z of the data read as z, x, y:"),
+    "mirrored in a frame": (
+        lambda u, p: (u, (p - SHIFT) @ TURN.matrix[:3, :3] * [1, -1, 1]),
+        {"frame": TURN},
+        "read as x, -y, z (a mirror",
+    ),
+    "frame x, y, z, w": (
+        lambda u, p: (u, (p - SHIFT) @ TURN.matrix[:3, :3]),
+        {"frame": Frame(quaternion=(*TURN.quaternion[1:], TURN.quaternion[0]), translation=tuple(SHIFT))},
+        "the quaternion of [frame] as x, y, z, w",
+    ),
+    "frame inverted": (lambda u, p: (u, p @ TURN.matrix[:3, :3].T + SHIFT), {"frame": TURN}, "[frame] inverted"),
+    "tendons exchanged": (lambda u, p: (u[:, [0, 2, 1, *range(3, u.shape[1])]], p), {}, "tendons 1 and 2 exchanged"),
+    "tendons from 1 on": (lambda u, p: (np.roll(u, 1, axis=1), p), {}, " numbered "),
+    "kilograms": (lambda u, p: (u / 9.80665, p), {}, "commands in kg"),
+}
+
+
+@pytest.mark.parametrize(
+    "scene", ["three_tendon", *(pytest.param(own, marks=pytest.mark.slow) for own in ("four_tendon", "two_segment_six"))]
+)
+@pytest.mark.parametrize("case", CASES)
+def test_data_that_are_misread_get_a_finding_that_names_it(holds, tmp_path, scene, case):
+    scene, tensions, positions, markers = holds(scene)
+    change, more, text = CASES[case]
+    try:
+        found = found_of(tmp_path, scene, *change(tensions, positions), markers, **more).findings
+    except NoHoldError as error:
+        found = [str(error)]
+    if text is None:
+        assert not any("times better with" in own for own in found)
+    else:
+        assert "times better with" in found[0] and text in found[0] and "known weight" not in " ".join(found)
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """A hanging arm at the scene's numbers, and the rows of a motion of it that begins at rest: time, tensions, tip."""
+    scene = load_scene("three_tendon").replace({"effects.gravity.acceleration": [0.0, 9.81, 0.0], "integrator.step": 0.02})
+    model = build_model(scene.replace({"segments.0.damping": 9e3}))
+    tensions = np.repeat([[0.0, 0.0, 0.0], [2.0, 0.0, 0.5], [0.0, 1.0, 2.5], [1.0, 2.0, 0.0]], 15, axis=0)[13:]
+    ran = simulate(model, tensions[:-1], 0.02 * (len(tensions) - 1), 0.02, Simulation(model).reset_at_rest(tensions[0]))
+    return scene, np.column_stack([ran.time, tensions, ran.tip_pose[:, :3, 3]])
+
+
+def moved(folder, scene, rows, columns=None):
+    path = folder / "steps.csv"
+    header = ["time", *(f"tension_{i}" for i in range(3)), "m_x", "m_y", "m_z"]
+    path.write_text("\n".join(",".join(map(str, row)) for row in [header, *rows.tolist()]))
+    markers = MarkerSet(markers={"m": Marker(arc_length=0.3)}, columns=columns or {})
+    return identify(scene, path, markers, ["segments.*.damping"], held_out=0, fidelity="scene")
+
+
+@pytest.mark.parametrize(
+    "time, text",
+    [
+        (lambda t: t, None),
+        (lambda t: t + np.random.default_rng(0).normal(0.0, 5e-4, len(t)), "ms off steps of"),
+        (lambda t: np.delete(t, 20), "1 of 47 samples of 20 ms were lost"),
+        pytest.param(lambda t: 1e3 * t, "times better with times in ms", marks=pytest.mark.slow),
+    ],
+)
+def test_times_of_a_motion_are_told(motion, tmp_path, time, text):
+    scene, rows = motion
+    kept = np.column_stack([time(rows[:, 0]), np.delete(rows[:, 1:], 20, axis=0) if text and "lost" in text else rows[:, 1:]])
+    found = moved(tmp_path, scene, kept)
+    assert (text is None) == (not any("Motion 'steps'" in own or "better" in own for own in found.findings))
+    if text is None or "better" not in text:
+        assert found.value[0] == pytest.approx(9e3, rel=0.01)
+    assert text is None or any(text in own for own in found.findings)
+
+
+def test_motions_that_do_not_begin_at_rest_are_told(motion, tmp_path):
+    scene, rows = motion
+    found = moved(tmp_path, scene, rows[3:])
+    (text,) = (own for own in found.findings if "does not begin at rest" in own)
+    assert "in the first period markers move" in text and "at rest up to 1.5 mm" in text and "Samples are 0.02 s apart" in text
+
+
+def test_a_motion_that_cannot_be_simulated_says_what_to_look_at(motion, tmp_path):
+    scene, rows = motion
+    with pytest.raises(NoHoldError) as raised:
+        moved(tmp_path, scene.replace({"segments.0.young_modulus": 2e3, "effects.gravity.acceleration": [-300.0, 900.0, 0.0]}), rows)
+    text = str(raised.value)
+    assert "line 2: motion 'steps' cannot be simulated" in text and "It should begin at rest under its first command" in text
+    assert "Samples are 0.02 s apart, if the unit of time is right. Look at units and signs of the commands" in text
+
+
+def test_stiffness_far_from_the_drawing_is_told(tmp_path):
+    """Without other loads, a wrong unit of the tensions goes into the stiffness alone."""
+    scene = load_scene("three_tendon")
+    model = build_model(scene)
+    tensions = np.random.default_rng(5).uniform(0.0, 3.0, (6, 3))
+    positions = np.array([model.backbone_at(static_equilibrium(model, own).q, [0.15, 0.3])[:, :3, 3] for own in tensions])
+    found = found_of(tmp_path, scene, tensions / 9.80665, positions, {"m0": Marker(arc_length=0.15), "m1": Marker(arc_length=0.3)})
+    assert found.errors[0] < 1e-6 and any("9.8 times less than in the scene: is a unit wrong?" in own for own in found.findings)
