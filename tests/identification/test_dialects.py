@@ -116,7 +116,7 @@ def test_columns_that_do_not_fit_are_told(tmp_path, columns, message):
         ),
         (table(numbers=NUMBERS * [1, 1, 1, 100, 100, 100]), "is it in cm or mm?"),
         (table(numbers=NUMBERS * [1, 1, 1, 1e-3, 1e-3, 1e-3]), "all markers are within"),
-        (table().rstrip()[:-12], "line 4: there are 5 cells"),
+        (table().rstrip()[:-12] + "\n", "line 4: there are 5 cells"),
         ("", "there is no column"),
         (",".join(HEADER), "line 1 (separated by ','): there are no rows beneath the header"),
         (table().replace("0.5", "-0.5"), "line 2: tension_0 is -0.5 N: the scene's tension_limits are 0 to 5 N"),

@@ -12,7 +12,7 @@ from soft_tendon_env.policies import load_policy, policy_options
 from soft_tendon_env.robots import ReplayRobot, RobotEnv, RobotStopped, SimulatedRobot, read_log, rehearse, run_policy
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import rod_length
-from soft_tendon_env.tools.tables import rows_of
+from soft_tendon_env.tools.tables import read_table
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 NOISE = {"position": 1e-3, "rotation": 0.01, "length": 1e-4, "curvature": 0.05, "stretch": 1e-3}
@@ -50,7 +50,7 @@ def test_a_replayed_run_is_the_run_again(ran):
 
 def test_identification_reads_a_log_as_it_is(ran):
     path, *_ = ran
-    (_, header), *lines = rows_of(path)
+    _, header, lines, _ = read_table(path)
     rows = [dict(zip(header, cells, strict=True)) for _, cells in lines]
     numbers = [f"{name}_{i}" for name in ("tension", "commanded", "tendon_length") for i in range(3)]
     assert rows[0].keys() >= {"hold", "time", "tip_x", "tip_y", "tip_z", "tip_qw", "strain_2_shear_z", *numbers}
@@ -138,7 +138,7 @@ def test_a_replay_has_the_episodes_of_its_log(episodes):
 
 
 def test_rows_at_rest_are_measurements_of_their_own(episodes):
-    (_, header), *rows = rows_of(episodes[0])
+    _, header, rows, _ = read_table(episodes[0])
     first = [dict(zip(header, cells, strict=True)) for _, cells in rows[:2]]
     times, measured_times, tips = ([float(row[name]) for row in first] for name in ("time", "measured_time", "tip_x"))
     assert times == [-0.02, 0.0] and np.diff(measured_times) == pytest.approx(0.02)
@@ -167,9 +167,9 @@ def test_a_log_is_read_up_to_its_last_whole_row(episodes, tmp_path, recwarn):
 def test_tables_without_a_last_newline_keep_whole_rows(tmp_path, recwarn):
     path = tmp_path / "foreign.csv"
     path.write_text("hold,tension_0,tip_x\na,1,0.1\nb,2,0.2")
-    assert [cells for _, cells in rows_of(path)][1:] == [["a", "1", "0.1"], ["b", "2", "0.2"]] and not recwarn.list
+    assert [cells for _, cells in read_table(path).rows] == [["a", "1", "0.1"], ["b", "2", "0.2"]] and not recwarn.list
     path.write_text("hold;tension_0;tip_x\na;1;0.1\nb;2")
-    assert len([*rows_of(path)]) == 2 and "foreign.csv, line 3 was cut off" in str(recwarn.pop().message)
+    assert len(read_table(path).rows) == 1 and "foreign.csv, line 3 was cut off" in str(recwarn.pop().message)
 
 
 def test_no_log_is_overwritten(arm_of_test, drawing, tmp_path):
