@@ -25,11 +25,13 @@ from soft_tendon_env.robots.protocol import COMMANDS, Measurement, Robot
 from soft_tendon_env.robots.replay import ReplayRobot
 from soft_tendon_env.robots.rest import READINGS, WOBBLE, Rest, motion_of, window_of
 from soft_tendon_env.robots.safety import RobotStopped, SafeRobot
-from soft_tendon_env.tools.messages import describe
+from soft_tendon_env.tools.messages import describe, say
 from soft_tendon_env.tools.types import Array
 
 FIELDS: Mapping[str, str] = {**dict.fromkeys(TIP, "tip_pose"), **PARAMETERS}
 """Fields of a Measurement by the observation groups that are made of them."""
+AWAY = 0.05
+"""Distance, in lengths of the arm, from where its tip first rested that gets a word: it may have buckled to another side, or been moved."""
 LOOKS = 10
 """How often in the window of its speed an arm is looked at, whether it rests; it does when it did twice on end."""
 
@@ -52,6 +54,7 @@ class MeasuredArm(Arms):
         self._window, self._is_there, self._has_zeros = window_of(episodes.model), is_there, is_there
         self._recorded = robot.robot if isinstance(robot.robot, ReplayRobot) else None
         self._command, self._actuation = episodes.start_command, episodes.actuation
+        self._first: Array | None = None  # (3,) [m] of the tip where it first rested
         self.zero: dict[str, Array] = {}
         """Values by field that are added to what the robot measures, so that it reads as the model at rest."""
 
@@ -74,6 +77,10 @@ class MeasuredArm(Arms):
             self.pacer.start()
         self._is_there = False
         self._take(held[-1])
+        tip = self.reading.tip_pose[0, :3, 3].copy()
+        self._first = tip if self._first is None else self._first
+        if (away := float(np.linalg.norm(tip - self._first))) > AWAY * self.model.length:
+            say(f"the arm rests {1e3 * away:.3g} mm from where it first did, and has its zeros of lengths and strains there")
         if self._log is not None:
             self._log.begin(self.pacer.period, self._zeroed(held[-2:][0]), self._command)
 

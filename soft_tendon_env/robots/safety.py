@@ -111,7 +111,8 @@ class SafeRobot:
             if newest is None or found.time > newest.time:
                 last = found if newest is None else newest
                 if found.tip_pose is not None and last.tip_pose is not None:
-                    self._reach.check(found.tip_pose[:3, 3], last.tip_pose[:3, 3], found.time - last.time)
+                    own = self.clock.now() - self._fresh + self._reach.period  # [s], also where the robot counts otherwise
+                    self._reach.check(found.tip_pose[:3, 3], last.tip_pose[:3, 3], min(found.time - last.time, own))
                 self._newest, self._older, self._fresh = found, 0.0, self.clock.now()
             else:
                 self._older = max(self._older, newest.time - found.time)
@@ -128,7 +129,8 @@ class SafeRobot:
         self._refuse()
         if not np.isfinite(command).all():
             self._fail(f"the command was {command.tolist()}", None)
-        wanted = np.clip(command, *self._limits.T)
+        least, greatest = self._limits.T
+        wanted = np.clip(command, np.minimum(least, self._sent), greatest)  # from slack, which may lie beneath, it rises evenly
         held = np.clip(wanted, self._sent - self._most, self._sent + self._most)
         try:
             found = self._known(self._line.ask(LONGEST, "write", lambda: self._send(held, self.stopped is None)))
