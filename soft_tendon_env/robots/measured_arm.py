@@ -6,7 +6,6 @@ The simulated arm goes on beside it under the commands that were sent: it is wha
 import itertools
 from collections import deque
 from collections.abc import Mapping
-from typing import NoReturn
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from soft_tendon_env.robots.log import RobotLog
 from soft_tendon_env.robots.protocol import COMMANDS, Measurement, Robot
 from soft_tendon_env.robots.replay import ReplayRobot
 from soft_tendon_env.robots.rest import READINGS, WOBBLE, Rest, motion_of, window_of
-from soft_tendon_env.robots.safety import RobotStopped, SafeRobot
+from soft_tendon_env.robots.safety import SafeRobot
 from soft_tendon_env.tools.messages import describe, say
 from soft_tendon_env.tools.types import Array
 
@@ -92,7 +91,7 @@ class MeasuredArm(Arms):
             try:
                 self._log.append(self.pacer.period * self.pacer.count, self._now, asked, sent)
             except OSError as error:
-                self._stop(f"the log {self._log.path} cannot be written: {describe(error)}")
+                self.robot.fail(f"the log {self._log.path} cannot be written: {describe(error)}")
         command[:], self._actuation.command[0] = sent, sent
         super().step(command, members, durations, tape)
         self.outcome.status[:] = OK  # a robot does not diverge
@@ -122,7 +121,7 @@ class MeasuredArm(Arms):
             if is_still and was_still:
                 break
             if period * k >= self._rest.wait and not is_still:
-                self._stop(self._restless(speed, period * k))
+                self.robot.fail(self._restless(speed, period * k))
             was_still = is_still
         return [own for _, own in held]
 
@@ -133,9 +132,6 @@ class MeasuredArm(Arms):
         allowed = f"at rest it is at most {rest.speed:g} ({rest.speed * length:.3g} m/s)"
         todo = "Wait longer or allow more, by Rest(wait=.., speed=..) or --rest-wait and --rest-speed, or damp the arm"
         return f"the arm does not come to rest: {found}; {allowed}. {todo}"
-
-    def _stop(self, cause: str) -> NoReturn:
-        raise RobotStopped(self.robot.stop(cause).cause)
 
     def _zeroed(self, measured: Measurement) -> Measurement:
         """A measurement with the zeros of the arm at rest."""

@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from queue import Empty, SimpleQueue
 from time import perf_counter
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -77,7 +77,8 @@ class SafeRobot:
     """
 
     def __init__(self, robot: Robot, limits: Array, sensors: int, reach: Reach, rate: float | None, patience: int, dry: bool) -> None:
-        self.robot, self.dry, self.slack = robot, dry, slack_command(robot, limits)
+        self.robot, self.dry = robot, dry
+        self.slack = np.zeros(len(limits)) if robot.command_unit == "N" else limits[:, 0].copy()  # no tension, or all that can be let out
         self.senses = tuple(name for name in robot.senses if sensors or not name.startswith("strain"))
         self.clock: Clock = getattr(robot, "clock", None) or RealClock()
         self._limits, self._sensors, self._reach = limits, sensors, reach
@@ -117,7 +118,7 @@ class SafeRobot:
             else:
                 self._older = max(self._older, newest.time - found.time)
         except Exception as error:
-            self._fail(f"reading failed: {first_line(error)}", error)
+            self.fail(f"reading failed: {first_line(error)}", error)
         if cause := self._too_old():
             self.stop(cause)
         self._refuse()
@@ -128,21 +129,21 @@ class SafeRobot:
         """Sends a command (n_a,) within limits and rate; returns what was sent. Raises RobotStopped, also where it cannot be sent."""
         self._refuse()
         if not np.isfinite(command).all():
-            self._fail(f"the command was {command.tolist()}", None)
+            self.fail(f"the command was {command.tolist()}")
         least, greatest = self._limits.T
         wanted = np.clip(command, np.minimum(least, self._sent), greatest)  # from slack, which may lie beneath, it rises evenly
         held = np.clip(wanted, self._sent - self._most, self._sent + self._most)
         try:
             found = self._known(self._line.ask(LONGEST, "write", lambda: self._send(held, self.stopped is None)))
         except Exception as error:
-            self._fail(f"writing failed: {first_line(error)}", error)
+            self.fail(f"writing failed: {first_line(error)}", error)
         self._refuse()
         return found
 
     def look_at_lateness(self, late: float) -> None:
         """Stops where a period begins so late [s] that the loop does not catch up any more. Raises RobotStopped."""
         if late > self._patience:
-            self._fail(f"the loop is {1e3 * late:.0f} ms behind its deadlines", None)
+            self.fail(f"the loop is {1e3 * late:.0f} ms behind its deadlines")
 
     def tell(self, cause: str) -> "SimpleQueue[None]":
         """Has the watchdog let the tendons go, at any moment of any thread; the queue that is returned gets an entry when it has."""
@@ -249,12 +250,8 @@ class SafeRobot:
 
     def _refuse(self) -> None:
         if self.stopped is not None:
-            raise RobotStopped(self.stop(self.stopped.cause).cause)
+            self.fail(self.stopped.cause)
 
-    def _fail(self, cause: str, error: Exception | None) -> None:
+    def fail(self, cause: str, error: Exception | None = None) -> NoReturn:
+        """Stops, and raises RobotStopped with the first cause."""
         raise RobotStopped(self.stop(cause).cause) from error
-
-
-def slack_command(robot: Robot, limits: Array) -> Array:
-    """Command (n_a,) at which no tendon pulls: no tension, or all that an actuator can let out, the least of its limits (n_a, 2)."""
-    return np.zeros(len(limits)) if robot.command_unit == "N" else limits[:, 0].copy()
