@@ -29,8 +29,6 @@ TICKS = 4096 / (2.0 * math.pi)
 WATCHDOG_UNIT = 0.02  # [s]
 MODES = {"current": 0, "position": 4}
 """Operating modes: current control, extended position control."""
-
-
 TRIES = 3
 """How often a motor is asked before a run: an answer may be lost on a bus that works."""
 

@@ -122,6 +122,8 @@ def test_robots_of_this_folder_are_found(tmp_path, monkeypatch):
     [
         ("no_module:Arm", {}, "robot is 'no_module:Arm': it should be MODULE:CLASS; No module named"),
         ("json:Arm", {}, "robot is 'json:Arm': it should be MODULE:CLASS; module 'json' has no attribute"),
+        ("json", {}, "robot is 'json': it should be MODULE:CLASS; module 'json' has no attribute"),
+        ("sys:maxsize", {}, "robot sys:maxsize cannot be made with the options {}: 'int' object is not callable"),
         ("json:JSONDecoder", {}, "JSONDecoder should have a method read"),
         ("soft_tendon_env.robots:SimulatedRobot", {"model_error": "heat"}, "names 'heat': valid: "),
         ("soft_tendon_env.robots:SimulatedRobot", {"preview": [0.1]}, "preview is an unknown key: valid: control_period, fidelity"),
