@@ -35,6 +35,8 @@ RAMP = 0.03
 RAMP_STEPS = 6
 TRYING = 1.0
 """Time [s] for which slack is tried where it cannot be sent; a port that comes back does so within less."""
+HANGING = 0.1
+"""Time [s] that a call may take on the way to slack, and no less than a period; later it is left behind."""
 LONGEST = 5.0
 """Time [s] after which a call that the watchdog does not judge hangs: of simulated arms, and `close`."""
 LOOKS = 4
@@ -84,7 +86,7 @@ class SafeRobot:
         self._limits, self._sensors, self._reach = limits, sensors, reach
         self._most = np.inf if rate is None else rate * reach.period
         self._patience, self._look = patience * reach.period, reach.period / LOOKS
-        self._hanging = max(RAMP, reach.period) if self.clock.real else TRYING  # [s] that a call may take on the way to slack
+        self._hanging = max(HANGING, reach.period) if self.clock.real else TRYING
         self._closed = False
         self.stopped: Stop | None = Stop("it has not begun", slack=True)
         self._sent, self._fresh, self._began = self.slack.copy(), 0.0, 0.0
@@ -235,16 +237,17 @@ class SafeRobot:
 
     def _slacken_late(self) -> None:
         """After a call that had been left behind: if it was a command, it came after slack."""
-        if self.stopped is not None:
+        if (stop := self.stopped) is not None:
             with suppress(Exception):
                 self._send(self.slack)
+                stop.slack = True
 
     def _too_old(self) -> str:
         """Cause of a stop where the newest measurement is too old; "": it is not."""
         age = self.clock.now() - self._fresh
         if self.stopped is not None or age <= self._patience:
             return ""
-        hanging, older = self._line.hanging(self._hanging), self._older
+        hanging, older = self._line.hanging(self._reach.period), self._older
         why = f": {hanging} does not return" if hanging else f": times of measurements go back, by {older:.3g} s" if older else ""
         return f"no reading for {1e3 * age:.0f} ms{why}"
 
