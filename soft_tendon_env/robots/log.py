@@ -89,7 +89,7 @@ class RobotLog:
     def _row(self, time: float, measured: Measurement, commanded: Array, sent: Array) -> list[Any]:
         values = {"sent": sent, "commanded": commanded, **{name: getattr(measured, name) for name in self._senses}}
         if "tip_pose" in values:
-            pose = measured.tip_pose
+            pose = values["tip_pose"]
             values["tip_pose"] = np.r_[pose[:3, 3], Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True, scalar_first=True)]
         numbers = np.concatenate([values[name].ravel() for name in self._columns]).tolist()
         return [self._hold, round(time, 9), measured.time, *numbers]

@@ -1,14 +1,9 @@
 """Safe commands: limits of size and rate, checks of what is measured, and a watchdog by which the tendons go slack, whatever ends a run.
 
-    no reading for some periods, a policy that hangs       the watchdog, a thread of its own, or the next reading
-    a loop that is some periods behind its deadlines       the next period
-    an exception of the robot (a lost port) or the policy  where it is raised
-    a call of the robot that never returns                 the watchdog: the next calls are made by another thread, see line.py
-    signals, the end of the run, or of the interpreter     the watchdog, which is told, see signals.py; `close`; `atexit`
-
-All end in the watchdog's hands: the command goes to slack evenly within RAMP. Whoever stops the robot tells it by a queue, which nothing
-can interrupt, and waits. Where writing fails it is tried again for TRYING, and once more by every later `stop`; motors should have a
-watchdog of their own for a port that is lost, see dynamixel.py.
+docs/how_to/robots.md says who notices what. All ends in the hands of the watchdog, a thread of its own: the command goes to slack evenly
+within RAMP. Whoever stops the robot, as signals do (signals.py), tells it by a queue, which nothing can interrupt, and waits. Calls that
+never return are left behind (line.py). Where writing fails it is tried again for TRYING, and once more by every later `stop`; motors should
+have a watchdog of their own for a port that is lost, see dynamixel.py.
 """
 
 import atexit
