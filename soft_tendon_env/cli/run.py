@@ -21,7 +21,7 @@ from soft_tendon_env.model.inverse_statics import tension_for_tip_position
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.recording import RecordRollout
 from soft_tendon_env.robots.clock import take_priority
-from soft_tendon_env.robots.environment import PATIENCE, SETTLE, RobotEnv
+from soft_tendon_env.robots.environment import PATIENCE, SETTLE, RobotEnv, robot_of
 from soft_tendon_env.robots.log import check_log
 from soft_tendon_env.robots.protocol import Robot, load_robot
 from soft_tendon_env.robots.rest import REST, Rest
@@ -33,7 +33,6 @@ from soft_tendon_env.tools.types import NotNegative, Positive
 SIMULATED = "soft_tendon_env.robots:SimulatedRobot"
 LOOKS, NEAR = 5, 0.02
 """Number of times at which it is asked whether the target is within reach, and how near the tip should come, in lengths of the arm."""
-STOPPED = "stopped: the log has every period until then, and the report says how the tendons were let go"
 
 
 class Run(EpisodeSettings):
@@ -93,10 +92,14 @@ def run(arguments: Sequence[str]) -> None:
             take_priority(settings.priority)
         real = _connected(settings, env, options)
     print(f"{settings.policy} on {settings.robot}, {settings.seconds:g} s; {machine()}\n")
-    report = run_policy(policy, real, settings.seconds, settings.seed, out.with_suffix(".json"))
-    if out.exists():
-        print(f"written: {out}")
-    print()
+    try:
+        report = run_policy(policy, real, settings.seconds, settings.seed, out.with_suffix(".json"))
+    finally:  # also after Ctrl-C
+        if out.exists():
+            print(f"written: {out}")
+        if stop := robot_of(real).stopped:
+            let_go = "slack" if stop.slack else f"not slack, the robot does not answer: {stop.failures[-1]}"
+            print(f"{stop.cause}: tendons {let_go} after {1e3 * stop.seconds:.0f} ms\n")
     _tell(report, round(settings.skip / episodes_of(real).period))
     if not report.finished:
         raise UserError(f"the robot was stopped: {report.stop.cause}")
@@ -133,11 +136,9 @@ def _tell_of_reach(env: gym.Env[Any, Any], seconds: float) -> None:
 
 
 def _tell(report: Report, first: int) -> None:
-    """Print errors from the `first` period on, timing, and how the tendons were let go."""
+    """Print errors from the `first` period on, and timing."""
     for name, values in report.errors.items():
         if values[first:].size:
             unit = error_unit(name)
             print(f"{unit.label}: {unit.text(root_mean_square(values[first:]))} (root mean square, as measured)")
     print(report.timing)
-    let_go = "slack" if report.stop.slack else f"not slack, the robot does not answer: {report.stop.failures[-1]}"
-    print(f"{report.stop.cause}: tendons {let_go} after {1e3 * report.stop.seconds:.0f} ms")

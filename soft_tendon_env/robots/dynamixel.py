@@ -29,8 +29,6 @@ TICKS = 4096 / (2.0 * math.pi)
 WATCHDOG_UNIT = 0.02  # [s]
 MODES = {"current": 0, "position": 4}
 """Operating modes: current control, extended position control."""
-
-
 TRIES = 3
 """How often a motor is asked before a run: an answer may be lost on a bus that works."""
 
@@ -109,7 +107,8 @@ class DynamixelRobot:
             self._reader.addParam(own)
             self._set(own, TORQUE_ENABLE, 0)
             self._set(own, OPERATING_MODE, MODES[mode])
-        self._most = np.array([self._limit(own) for own in self._ids], dtype=np.float64)
+        limit = partial(self._packets.read2ByteTxRx, self._port, address=CURRENT_LIMIT.address)
+        self._most = np.array([self._asked(f"motor {own}", partial(limit, own)) for own in self._ids], dtype=np.float64)
         self._zero = self._present(TRIES)[1]
         if mode == "position":
             self._send(self._zero)
@@ -166,7 +165,7 @@ class DynamixelRobot:
         if not opened:
             raise ConnectionError(f"{port} cannot be opened at {baud} bits/s")
         for own in self._ids:
-            self._asked(own, partial(self._packets.ping, self._port, own))
+            self._asked(f"motor {own}", partial(self._packets.ping, self._port, own))
 
     def _begin_watch(self) -> None:
         """Let the motors watch the bus; one that has stopped for its silence goes on."""
@@ -175,11 +174,7 @@ class DynamixelRobot:
 
     def _present(self, tries: int) -> tuple[Array, Array]:
         """Present currents and positions (n_a,) in steps. Raises ConnectionError."""
-        for _ in range(tries):
-            result = self._guarded(self._reader.txRxPacket)
-            if result == sdk.COMM_SUCCESS:
-                break
-        self._check(None, result, 0)
+        self._asked("the motors", lambda: (None, self._reader.txRxPacket(), 0), tries)
         found = []
         for own in self._ids:
             if not self._reader.isAvailable(own, *PRESENT):
@@ -195,45 +190,33 @@ class DynamixelRobot:
         self._sender.clearParam()
         for own, goal in zip(self._ids, ticks, strict=True):
             self._sender.addParam(own, int(goal).to_bytes(self._goal.size, "little", signed=True))
-        self._check(None, self._guarded(self._sender.txPacket), 0)
+        self._asked("the motors", lambda: (None, self._sender.txPacket(), 0), 1)
         self._heard = perf_counter()
 
     def _set(self, own: int, register: Register, value: int) -> None:
         """Set a register of one byte of a motor. Raises ConnectionError."""
-        self._asked(own, lambda: (None, *self._packets.write1ByteTxRx(self._port, own, register.address, value)))
-
-    def _limit(self, own: int) -> int:
-        """Current limit of a motor in steps. Raises ConnectionError."""
-        return int(self._asked(own, lambda: self._packets.read2ByteTxRx(self._port, own, CURRENT_LIMIT.address)))
+        self._asked(f"motor {own}", lambda: (None, *self._packets.write1ByteTxRx(self._port, own, register.address, value)))
 
     def _broadcast(self, register: Register, value: int) -> None:
         """Set a register of one byte of all motors, which do not answer: one that is lost keeps nobody waiting."""
-        self._check(None, self._guarded(lambda: self._packets.write1ByteTxOnly(self._port, sdk.BROADCAST_ID, register.address, value)), 0)
+        write = self._packets.write1ByteTxOnly
+        self._asked("the motors", lambda: (None, write(self._port, sdk.BROADCAST_ID, register.address, value), 0), 1)
 
-    def _asked(self, own: int, call: Callable[[], tuple[Result, int, int]]) -> Result:
-        """Value that a motor answers, asked several times if need be. Raises ConnectionError."""
-        for _ in range(TRIES):
-            value, result, error = self._guarded(call)
+    def _asked(self, who: str, call: Callable[[], tuple[Result, int, int]], tries: int = TRIES) -> Result:
+        """Value that a call of the SDK returns with its result and error, tried several times if need be; a port that is lost does not stay
+        in use. Raises ConnectionError, a NoAnswerError where the port is there."""
+        for _ in range(tries):
+            try:
+                value, result, error = call()
+            except Exception as lost:  # OSError, and termios.error, which is none
+                self._port.is_using = False
+                raise ConnectionError(f"{self._where} is lost: {lost}") from lost
             if result == sdk.COMM_SUCCESS:
                 break
-        self._check(own, result, error)
+        if result != sdk.COMM_SUCCESS or error:
+            why = self._packets.getRxPacketError(error) if result == sdk.COMM_SUCCESS else self._packets.getTxRxResult(result)
+            raise NoAnswerError(f"{who} on {self._where}: {why}")
         return value
-
-    def _guarded(self, call: Callable[[], Result]) -> Result:
-        """Result of a call of the SDK; a port that is lost becomes a ConnectionError, and does not stay in use."""
-        try:
-            return call()
-        except Exception as error:  # OSError, and termios.error, which is none
-            self._port.is_using = False
-            raise ConnectionError(f"{self._where} is lost: {error}") from error
-
-    def _check(self, own: int | None, result: int, error: int) -> None:
-        """Raises NoAnswerError for an answer that failed."""
-        who = "the motors" if own is None else f"motor {own}"
-        if result != sdk.COMM_SUCCESS:
-            raise NoAnswerError(f"{who} on {self._where}: {self._packets.getTxRxResult(result)}")
-        if error:
-            raise NoAnswerError(f"{who} on {self._where}: {self._packets.getRxPacketError(error)}")
 
 
 def _signed(value: int, size: int) -> int:

@@ -5,12 +5,14 @@
 Policies and Stable-Baselines3 run on it as they are. A step lasts a control period, to its absolute deadline.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.error import ResetNeeded
+from gymnasium.wrappers import PassiveEnvChecker
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.envs.episodes import episodes_of
@@ -88,7 +90,12 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """A new episode, which begins with the robot at rest. Raises RobotStopped where it does not come to that."""
-        self._last = self.env.reset(seed=seed, options=options)
+        try:
+            self._last = self.env.reset(seed=seed, options=options)
+        except BaseException:  # Gymnasium's checker of the first reset needs it whole
+            if checker := next((own for own in _layers(self.env) if isinstance(own, PassiveEnvChecker)), None):
+                checker.checked_reset = False
+            raise
         return self._last
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -136,8 +143,15 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
 def robot_of(env: gym.Env[Any, Any]) -> RobotEnv:
     """The RobotEnv within wrappers. Raises TypeError."""
     episodes_of(env)
-    while isinstance(env, gym.Wrapper):
-        if isinstance(env, RobotEnv):
-            return env
-        env = env.env
+    for own in _layers(env):
+        if isinstance(own, RobotEnv):
+            return own
     raise TypeError("env should be a RobotEnv, alone or wrapped")
+
+
+def _layers(env: gym.Env[Any, Any]) -> Iterator[gym.Env[Any, Any]]:
+    """The wrappers of an environment from the outermost on, and itself."""
+    while isinstance(env, gym.Wrapper):
+        yield env
+        env = env.env
+    yield env

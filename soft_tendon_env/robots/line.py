@@ -25,11 +25,13 @@ class Line:
         self._begin()
 
     def ask(self, limit: float, name: str, function: Callable[[], Any]) -> Any:
-        """Result of a call, after those before it. Raises what it raises, TimeoutError where there is none after `limit` [s]."""
-        answer, calls = Answer(), self._calls
+        """Result of a call, after those before it. Raises what it raises, TimeoutError where there is none after `limit` [s], of which the
+        call that goes on has used up to 0.7."""
+        answer, calls, busy = Answer(), self._calls, self._busy
+        used = 0.0 if busy is None else perf_counter() - busy[2]
         calls.put((name, function, answer))
         try:
-            found, error = answer.get(timeout=limit)
+            found, error = answer.get(timeout=max(limit - used, 0.3 * limit))
         except Empty:
             busy, late = self._busy, TimeoutError(f"{self.hanging(0.0) or name} does not return")
             if calls is self._calls:

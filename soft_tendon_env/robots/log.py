@@ -89,7 +89,8 @@ class RobotLog:
     def _row(self, time: float, measured: Measurement, commanded: Array, sent: Array) -> list[Any]:
         values = {"sent": sent, "commanded": commanded, **{name: getattr(measured, name) for name in self._senses}}
         if "tip_pose" in values:
-            values["tip_pose"] = position_and_quaternion(values["tip_pose"])
+            pose = values["tip_pose"]
+            values["tip_pose"] = np.r_[pose[:3, 3], Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True, scalar_first=True)]
         numbers = np.concatenate([values[name].ravel() for name in self._columns]).tolist()
         return [self._hold, round(time, 9), measured.time, *numbers]
 
@@ -124,62 +125,42 @@ def read_log(path: str | Path) -> LoggedRun:
     table = _read_table(Path(path))
     units: tuple[Unit, ...] = ("N", "m")
     unit = next((unit for unit in units if f"{COMMANDS[unit]}_0" in table), None)
-    needed = ["time", "measured_time", "commanded_0"]
+    tendons = sum(name.startswith("commanded_") for name in table)
+    sensors = sum(name.startswith("strain_") and name.endswith("_torsion") and "rate" not in name for name in table)
+    every = columns_of(unit or "N", Measurement._fields, max(tendons, 1), sensors)
+    there = {name: own for name, own in every.items() if own and (name in ("sent", "commanded") or own[0] in table)}
+    needed = ["time", "measured_time", *(name for own in there.values() for name in own)]
     if unit is None or (missing := [name for name in needed if name not in table]):
         lacks = "tension_0 or displacement_0" if unit is None else ", ".join(missing)
         raise ValueError(f"{path} is no log of a run: it has no column {lacks}")
     episode = np.cumsum(np.diff(table["time"], prepend=np.inf) <= 0.0) - 1
     counts = table["time"] >= 0.0
-    table = {name: values[counts] for name, values in table.items()}
-    if not table["time"].size:
+    if not counts.any():
         raise ValueError(f"{path} has no rows beneath the first line: there is nothing to replay")
-    tendons, sensors = (_count(table, start) for start in ("commanded_{}", "strain_{}_torsion"))
-    every = columns_of(unit, Measurement._fields, tendons, sensors)
-    there = {name: own for name, own in every.items() if own and own[0] in table}
-    if missing := [name for own in there.values() for name in own if name not in table]:
-        raise ValueError(f"{path} is no log of a run: it has no column {', '.join(missing)}")
-    values = {name: np.stack([table[column] for column in own], axis=1) for name, own in there.items()}
+    values = {name: np.stack([table[column][counts] for column in own], axis=1) for name, own in there.items()}
     sent, commanded = values.pop("sent"), values.pop("commanded")
-    measured = [_measurement(time, {name: own[k] for name, own in values.items()}) for k, time in enumerate(table["measured_time"])]
-    return LoggedRun(unit, table["time"], sent, commanded, tuple(measured), episode[counts])
+    times = table["measured_time"][counts]
+    measured = [_measurement(time, {name: own[k] for name, own in values.items()}) for k, time in enumerate(times)]
+    return LoggedRun(unit, table["time"][counts], sent, commanded, tuple(measured), episode[counts])
 
 
 def _measurement(time: float, values: dict[str, Array]) -> Measurement:
     """Measurement of a row's numbers by field."""
     shaped = {name: value.reshape(-1, 6) if name.startswith("strain") else value for name, value in values.items()}
     if "tip_pose" in shaped:
-        shaped["tip_pose"] = pose_of(shaped["tip_pose"])
+        pose, numbers = np.eye(4), shaped["tip_pose"]
+        pose[:3, :3], pose[:3, 3] = Rotation.from_quat(numbers[3:], scalar_first=True).as_matrix(), numbers[:3]
+        shaped["tip_pose"] = pose
     return Measurement(float(time), **shaped)
-
-
-def position_and_quaternion(pose: Array) -> Array:
-    """Position [m] and unit quaternion (w, x, y, z) of a pose (4, 4): (7,)."""
-    return np.concatenate([pose[:3, 3], Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True, scalar_first=True)])
-
-
-def pose_of(numbers: Array) -> Array:
-    """Pose (4, 4) of a position and quaternion (7,)."""
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = Rotation.from_quat(numbers[3:], scalar_first=True).as_matrix(), numbers[:3]
-    return pose
-
-
-def _count(table: dict[str, Array], pattern: str) -> int:
-    """How many columns there are of a pattern with a number in it, from 0 on."""
-    count = 0
-    while pattern.format(count) in table:
-        count += 1
-    return count
 
 
 def _read_table(path: Path) -> dict[str, Array]:
     """Columns of numbers by name. Raises ValueError, FileNotFoundError."""
     _, header, lines, _ = read_table(path)
-    rows = []
+    names, rows = [name for name in header if name != "hold"], []
     for where, cells in lines:
         try:
             rows.append([float(cell) for name, cell in zip(header, cells, strict=True) if name != "hold"])
         except ValueError as error:
             raise ValueError(f"{where} should be {len(header)} cells, numbers but for hold: {error}") from error
-    names = [name for name in header if name != "hold"]
     return dict(zip(names, np.array(rows, dtype=np.float64).reshape(-1, len(names)).T, strict=True))

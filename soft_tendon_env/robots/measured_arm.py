@@ -6,7 +6,6 @@ The simulated arm goes on beside it under the commands that were sent: it is wha
 import itertools
 from collections import deque
 from collections.abc import Mapping
-from typing import NoReturn
 
 import numpy as np
 
@@ -24,12 +23,14 @@ from soft_tendon_env.robots.log import RobotLog
 from soft_tendon_env.robots.protocol import COMMANDS, Measurement, Robot
 from soft_tendon_env.robots.replay import ReplayRobot
 from soft_tendon_env.robots.rest import READINGS, WOBBLE, Rest, motion_of, window_of
-from soft_tendon_env.robots.safety import RobotStopped, SafeRobot
-from soft_tendon_env.tools.messages import describe
+from soft_tendon_env.robots.safety import SafeRobot
+from soft_tendon_env.tools.messages import describe, say
 from soft_tendon_env.tools.types import Array
 
 FIELDS: Mapping[str, str] = {**dict.fromkeys(TIP, "tip_pose"), **PARAMETERS}
 """Fields of a Measurement by the observation groups that are made of them."""
+AWAY = 0.05
+"""Distance, in lengths of the arm, from where its tip first rested that gets a word: it may have buckled to another side, or been moved."""
 LOOKS = 10
 """How often in the window of its speed an arm is looked at, whether it rests; it does when it did twice on end."""
 
@@ -52,6 +53,7 @@ class MeasuredArm(Arms):
         self._window, self._is_there, self._has_zeros = window_of(episodes.model), is_there, is_there
         self._recorded = robot.robot if isinstance(robot.robot, ReplayRobot) else None
         self._command, self._actuation = episodes.start_command, episodes.actuation
+        self._first: Array | None = None  # (3,) [m] of the tip where it first rested
         self.zero: dict[str, Array] = {}
         """Values by field that are added to what the robot measures, so that it reads as the model at rest."""
 
@@ -74,6 +76,10 @@ class MeasuredArm(Arms):
             self.pacer.start()
         self._is_there = False
         self._take(held[-1])
+        tip = self.reading.tip_pose[0, :3, 3].copy()
+        self._first = tip if self._first is None else self._first
+        if (away := float(np.linalg.norm(tip - self._first))) > AWAY * self.model.length:
+            say(f"the arm rests {1e3 * away:.3g} mm from where it first did, and has its zeros of lengths and strains there")
         if self._log is not None:
             self._log.begin(self.pacer.period, self._zeroed(held[-2:][0]), self._command)
 
@@ -85,7 +91,7 @@ class MeasuredArm(Arms):
             try:
                 self._log.append(self.pacer.period * self.pacer.count, self._now, asked, sent)
             except OSError as error:
-                self._stop(f"the log {self._log.path} cannot be written: {describe(error)}")
+                self.robot.fail(f"the log {self._log.path} cannot be written: {describe(error)}")
         command[:], self._actuation.command[0] = sent, sent
         super().step(command, members, durations, tape)
         self.outcome.status[:] = OK  # a robot does not diverge
@@ -115,7 +121,7 @@ class MeasuredArm(Arms):
             if is_still and was_still:
                 break
             if period * k >= self._rest.wait and not is_still:
-                self._stop(self._restless(speed, period * k))
+                self.robot.fail(self._restless(speed, period * k))
             was_still = is_still
         return [own for _, own in held]
 
@@ -126,9 +132,6 @@ class MeasuredArm(Arms):
         allowed = f"at rest it is at most {rest.speed:g} ({rest.speed * length:.3g} m/s)"
         todo = "Wait longer or allow more, by Rest(wait=.., speed=..) or --rest-wait and --rest-speed, or damp the arm"
         return f"the arm does not come to rest: {found}; {allowed}. {todo}"
-
-    def _stop(self, cause: str) -> NoReturn:
-        raise RobotStopped(self.robot.stop(cause).cause)
 
     def _zeroed(self, measured: Measurement) -> Measurement:
         """A measurement with the zeros of the arm at rest."""

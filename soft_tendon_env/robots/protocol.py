@@ -21,8 +21,6 @@ COMMANDS: Mapping[Unit, str] = {"N": "tension", "m": "displacement"}
 """Quantity that is commanded, by its unit."""
 RIGID = 1e-3
 """Tolerance of the entries of a measured pose: rotations that are sent with four digits, or as float32, keep it."""
-OWN = ":"
-"""Separator between the module and the class of a robot's name."""
 
 
 class Measurement(NamedTuple):
@@ -70,13 +68,11 @@ def load_robot(name: str, options: Mapping[str, Any]) -> Robot:
     Raises ValueError, TypeError, and what the class raises.
     """
     look_in_this_folder()
-    module, colon, attribute = name.partition(OWN)
+    module, _, attribute = name.partition(":")
     try:
-        made = getattr(importlib.import_module(module), attribute) if colon else None
+        made = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError, ValueError) as error:
         raise ValueError(f"robot is {name!r}: it should be MODULE:CLASS; {error}") from error
-    if not callable(made):
-        raise ValueError(f"robot is {name!r}: it should be MODULE:CLASS, such as soft_tendon_env.robots:SimulatedRobot")
     try:
         robot: Robot = made(**options)
     except TypeError as error:

@@ -1,14 +1,9 @@
 """Safe commands: limits of size and rate, checks of what is measured, and a watchdog by which the tendons go slack, whatever ends a run.
 
-    no reading for some periods, a policy that hangs       the watchdog, a thread of its own, or the next reading
-    a loop that is some periods behind its deadlines       the next period
-    an exception of the robot (a lost port) or the policy  where it is raised
-    a call of the robot that never returns                 the watchdog: the next calls are made by another thread, see line.py
-    signals, the end of the run, or of the interpreter     the watchdog, which is told, see signals.py; `close`; `atexit`
-
-All end in the watchdog's hands: the command goes to slack evenly within RAMP. Whoever stops the robot tells it by a queue, which nothing
-can interrupt, and waits. Where writing fails it is tried again for TRYING, and once more by every later `stop`; motors should have a
-watchdog of their own for a port that is lost, see dynamixel.py.
+docs/how_to/robots.md says who notices what. All ends in the hands of the watchdog, a thread of its own: the command goes to slack evenly
+within RAMP. Whoever stops the robot, as signals do (signals.py), tells it by a queue, which nothing can interrupt, and waits. Calls that
+never return are left behind (line.py). Where writing fails it is tried again for TRYING, and once more by every later `stop`; motors should
+have a watchdog of their own for a port that is lost, see dynamixel.py.
 """
 
 import atexit
@@ -17,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from queue import Empty, SimpleQueue
 from time import perf_counter
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -35,6 +30,8 @@ RAMP = 0.03
 RAMP_STEPS = 6
 TRYING = 1.0
 """Time [s] for which slack is tried where it cannot be sent; a port that comes back does so within less."""
+HANGING = 0.1
+"""Time [s] that a call may take on the way to slack, and no less than a period; later it is left behind."""
 LONGEST = 5.0
 """Time [s] after which a call that the watchdog does not judge hangs: of simulated arms, and `close`."""
 LOOKS = 4
@@ -77,13 +74,14 @@ class SafeRobot:
     """
 
     def __init__(self, robot: Robot, limits: Array, sensors: int, reach: Reach, rate: float | None, patience: int, dry: bool) -> None:
-        self.robot, self.dry, self.slack = robot, dry, slack_command(robot, limits)
+        self.robot, self.dry = robot, dry
+        self.slack = np.zeros(len(limits)) if robot.command_unit == "N" else limits[:, 0].copy()  # no tension, or all that can be let out
         self.senses = tuple(name for name in robot.senses if sensors or not name.startswith("strain"))
         self.clock: Clock = getattr(robot, "clock", None) or RealClock()
         self._limits, self._sensors, self._reach = limits, sensors, reach
         self._most = np.inf if rate is None else rate * reach.period
         self._patience, self._look = patience * reach.period, reach.period / LOOKS
-        self._hanging = max(RAMP, reach.period) if self.clock.real else TRYING  # [s] that a call may take on the way to slack
+        self._hanging = max(HANGING, reach.period) if self.clock.real else TRYING
         self._closed = False
         self.stopped: Stop | None = Stop("it has not begun", slack=True)
         self._sent, self._fresh, self._began = self.slack.copy(), 0.0, 0.0
@@ -111,12 +109,13 @@ class SafeRobot:
             if newest is None or found.time > newest.time:
                 last = found if newest is None else newest
                 if found.tip_pose is not None and last.tip_pose is not None:
-                    self._reach.check(found.tip_pose[:3, 3], last.tip_pose[:3, 3], found.time - last.time)
+                    own = self.clock.now() - self._fresh + self._reach.period  # [s], also where the robot counts otherwise
+                    self._reach.check(found.tip_pose[:3, 3], last.tip_pose[:3, 3], min(found.time - last.time, own))
                 self._newest, self._older, self._fresh = found, 0.0, self.clock.now()
             else:
                 self._older = max(self._older, newest.time - found.time)
         except Exception as error:
-            self._fail(f"reading failed: {first_line(error)}", error)
+            self.fail(f"reading failed: {first_line(error)}", error)
         if cause := self._too_old():
             self.stop(cause)
         self._refuse()
@@ -127,20 +126,21 @@ class SafeRobot:
         """Sends a command (n_a,) within limits and rate; returns what was sent. Raises RobotStopped, also where it cannot be sent."""
         self._refuse()
         if not np.isfinite(command).all():
-            self._fail(f"the command was {command.tolist()}", None)
-        wanted = np.clip(command, *self._limits.T)
+            self.fail(f"the command was {command.tolist()}")
+        least, greatest = self._limits.T
+        wanted = np.clip(command, np.minimum(least, self._sent), greatest)  # from slack, which may lie beneath, it rises evenly
         held = np.clip(wanted, self._sent - self._most, self._sent + self._most)
         try:
             found = self._known(self._line.ask(LONGEST, "write", lambda: self._send(held, self.stopped is None)))
         except Exception as error:
-            self._fail(f"writing failed: {first_line(error)}", error)
+            self.fail(f"writing failed: {first_line(error)}", error)
         self._refuse()
         return found
 
     def look_at_lateness(self, late: float) -> None:
         """Stops where a period begins so late [s] that the loop does not catch up any more. Raises RobotStopped."""
         if late > self._patience:
-            self._fail(f"the loop is {1e3 * late:.0f} ms behind its deadlines", None)
+            self.fail(f"the loop is {1e3 * late:.0f} ms behind its deadlines")
 
     def tell(self, cause: str) -> "SimpleQueue[None]":
         """Has the watchdog let the tendons go, at any moment of any thread; the queue that is returned gets an entry when it has."""
@@ -232,27 +232,24 @@ class SafeRobot:
 
     def _slacken_late(self) -> None:
         """After a call that had been left behind: if it was a command, it came after slack."""
-        if self.stopped is not None:
+        if (stop := self.stopped) is not None:
             with suppress(Exception):
                 self._send(self.slack)
+                stop.slack = True
 
     def _too_old(self) -> str:
         """Cause of a stop where the newest measurement is too old; "": it is not."""
         age = self.clock.now() - self._fresh
         if self.stopped is not None or age <= self._patience:
             return ""
-        hanging, older = self._line.hanging(self._hanging), self._older
+        hanging, older = self._line.hanging(self._reach.period), self._older
         why = f": {hanging} does not return" if hanging else f": times of measurements go back, by {older:.3g} s" if older else ""
         return f"no reading for {1e3 * age:.0f} ms{why}"
 
     def _refuse(self) -> None:
         if self.stopped is not None:
-            raise RobotStopped(self.stop(self.stopped.cause).cause)
+            self.fail(self.stopped.cause)
 
-    def _fail(self, cause: str, error: Exception | None) -> None:
+    def fail(self, cause: str, error: Exception | None = None) -> NoReturn:
+        """Stops, and raises RobotStopped with the first cause."""
         raise RobotStopped(self.stop(cause).cause) from error
-
-
-def slack_command(robot: Robot, limits: Array) -> Array:
-    """Command (n_a,) at which no tendon pulls: no tension, or all that an actuator can let out, the least of its limits (n_a, 2)."""
-    return np.zeros(len(limits)) if robot.command_unit == "N" else limits[:, 0].copy()

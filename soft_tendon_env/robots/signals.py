@@ -14,7 +14,7 @@ from time import perf_counter
 from types import FrameType
 from typing import Any
 
-ENDS = ("INT", "TERM", "HUP", "QUIT", "TSTP", "TTIN", "TTOU", "ALRM", "USR1", "USR2", "XCPU", "BREAK")
+ENDS = ("INT", "TERM", "HUP", "QUIT", "TSTP", "TTIN", "TTOU", "ALRM", "USR1", "USR2", "XCPU", "VTALRM", "PROF", "POLL", "PWR", "BREAK")
 """Signals whose default is the end, or a halt, of the process; those that the operating system has."""
 PATIENCE = 3.0
 """Time [s] after a KeyboardInterrupt in which further signals are told alone: letting go takes less."""

@@ -7,7 +7,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.robots import RobotEnv, SimulatedRobot
+from soft_tendon_env.robots import RobotEnv, RobotStopped, SimulatedRobot
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -76,6 +76,18 @@ def test_a_robot_that_was_stopped_truncates_and_begins_again(arm_of_test, drawin
     env.close()
     with pytest.raises(gym.error.ClosedEnvironmentError):
         env.reset()
+
+
+def test_a_first_reset_that_fails_may_be_tried_again(arm_of_test):
+    arm = arm_of_test(read=lambda count: 1 / 0 if count < 3 else None)
+    env = RobotEnv(gym.make("TendonRod-Reach-v0", **SMALL, observation=["tip_position"]), arm)
+    for _ in range(2):
+        with pytest.raises(RobotStopped, match="reading failed: ZeroDivisionError"):
+            env.reset(seed=0)
+        assert arm.is_slack and env.stopped.slack
+    env.reset(seed=0)
+    assert [env.step(np.ones(3))[3] for _ in range(3)] == [False] * 3
+    env.close()
 
 
 @pytest.mark.cases(

@@ -65,11 +65,13 @@ def test_times_of_measurements_grow(frame, cause, arm_of_test, drawing):
     assert re.fullmatch(cause, report.stop.cause) and report.stop.slack and 13 <= report.timing.periods <= 16
 
 
-def test_a_tip_that_jumps_stops_the_robot(arm_of_test, drawing):
+@pytest.mark.cases("unit, taken", [(1.0, "0.02 s, and the arm can move 0.0"), (1e3, "0.04 s, and the arm can move 0.1"), (1e9, "0.04 s")])
+def test_a_tip_that_jumps_stops_the_robot(unit, taken, arm_of_test, drawing):
+    """Whatever the unit of the tracker's clock."""
     arm, other = arm_of_test(), posed(at=(0.05, 0.25, 0.0)).tip_pose
-    arm.read = lambda read=arm.read: read()._replace(tip_pose=other if arm.counts["read"] == 9 else POSE)
+    arm.read = lambda read=arm.read: (own := read())._replace(time=unit * own.time, tip_pose=other if arm.counts["read"] == 9 else POSE)
     report = run_policy(Pulling(), RobotEnv(drawing(tension_limits=(0.0, 2.0)), arm, settle=0.0), 0.6)
-    assert "measurement.tip_pose jumps by 0.354 m in 0.02 s, and the arm can move 0.0" in report.stop.cause
+    assert f"measurement.tip_pose jumps by 0.354 m in {taken}" in report.stop.cause
     assert report.stop.slack and report.timing.periods == 8
 
 
@@ -126,6 +128,7 @@ def test_commands_stay_within_limits_and_rate(arm_of_test, drawing):
     arm = arm_of_test()
     env = RobotEnv(drawing(tension_limits=(0.5, 3.0)), arm, settle=0.4, rate=10.0)
     env.reset(seed=0)
+    np.testing.assert_allclose([command[0] for _, command in arm.sent[:22]], np.minimum(np.arange(1, 23) / 40.0, 0.5))  # evenly from slack
     for _ in range(30):
         observation, *_ = env.step([1.0, -1.0, 5.0])
     sent = np.array([command for _, command in arm.sent])

@@ -100,6 +100,18 @@ def test_an_arm_that_has_moved_is_waited_for_whatever_settle_says(arm_of_test, d
     env.close()
 
 
+@pytest.mark.cases("away, word", [(0.01, ""), (0.03, "the arm rests 30 mm from where it first did")])
+def test_an_arm_that_rests_elsewhere_gets_a_word(away, word, arm_of_test, drawing, capsys):
+    """As one that has buckled to the other side: its zeros are those of another shape."""
+    arm = moving(arm_of_test(), lambda time: np.array([0.0, away * (time > 4.0), 0.0]))
+    env = RobotEnv(drawing(), arm)
+    for _ in range(2):
+        env.reset(seed=0)
+    said = capsys.readouterr().err
+    assert word in said and bool(said) == bool(word)
+    env.close()
+
+
 @pytest.mark.cases("settle, resets, seconds", [(0.1, 1, 7.2), (0.0, 2, 7.2)])
 def test_a_slow_rate_is_no_rest_before_the_pretension(settle, resets, seconds, arm_of_test, drawing):
     arm = arm_of_test()

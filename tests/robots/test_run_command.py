@@ -2,6 +2,7 @@
 
 import json
 import re
+import signal
 import sys
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.cli.run import _tell_of_reach
-from soft_tendon_env.robots import load_robot, read_log
+from soft_tendon_env.robots import SimulatedRobot, load_robot, read_log
 
 ARM = ["--scene", "three_tendon", "--fidelity", "fast"]
 STEPPED = ["--robot-options", '{"real_time": false, "model_error": "stiffness-20%,latency-20ms"}']
@@ -51,6 +52,29 @@ def test_a_robot_that_does_not_answer_ends_it_in_one_line(tmp_path, capsys):
     assert report["stop"]["slack"] and report["rms"]["position_error"] is None
     said = capsys.readouterr().out
     assert "position error" not in said and f"written: {out}\n" not in said and not out.exists()  # there was none
+
+
+class Interrupted(SimulatedRobot):
+    """A simulated arm at whose 200th reading somebody presses Ctrl-C."""
+
+    count = 0
+
+    def read(self):
+        self.count += 1
+        if self.count == 200:
+            signal.raise_signal(signal.SIGINT)
+        return super().read()
+
+
+def test_whoever_presses_ctrl_c_is_told_how_the_tendons_went(tmp_path, capsys):
+    out, robot = tmp_path / "run.csv", ["--robot", f"{__name__}:Interrupted", "--robot-options"]
+    options = '{"scene": "three_tendon", "fidelity": "fast", "sensors": 3, "real_time": false}'
+    with pytest.raises(SystemExit) as exit:
+        main(["run", "filtered:tracking", *ARM, *robot, options, "--seconds", "9", "--out", str(out)])
+    said = capsys.readouterr()
+    assert exit.value.code == 130 and said.err.endswith("\nstopped\n") and len(read_log(out).time) > 20
+    told = rf"written: {out.with_suffix('.json')}\nwritten: {out}\ninterrupted by SIGINT \(Ctrl-C\): tendons slack after \d+ ms\n\n$"
+    assert re.search(told, said.out)
 
 
 def test_a_log_that_is_there_is_refused_before_anything_moves(tmp_path, capsys):
@@ -98,6 +122,8 @@ def test_robots_of_this_folder_are_found(tmp_path, monkeypatch):
     [
         ("no_module:Arm", {}, "robot is 'no_module:Arm': it should be MODULE:CLASS; No module named"),
         ("json:Arm", {}, "robot is 'json:Arm': it should be MODULE:CLASS; module 'json' has no attribute"),
+        ("json", {}, "robot is 'json': it should be MODULE:CLASS; module 'json' has no attribute"),
+        ("sys:maxsize", {}, "robot sys:maxsize cannot be made with the options {}: 'int' object is not callable"),
         ("json:JSONDecoder", {}, "JSONDecoder should have a method read"),
         ("soft_tendon_env.robots:SimulatedRobot", {"model_error": "heat"}, "names 'heat': valid: "),
         ("soft_tendon_env.robots:SimulatedRobot", {"preview": [0.1]}, "preview is an unknown key: valid: control_period, fidelity"),

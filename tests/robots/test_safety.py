@@ -198,6 +198,19 @@ def test_a_robot_that_takes_no_command_any_more_is_reported(arm_of_test, drawing
     assert all(thread.daemon for thread in threading.enumerate() if thread is not threading.main_thread())
 
 
+@pytest.mark.cases("seconds, commands", [(0.05, 2), (0.25, 0)])
+def test_slow_ports_are_waited_for(seconds, commands, arm_of_test, drawing):
+    """Slack is reported also where it is sent by a call that had been left behind."""
+    arm, episodes = arm_of_test(real_time=True, write=lambda count: time.sleep(seconds)), drawing().unwrapped.episodes
+    robot = SafeRobot(arm, np.array([[0.0, 5.0]] * 3), 0, reach_of(episodes), None, 100, False)
+    robot.begin()
+    robot.write(np.full(3, 2.0))
+    robot.stop("somebody pressed the button")
+    wait_until(lambda: robot.stopped.slack and arm.is_slack)
+    assert len(robot.stopped.command) >= commands
+    robot.close()
+
+
 def at_instruction(place, act):
     """Trace function that acts once this thread comes to an instruction of the robots' modules, by number, and every tenth after it."""
     count = itertools.count(1)
