@@ -1,6 +1,6 @@
 """Whether a trained agent fits an environment: the arm that it was trained on, and the meaning of its observations and actions."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
 from soft_tendon_env.envs import Options
@@ -34,7 +34,8 @@ def check_arm(name: str, config: AgentConfig, episodes: Episodes, physics: Itera
     arm = [] if trained is None else [key for key in ARM if getattr(trained, key) != getattr(episodes.options, key)]
     remedy = "".join(f"; its {key} was {shown(getattr(trained, key))}" for key in arm)
     if config.layout is not None and [*config.layout.items()] != [*layout.items()]:  # in the same order
-        raise ValueError(f"{name} was trained with the observation {sizes(config.layout)}, this environment has {sizes(layout)}{remedy}")
+        seen, there = (", ".join(f"{group} ({size})" for group, size in of.items()) for of in (config.layout, layout))
+        raise ValueError(f"{name} was trained with the observation {seen}, this environment has {there}{remedy}")
     before, now = (_interface(options, episodes) for options in (trained or episodes.options, episodes.options))
     if config.strain is not None and before["strain"] is not None:
         before["strain"] = config.strain
@@ -63,11 +64,6 @@ def strain_of(scene: Scene) -> dict[str, Any]:
 def layout_of(episodes: Episodes) -> dict[str, int]:
     """Groups of an observation in their order, with their sizes."""
     return {group: where.stop - where.start for group, where in episodes.layout.slices.items()}
-
-
-def sizes(layout: Mapping[str, int]) -> str:
-    """A layout in words."""
-    return ", ".join(f"{group} ({size})" for group, size in layout.items())
 
 
 def caveats(judged: Iterable[tuple[str, str, dict[str, Any]]]) -> list[str]:

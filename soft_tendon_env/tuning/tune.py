@@ -52,9 +52,8 @@ def tune(work: Work, workers: int, cluster: str | None = None) -> FrozenTrial:
         raise UserError(f"none of {len(trials)} trials was successful" + (f", the first: {errors[0]}" if errors else ""))
     names = list(work.search.search)
     rows = [
-        (str(trial.number), number(MILLIMETRES * cost), *(f"{value:.4g}" if isinstance(value, float) else str(value) for value in values))
+        (str(trial.number), number(MILLIMETRES * cost), *(_short(trial.params[name]) for name in names))
         for cost, trial in complete[:BEST_SHOWN]
-        if (values := [trial.params[name] for name in names])
     ]
     counts = f"{len(trials)} trials: {len(complete)} complete, {sum(trial.state is TrialState.PRUNED for trial in trials)} pruned"
     print(f"{counts}\n\n{markdown_table(('trial', 'cost [mm]', *names), rows)}\n")
@@ -63,6 +62,10 @@ def tune(work: Work, workers: int, cluster: str | None = None) -> FrozenTrial:
         tomli_w.dump(work.search.file(values_of(work.search, best)), file)
     print(f"written: {work.folder / 'best.toml'}")
     return best
+
+
+def _short(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 class Comparison(NamedTuple):
