@@ -71,10 +71,8 @@ def _conduct_table(standings: Mapping[str, Standing]) -> str:
     """Numbers of how policies act under a condition of the nominal setting, by entrant."""
 
     def mean(heading: str, key: str, factor: float = 1.0) -> Column[Standing]:
-        def cell(standing: Standing) -> str:
-            return " / ".join(number(factor * value) for value in (standing.mean(key).value, *standing.tails(key)))
-
-        return Column(heading, cell)
+        numbers = lambda standing: (standing.mean(key).value, *standing.tails(key))  # noqa: E731
+        return Column(heading, lambda standing: " / ".join(number(factor * value) for value in numbers(standing)))
 
     errors = next(iter(standings.values())).episodes[0].errors
     columns: list[Column[Standing]] = [

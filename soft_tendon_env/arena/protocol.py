@@ -5,16 +5,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from soft_tendon_env.evaluation.conditions import DIFFICULTIES, NOMINAL, PLANT, SEEDS, SETTINGS
 from soft_tendon_env.evaluation.entrants import interface_options, misfit, seed_files
 from soft_tendon_env.evaluation.experiment import Cell
-from soft_tendon_env.evaluation.settings import TaskName, Workers, episode_steps
+from soft_tendon_env.evaluation.settings import DifficultyName, DifficultyNames, RegimeNames, SettingNames, TaskName, Workers, episode_steps
 from soft_tendon_env.policies.names import Controller, PolicyName, Seeds
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 ONLY = "policies may observe what does not depend on the discretisation of the arm, see REGIMES in policies/regimes.py"
@@ -41,8 +41,8 @@ class Entrant(Configuration):
     seeds: str | None = None
     optional: bool = False
     name: str = ""
-    regimes: tuple[str, ...] = ()
-    settings: tuple[str, ...] = ()
+    regimes: RegimeNames = ()
+    settings: SettingNames = ()
     told: bool = False
 
     @property
@@ -104,23 +104,14 @@ class Protocol(Workers):
     task: TaskName = "TipPose"
     scene: str = "paper"
     entrants: tuple[Entrant, ...] = Field(min_length=1)
-    settings: tuple[str, ...] = tuple(SETTINGS)
-    regimes: tuple[str, ...] = tuple(REGIMES)
-    difficulties: tuple[str, ...] = tuple(DIFFICULTIES)
-    difficulty: str = "medium"
+    settings: SettingNames = tuple(SETTINGS)
+    regimes: RegimeNames = tuple(REGIMES)
+    difficulties: DifficultyNames = tuple(DIFFICULTIES)
+    difficulty: DifficultyName = "medium"
     episodes: int = Field(default=20, ge=1, le=len(SEEDS["arena"]))
     episodes_per_seed: int | None = Field(default=None, ge=1)
     seconds: Positive = 6.0
     skip: NotNegative = 1.0
-
-    @field_validator("settings", "regimes", "difficulties", "difficulty")
-    @classmethod
-    def _known(cls, given: Any, info: Any) -> Any:
-        valid = REGIMES if info.field_name == "regimes" else SETTINGS if info.field_name == "settings" else DIFFICULTIES
-        for name in [given] if isinstance(given, str) else given:
-            if name not in valid:
-                raise ValueError(f"names {name!r}: {not_among(name, valid)}")
-        return given if isinstance(given, str) else tuple(dict.fromkeys(given))
 
     @model_validator(mode="after")
     def _fits(self) -> "Protocol":
@@ -128,10 +119,6 @@ class Protocol(Workers):
         if twice := [label for label in dict.fromkeys(labels) if labels.count(label) > 1]:
             text = f"has {twice[0]!r} several times: give each a name of its own"
             raise ConfigurationError([Problem(("entrants",), text)])
-        for i, entrant in enumerate(self.entrants):
-            for key, given, valid in (("regimes", entrant.regimes, REGIMES), ("settings", entrant.settings, SETTINGS)):
-                if unknown := [name for name in given if name not in valid]:
-                    raise ConfigurationError([Problem(("entrants", i, key), f"names {unknown[0]!r}: {not_among(unknown[0], valid)}")])
         episode_steps(self.seconds, self.skip, {})
         return self
 

@@ -24,7 +24,7 @@ from soft_tendon_env.evaluation.settings import EpisodeSettings, Settings
 from soft_tendon_env.evaluation.summaries import Summary, over_seeds, summarise
 from soft_tendon_env.evaluation.tables import episode_record, error_table, summary_table
 from soft_tendon_env.policies.agent_checks import caveats
-from soft_tendon_env.policies.agent_files import ARM, INTERFACE, is_agent
+from soft_tendon_env.policies.agent_files import ARM, is_agent
 from soft_tendon_env.policies.load import policy_options, shared_options, short_name
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.trained_by import shipped_notes
@@ -39,19 +39,7 @@ def shared_arms(settings: EpisodeSettings, task: str, policies: Iterable[str]) -
     agents were trained on, see `shared_options`. Raises ValueError, also where they would not see the same episodes, OSError."""
     policies = [*policies]
     given = shared_options(policies, task, settings.options)
-    arms = {policy: policy_options(policy, task, given) for policy in policies}
-    reference = _episode_options(arms[policies[0]])
-    for policy, options in arms.items():
-        for key, value in _episode_options(options).items():
-            if value != reference[key]:
-                text = f"{policy} has {key} = {value!r}, {policies[0]} has {reference[key]!r}"
-                raise ValueError(f"{text}: their episodes would not be the same. Give {key} in options, for all of them")
-    return arms
-
-
-def _episode_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options that decide about episodes, as resolved: all but what a policy sees and how its actions are read."""
-    return {key: value for key, value in Options(**options).model_dump(mode="json").items() if key not in INTERFACE}
+    return {policy: policy_options(policy, task, given) for policy in policies}
 
 
 def make_cell(settings: EpisodeSettings, seeds: tuple[int, ...], task: str, policy: str, options: dict[str, Any], error: str) -> Cell:

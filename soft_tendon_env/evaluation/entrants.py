@@ -129,7 +129,7 @@ def seed_files(seeds: Seeds) -> dict[int | None, str]:
     """Names of the best agents by seed. Raises ValueError, FileNotFoundError unless all were trained on the task, and alike."""
     files: dict[int | None, str] = {}
     first: dict[str, Any] | None = None
-    for seed, run in seed_folders(seeds.folder).items():
+    for seed, run in seed_folders(Path(seeds.text)).items():
         agent, config = run / BEST, read_run(run)
         first = first or config
         if config.get("task") != seeds.task:

@@ -214,8 +214,10 @@ def chatter(tension: Array, period: float) -> float:
     """Change of tension above FAST [N]: root mean square, over time and tendons, of what lies above that frequency in the changes of
     tensions (m, n_a) [N] from one control period [s] to the next.
 
-    By the Fourier transform under a Hann window. NaN for fewer than 8 changes, zero where the period is too long for such frequencies.
+    By the Fourier transform under a Hann window. Zero where the period is too long for such frequencies, else NaN for fewer than 8 changes.
     """
+    if 2.0 * FAST * period >= 1.0:
+        return 0.0
     change = np.diff(tension, axis=0)
     steps = len(change)
     if steps < 8:

@@ -16,12 +16,13 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.envs.episodes import Episodes, episodes_of
+from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.options import refuse_bank
 from soft_tendon_env.envs.single import TendonRodEnv
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
 from soft_tendon_env.evaluation.conditions import SEEDS
 from soft_tendon_env.evaluation.metrics import STILL, Episode, EpisodeScore, score
+from soft_tendon_env.evaluation.settings import episode_steps
 from soft_tendon_env.evaluation.summaries import tracking_cost
 from soft_tendon_env.policies.controller_policy import RowMemory
 from soft_tendon_env.policies.protocol import Policy
@@ -65,7 +66,7 @@ def validation_scores(
 
     make: the policy for an environment, which has a row per seed. options: of the environment, among them `randomize`, the condition.
     """
-    steps = round(seconds / float(options.get("control_period", 0.02)))
+    steps = episode_steps(seconds, skip, options)
     envs = gym.make_vec(IDS[task], num_envs=len(seeds), max_episode_steps=steps, **options)
     try:
         return evaluate_rows(make(envs), envs, seeds, skip)
@@ -126,7 +127,8 @@ def play(policy: Policy, env: Env, seeds: Sequence[int]) -> list[Episode]:
         course.append((step.reward, np.array(violation), seconds, episodes.target_pose.copy(), episodes.tension.copy(), errors.T))
         for row in map(int, np.flatnonzero(step.ended)):
             cause = episodes.cause(row) if episodes.diverged[row] else None
-            ends.setdefault(row, {"steps": k, "cause": cause, "reached": reached_goal(episodes, row)})
+            there = cause is None and bool(episodes.errors["position_error"][row] <= episodes.threshold) if episodes.task.goal else None
+            ends.setdefault(row, {"steps": k, "cause": cause, "reached": there})
         if len(ends) == len(rows):
             break
 
@@ -139,13 +141,6 @@ def play(policy: Policy, env: Env, seeds: Sequence[int]) -> list[Episode]:
         return Episode(seed, episodes.period, length, named, reward[1:], tension, violation[1:], seconds[1:], moved, **end)
 
     return [episode(row, seed, **ends[row]) for row, seed in enumerate(seeds)]
-
-
-def reached_goal(episodes: Episodes, row: int) -> bool | None:
-    """Whether a row is truly at its goal, whatever its sensors say; None where there is none."""
-    if not episodes.task.goal:
-        return None
-    return bool(episodes.errors["position_error"][row] <= episodes.threshold and not episodes.diverged[row])
 
 
 def asks_too_much(action: Any, memory: Any, limits: Array) -> bool:

@@ -7,20 +7,33 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from soft_tendon_env.envs import IDS, Options
-from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, MODEL_ERRORS, model_error
+from soft_tendon_env.evaluation.conditions import DIFFICULTIES, EVALUATION_SEEDS, MODEL_ERRORS, SETTINGS, model_error
+from soft_tendon_env.policies.agent_files import EnvironmentOptions
 from soft_tendon_env.policies.load import ALL
+from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 
-def _known_task(name: str) -> str:
-    if name not in IDS:
-        raise ValueError(f"should be a task: {not_among(name, IDS)}")
-    return name
+def _one_of(what: str, valid: Mapping[str, Any]) -> AfterValidator:
+    """Validator of names of a table."""
+
+    def checked(name: str) -> str:
+        if name not in valid:
+            raise ValueError(f"should be {what}: {not_among(name, valid)}")
+        return name
+
+    return AfterValidator(checked)
 
 
-TaskName = Annotated[str, AfterValidator(_known_task)]
+ONCE = AfterValidator(lambda names: tuple(dict.fromkeys(names)))
+TaskName = Annotated[str, _one_of("a task", IDS)]
 """Name of a registered task."""
+SettingNames = Annotated[tuple[Annotated[str, _one_of("a setting", SETTINGS)], ...], ONCE]
+RegimeNames = Annotated[tuple[Annotated[str, _one_of("an information regime", REGIMES)], ...], ONCE]
+DifficultyName = Annotated[str, _one_of("a difficulty", DIFFICULTIES)]
+DifficultyNames = Annotated[tuple[DifficultyName, ...], ONCE]
+"""Names of settings, information regimes and difficulties, each once."""
 
 Seed = Annotated[int, Field(ge=0)]
 """Seed of `reset`."""
@@ -60,13 +73,7 @@ class EpisodeSettings(Configuration):
 
     seconds: Positive = 10.0
     skip: NotNegative = 1.0
-    options: dict[str, Any] = Field(default={})
-
-    @field_validator("options")
-    @classmethod
-    def _of_an_environment(cls, options: dict[str, Any]) -> dict[str, Any]:
-        Options.parse(options, "options")
-        return options
+    options: EnvironmentOptions = Field(default={})
 
 
 class Settings(EpisodeSettings, Workers):

@@ -183,7 +183,8 @@ def tracking_cost(scores: Sequence[EpisodeScore]) -> float:
 
     def cost(score: EpisodeScore) -> float:
         error, worst = next(iter(score.errors.values())).rms, WORST * score.length
-        return worst if score.diverged is not None else min(error + CHATTER_COST * score.length * score.metrics["chatter"], worst)
+        shaken = CHATTER_COST * score.length * float(np.nan_to_num(score.metrics["chatter"]))  # of too few samples it is not known
+        return worst if score.diverged is not None else min(error + shaken, worst)
 
     return float(np.mean([cost(score) for score in scores]))
 

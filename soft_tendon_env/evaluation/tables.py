@@ -112,17 +112,19 @@ def error_table(summaries: Mapping[tuple[str, str], Summary]) -> str:
     first = next(iter(summaries.values()))
     # RMS of the first error, and its steady state, or the RMS of the second or, for goals, the share reached
     shown = [column for column in columns_of(replace(first, seeds=None)) if column.usual][:2]
-    rows: dict[str, dict[str, Summary]] = {}
-    for (policy, error), summary in summaries.items():
-        rows.setdefault(with_seeds(policy, summary.seeds), {})[error] = summary
+    policies, errors = ([*dict.fromkeys(key[i] for key in summaries)] for i in (0, 1))
 
-    def cell(row: Mapping[str, Summary], error: str) -> str:
-        mean, high, bad = format_tails(row[error], next(iter(first.errors)))
-        tails = f", mean {mean}, p{HIGH} {high}, {bad} bad" if row[error].seeds else ""
-        return " / ".join(column.cell(row[error]) for column in shown) + tails
+    def cell(summary: Summary) -> str:
+        mean, high, bad = format_tails(summary, next(iter(first.errors)))
+        tails = f", mean {mean}, p{HIGH} {high}, {bad} bad" if summary.seeds else ""
+        return " / ".join(column.cell(summary) for column in shown) + tails
 
-    errors = [Column(error, partial(cell, error=error)) for error in next(iter(rows.values()))]
-    return with_legends(table_of(" / ".join(column.header for column in shown), rows, errors), summaries.values())
+    rows = [
+        (with_seeds(policy, summaries[policy, errors[0]].seeds), *(cell(summaries[policy, error]) for error in errors))
+        for policy in policies
+    ]
+    header = (" / ".join(column.header for column in shown), *errors)
+    return with_legends(markdown_table(header, rows), summaries.values())
 
 
 def table_of(label: str, rows: Mapping[str, Row], columns: Sequence[Column[Row]]) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 
 import gymnasium as gym
 
+from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.policies.agent_checks import PHYSICS, TrainingWarning, check_arm, differences
 from soft_tendon_env.policies.agent_files import CONFIG, AgentConfig, AgentFiles, find_agent, read_config, with_import
 from soft_tendon_env.policies.integral import IntegralPolicy
@@ -46,9 +47,10 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
 
     name: of an agent that ships for the environment's task, an agent's folder, or the .zip file of Stable-Baselines3. other_effects:
     whether the arm may have effects that it was not trained with. Warns (TrainingWarning) of another task, arm, preset or control period
-    than in its training. Raises ValueError, OSError, ModuleNotFoundError.
+    than in its training. Raises TypeError for environments of other packages, ValueError, OSError, ModuleNotFoundError.
     """
-    files = find_agent(name, env.unwrapped.episodes.task.name)
+    episodes = episodes_of(env)
+    files = find_agent(name, episodes.task.name)
     config = read_config(files)
     needed = {file: config.files[file] for file in (files.weights.name, STATISTICS) if file in config.files}
     check_digests(files.folder, needed, files.config)
@@ -60,10 +62,9 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
     actions = env.single_action_space if rows else env.action_space
     space = env.single_observation_space if rows else env.observation_space
     try:
-        check_arm(name, config, env, [part for part in PHYSICS if not (other_effects and part == "effects")])
+        check_arm(name, config, episodes, [part for part in PHYSICS if not (other_effects and part == "effects")])
     except ConfigurationError as error:  # of the arm that it was trained on
         raise with_import(error, str(files.config)) from error
-    episodes = env.unwrapped.episodes
     if not other_effects and (other := differences(config, episodes.options, episodes.task.name)):
         text = f"{name}: {'; '.join(other)}. policy_options() has the options of its training"
         warnings.warn(text, TrainingWarning, stacklevel=4)
@@ -119,20 +120,9 @@ def _check_sizes(name: str, settings: Mapping[str, Any], observations: gym.Space
         said = settings.get(key)
         size = said.get("_shape") if isinstance(said, dict) else None
         if isinstance(size, list) and tuple(size) != space.shape:
-            text = f"{name} was trained with {key} {tuple(size)}, this environment has {space.shape or _shapes(space)}"
+            shape = {key: part.shape for key, part in space.items()} if isinstance(space, gym.spaces.Dict) else space.shape
+            text = f"{name} was trained with {key} {tuple(size)}, this environment has {shape}"
             raise ValueError(f"{text}: see that the task is right, and that config.json beside it says its options")
-
-
-def _shapes(space: gym.Space[Any]) -> Any:
-    return {key: part.shape for key, part in space.items()} if isinstance(space, gym.spaces.Dict) else space.shape
-
-
-def was_normalised(settings: Mapping[str, Any]) -> bool:
-    """True for settings of a .zip file whose environment had a VecNormalize, which may have left observations alone.
-
-    Stable-Baselines3 then keeps the last observation from before it.
-    """
-    return settings.get("_last_original_obs") is not None
 
 
 def _normalization(files: AgentFiles, config: AgentConfig, settings: Mapping[str, Any], space: gym.Space[Any]) -> Normalization | None:
@@ -141,7 +131,8 @@ def _normalization(files: AgentFiles, config: AgentConfig, settings: Mapping[str
     Raises ValueError, FileNotFoundError where the statistics of an agent that needs some are missing, or of other observations.
     """
     if not files.statistics.exists():
-        normalised = was_normalised(settings) if files.is_zip else "observations" in config.normalise
+        last = settings.get("_last_original_obs")  # which Stable-Baselines3 keeps from before a VecNormalize, if there is one
+        normalised = last is not None if files.is_zip else "observations" in config.normalise
         if normalised and config.normalise.get("observations", True):
             text = "it sees observations through the statistics of its training (VecNormalize), and would see others without"
             text += "; save_normalization of soft_tendon_env.policies.normalization writes them"

@@ -1,11 +1,12 @@
 """Whether a trained agent fits an environment: the arm that it was trained on, and the meaning of its observations and actions."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
 from soft_tendon_env.envs import Options
+from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.options import resolved_scene, sensor_places
-from soft_tendon_env.policies.agent_files import ARM, CONFIG, INTERFACE, AgentConfig, AgentFiles, find_agent, read_config
+from soft_tendon_env.policies.agent_files import ARM, CONFIG, INTERFACE, AgentConfig, find_agent, read_config
 from soft_tendon_env.policies.normalization import STATISTICS
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import shown
@@ -21,9 +22,8 @@ PHYSICS = ("segments", "tendons", "effects")
 """Tables of a scene that define the physical arm, as opposed to how it is computed."""
 
 
-def check_arm(name: str, config: AgentConfig, env: Any, physics: Iterable[str]) -> None:
+def check_arm(name: str, config: AgentConfig, episodes: Episodes, physics: Iterable[str]) -> None:
     """Raises ValueError where an agent was trained on another arm, or with other observations or actions of the same size."""
-    episodes = env.unwrapped.episodes
     trained = None if config.options is None else Options(**config.options)
     scene = None if trained is None else resolved_scene(trained)
     for part in physics:
@@ -34,7 +34,8 @@ def check_arm(name: str, config: AgentConfig, env: Any, physics: Iterable[str]) 
     arm = [] if trained is None else [key for key in ARM if getattr(trained, key) != getattr(episodes.options, key)]
     remedy = "".join(f"; its {key} was {shown(getattr(trained, key))}" for key in arm)
     if config.layout is not None and [*config.layout.items()] != [*layout.items()]:  # in the same order
-        raise ValueError(f"{name} was trained with the observation {sizes(config.layout)}, this environment has {sizes(layout)}{remedy}")
+        seen, there = (", ".join(f"{group} ({size})" for group, size in of.items()) for of in (config.layout, layout))
+        raise ValueError(f"{name} was trained with the observation {seen}, this environment has {there}{remedy}")
     before, now = (_interface(options, episodes) for options in (trained or episodes.options, episodes.options))
     if config.strain is not None and before["strain"] is not None:
         before["strain"] = config.strain
@@ -43,7 +44,7 @@ def check_arm(name: str, config: AgentConfig, env: Any, physics: Iterable[str]) 
             raise ValueError(f"{name} was trained with {key} = {shown(before[key])}, this environment has {shown(now[key])}{remedy}")
 
 
-def _interface(options: Options, episodes: Any) -> dict[str, Any]:
+def _interface(options: Options, episodes: Episodes) -> dict[str, Any]:
     """Meaning of observations and actions beyond the names and sizes of groups, as far as there are such groups."""
     groups, scene = tuple(episodes.layout.slices), resolved_scene(options)
     return {
@@ -60,14 +61,9 @@ def strain_of(scene: Scene) -> dict[str, Any]:
     return scene.strain.model_dump(mode="json", exclude_none=True)
 
 
-def layout_of(episodes: Any) -> dict[str, int]:
+def layout_of(episodes: Episodes) -> dict[str, int]:
     """Groups of an observation in their order, with their sizes."""
     return {group: where.stop - where.start for group, where in episodes.layout.slices.items()}
-
-
-def sizes(layout: Mapping[str, int]) -> str:
-    """A layout in words."""
-    return ", ".join(f"{group} ({size})" for group, size in layout.items())
 
 
 def caveats(judged: Iterable[tuple[str, str, dict[str, Any]]]) -> list[str]:
@@ -79,17 +75,18 @@ def caveats(judged: Iterable[tuple[str, str, dict[str, Any]]]) -> list[str]:
     for name, task, options in judged:
         files = find_agent(name, task)
         config = read_config(files)
-        for text in [*differences(config, Options(**options), task), *_left_out(config.options, options), *_unsaid(files, config)]:
+        texts = differences(config, Options(**options), task)
+        if (trained := config.options) is None:
+            text = "no config.json says what it was trained on; numbers are right only if that was the arm and the options"
+            texts.append(f"{text} of this evaluation")
+        elif left_out := sorted(key for key in trained if key not in (*ARM, *INTERFACE) and trained[key] != options.get(key)):
+            texts.append(f"judged without the {', '.join(left_out)} of the training")
+        if not (files.is_zip or files.statistics.exists() or "observations" in config.normalise):  # a .zip file says it by itself
+            text = f"there is no {STATISTICS}, and {CONFIG} does not say normalise.observations; numbers are right only if it learned"
+            texts.append(f"{text} without VecNormalize's statistics of observations")
+        for text in texts:
             found.setdefault(text, {})[name] = None
     return [f"{', '.join(names)}: {text}" for text, names in found.items()]
-
-
-def _unsaid(files: AgentFiles, config: AgentConfig) -> list[str]:
-    """A line where nothing says how an agent saw observations. A .zip file says it by itself, see `was_normalised`."""
-    if files.is_zip or files.statistics.exists() or "observations" in config.normalise:
-        return []
-    text = f"there is no {STATISTICS}, and {CONFIG} does not say normalise.observations; numbers are right only if it learned without"
-    return [f"{text} VecNormalize's statistics of observations"]
 
 
 def differences(config: AgentConfig, now: Options, task: str) -> list[str]:
@@ -99,10 +96,3 @@ def differences(config: AgentConfig, now: Options, task: str) -> list[str]:
         before, there = (resolved_scene(options).replace({"name": "arm"}) for options in (trained, now))
         values |= {key: (getattr(trained, key), getattr(now, key)) for key in ARM if key == CLOCK or before != there}
     return [f"trained with {key} = {shown(one)}, judged with {shown(other)}" for key, (one, other) in values.items() if one != other]
-
-
-def _left_out(trained: dict[str, Any] | None, options: dict[str, Any]) -> list[str]:
-    if trained is None:
-        return ["no config.json says what it was trained on; numbers are right only if that was the arm and the options of this evaluation"]
-    left_out = sorted(key for key in trained if key not in (*ARM, *INTERFACE) and trained[key] != options.get(key))
-    return [f"judged without the {', '.join(left_out)} of the training"] if left_out else []

@@ -26,14 +26,23 @@ SHIPPED_NAMES = f'{", ".join(SHIPPED[:-1])} or {SHIPPED[-1]}, which ship'
 """These names in words."""
 ARM = ("scene", "fidelity", "control_period", "tension_limits")
 """Options that define the arm."""
-INTERFACE = ("observation", "preview", "history", "sensors", "action", "tension_rate")
+INTERFACE = ("observation", "preview", "history", "sensors", "contact_sections", "action", "tension_rate")
 """Options that say what a policy observes and how its actions are read."""
 OF_TRAINING = (
     "steps", "seconds", "seed", "threads", "learning_rate", "hindsight", "evaluation", "checkpoint_every", "checkpoint_seconds",
     "record", "evaluated", "seconds_learned", "engine", "runners",
 )
-UNKNOWN = re.compile("valid: |unknown")
 """Keys of config.json that say how an agent was trained, and nothing of how it acts."""
+UNKNOWN = re.compile("valid: |unknown")
+
+
+def _checked_options(options: dict[str, Any]) -> dict[str, Any]:
+    Options.parse(options, "options")
+    return options
+
+
+EnvironmentOptions = Annotated[dict[str, Any], AfterValidator(_checked_options)]
+"""Options of an environment as plain tables."""
 
 
 class AgentConfig(Configuration):
@@ -57,7 +66,7 @@ class AgentConfig(Configuration):
     task: str | None = None
     algorithm: str | None = None
     hyperparameters: dict[str, Any] = Field(default={})
-    options: dict[str, Any] | None = None
+    options: EnvironmentOptions | None = None
     layout: dict[str, int] | None = None
     strain: dict[str, Any] | None = None
     integral_time: Positive | None = None
@@ -74,13 +83,6 @@ class AgentConfig(Configuration):
         if other := [key for key, value in values.items() if value and key not in (*cls.model_fields, *OF_TRAINING)]:
             raise ConfigurationError([Problem((key,), f"is {shown(values[key])}: {text}") for key in other])
         return values
-
-    @field_validator("options")
-    @classmethod
-    def _of_an_environment(cls, options: dict[str, Any] | None) -> dict[str, Any] | None:
-        if options is not None:
-            Options.parse(options, "options")
-        return options
 
     @field_validator("algorithm")
     @classmethod

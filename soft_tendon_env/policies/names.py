@@ -10,7 +10,6 @@ The grammars are those of the four classes. For another one, add a class, and it
 import importlib
 import importlib.util
 import sys
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -37,10 +36,10 @@ from soft_tendon_env.policies.agent_files import (
 )
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.estimators import ESTIMATORS
-from soft_tendon_env.policies.own_policy import MAY_SET, OwnPolicy, own_environment
+from soft_tendon_env.policies.own_policy import OwnPolicy, named, own_environment
 from soft_tendon_env.policies.protocol import FunctionPolicy, Policy
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, read_toml
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, read_toml, shown
 
 BEST = "best"
 """Name of the folder of a training's best agent, within that of the training."""
@@ -53,7 +52,7 @@ ESTIMATOR = "estimator."
 
 
 @dataclass(frozen=True)
-class PolicyName(ABC):
+class PolicyName:
     """Name of a policy for a task ("TipPose", ...): `text`, as it was given, and what it means."""
 
     text: str
@@ -76,7 +75,9 @@ class PolicyName(ABC):
         if controller in CONTROLLERS.get(task, {}):
             return Controller(text, task, controller, estimator, _checked_belief(text, belief) if mark else None)
         if prefix:
-            raise _no_controller(text, task, prefix, controller)
+            wanted = f"what stands behind {prefix!r} should be a controller of {task}, {not_among(controller, CONTROLLERS.get(task, {}))}"
+            hint = "An agent acts without a state estimator, if it was trained with noise and a history"
+            raise ValueError(f"policy is {text!r}: {wanted}. {hint}")
         module, colon, name = text.partition(OWN)
         if colon and not path.exists() and _is_module(module):
             return Own(text, task, module, name)
@@ -85,11 +86,10 @@ class PolicyName(ABC):
             return Seeds(text, task)
         raise _unknown(text, task, controller)
 
-    @abstractmethod
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Options of an environment in which the policy sees what it needs: its own, and those given. Raises ValueError, OSError."""
+        raise _unknown(self.text, self.task, self.text)
 
-    @abstractmethod
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
         """The policy for an environment with its options.
 
@@ -97,6 +97,7 @@ class PolicyName(ABC):
         other_effects: whether the arm may have effects that an agent was not trained with. Raises ValueError, OSError,
         ModuleNotFoundError.
         """
+        raise _unknown(self.text, self.task, self.text)
 
 
 class TunedController(Configuration):
@@ -199,19 +200,8 @@ class Agent(PolicyName):
 
 @dataclass(frozen=True)
 class Seeds(PolicyName):
-    """The folder of several seeds of one training, seed_0, seed_1, ..., as `soft-tendon sweep` leaves it."""
-
-    @property
-    def folder(self) -> Path:
-        return Path(self.text)
-
-    def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Raises ValueError: its agents have each its own."""
-        raise _unknown(self.text, self.task, self.text)
-
-    def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
-        """Raises ValueError: it is many policies."""
-        raise _unknown(self.text, self.task, self.text)
+    """The folder of several seeds of one training, seed_0, seed_1, ..., as `soft-tendon sweep` leaves it: many policies, which have each
+    their own options."""
 
 
 @dataclass(frozen=True)
@@ -220,7 +210,7 @@ class Own(PolicyName):
     a function of observations (rows, size) that returns actions (rows, n_a).
 
     The environment is its own, see `own_environment`, with the spaces, control period and limits of the one that it acts in. Its attribute
-    `options`, if it has one, says what it observes and how its actions are read: options of the environment, those of MAY_SET.
+    `options`, if it has one, says what it observes and how its actions are read: options of the environment, those of INTERFACE.
     """
 
     module: str
@@ -230,7 +220,8 @@ class Own(PolicyName):
     def maker(self) -> Callable[..., Any]:
         """The callable. Raises ValueError where there is none."""
         try:
-            made = getattr(importlib.import_module(self.module), self.name)
+            with named(self.text):
+                made = getattr(importlib.import_module(self.module), self.name)
         except (ImportError, AttributeError) as error:
             text = f"policy is {self.text!r}: it should be module:name of what makes a policy from an environment; {error}"
             raise ValueError(text) from error
@@ -245,19 +236,24 @@ class Own(PolicyName):
         return None if file is None else Path(file)
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Raises ValueError for options of its own that change the arm, the task or the clock."""
-        own = dict(getattr(self.maker, "options", {}))
-        if other := [name for name in own if name not in MAY_SET]:
-            text = f"policy is {self.text!r}, whose options have {', '.join(other)}: a policy may set {', '.join(MAY_SET)} alone"
+        """Raises ValueError for options of its own that are none, or change the arm, the task or the clock."""
+        own = getattr(self.maker, "options", {})
+        if not isinstance(own, Mapping):
+            raise ValueError(f"policy is {self.text!r}, whose options should be a table, not {shown(own)}")
+        if other := [str(name) for name in own if name not in INTERFACE]:
+            text = f"policy is {self.text!r}, whose options have {', '.join(other)}: a policy may set {', '.join(INTERFACE)} alone"
             raise ValueError(f"{text}; what changes the arm, the task or the clock is said by who runs it")
+        Options.parse(dict(own), f"options of {self.text}")
         return {**own, **given}
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
-        made = self.maker(own_environment(env, scene))
-        if not (hasattr(made, "predict") or callable(made)):
-            text = f"{self.name} should make an object with predict, or a function of observations, not {type(made).__name__}"
+        with named(self.text):
+            made = self.maker(own_environment(env, scene))
+        predicts = callable(getattr(made, "predict", None))
+        if isinstance(made, type) or not (predicts or callable(made)):
+            text = f"{self.name} should make an object with predict, or a function of observations, not {shown(made)}"
             raise ValueError(f"policy is {self.text!r}: {text}")
-        return OwnPolicy(self.text, made if hasattr(made, "predict") else FunctionPolicy(made), env)
+        return OwnPolicy(self.text, made if predicts else FunctionPolicy(made), env)
 
 
 def _is_module(name: str) -> bool:
@@ -274,12 +270,6 @@ def _checked_belief(text: str, belief: str) -> str:
     except ValueError as error:
         raise ValueError(f"policy is {text!r}: what stands behind {BELIEVED!r} {error}") from error
     return belief
-
-
-def _no_controller(text: str, task: str, prefix: str, name: str) -> ValueError:
-    """The error that what stands behind the prefix of a state estimator is no controller."""
-    wanted = f"what stands behind {prefix!r} should be a controller of {task}, {not_among(name, CONTROLLERS.get(task, {}))}"
-    return ValueError(f"policy is {text!r}: {wanted}. An agent acts without a state estimator, if it was trained with noise and a history")
 
 
 def _unknown(text: str, task: str, controller: str) -> ValueError:

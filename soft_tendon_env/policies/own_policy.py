@@ -4,6 +4,8 @@ They run in the process that plays them. The environment that they get shares no
 """
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import gymnasium as gym
@@ -17,9 +19,6 @@ from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_array
 from soft_tendon_env.tools.messages import UserError
 
-MAY_SET = (*INTERFACE, "contact_sections")
-"""Options that a policy may set: what it observes, and how its actions are read."""
-
 
 def own_environment(env: Any, scene: Scene | None = None) -> Any:
     """Environment with the spaces, control period and limits of another, single or vector, that shares nothing with it.
@@ -28,7 +27,7 @@ def own_environment(env: Any, scene: Scene | None = None) -> Any:
     the task's usual ones.
     """
     episodes = episodes_of(env)
-    options = {name: getattr(episodes.options, name) for name in (*ARM, *MAY_SET, "threshold")}
+    options = {name: getattr(episodes.options, name) for name in (*ARM, *INTERFACE, "threshold")}
     options["randomize"] = {"noise": episodes.options.randomize.noise}
     if scene is not None:
         options |= {"scene": scene, "fidelity": "scene"}
@@ -42,8 +41,17 @@ def own_environment(env: Any, scene: Scene | None = None) -> Any:
 class EntrantError(UserError, ValueError):
     """A policy of one's own did what an entrant should not."""
 
-    def __str__(self) -> str:
-        return "policy is {!r}, {}".format(*self.args)
+
+@contextmanager
+def named(policy: str) -> Iterator[None]:
+    """Adds the name of a policy of one's own to the notes of what it raises. Raises EntrantError where it ends the program."""
+    try:
+        yield
+    except SystemExit as error:
+        raise EntrantError(f"policy is {policy!r}, which ends the program") from error
+    except Exception as error:
+        error.add_note(f"It was raised in the policy {policy}.")
+        raise
 
 
 class OwnPolicy:
@@ -52,19 +60,17 @@ class OwnPolicy:
     def __init__(self, name: str, policy: Policy, env: Any) -> None:
         """env: that it acts in, of which nothing is kept."""
         episodes = episodes_of(env)
-        self._shape = (episodes.model.tendon_count,) if isinstance(env, gym.Env) else (episodes.size, episodes.model.tendon_count)
-        self.name, self._policy = name, policy
+        rows = () if isinstance(env, gym.Env) else (episodes.size,)
+        self.name, self._policy, self._shape = name, policy, (*rows, episodes.model.tendon_count)
 
     def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False) -> tuple[Any, Any]:
         """Raises EntrantError for what is no action, and what the policy raises."""
-        try:
-            found = self._policy.predict(observation, state, episode_start, deterministic=deterministic)
-        except Exception as error:
-            error.add_note(f"It was raised in the policy {self.name}.")
-            raise
+        with named(self.name):
+            found: Any = self._policy.predict(observation, state, episode_start, deterministic=deterministic)
         if not (isinstance(found, tuple) and len(found) == 2):
-            raise EntrantError(self.name, f"whose predict should return an action and a state, not {type(found).__name__}")
+            text = f"whose predict should return an action and a state, not {type(found).__name__}"
+            raise EntrantError(f"policy is {self.name!r}, {text}")
         try:
             return checked_array("action", found[0], self._shape), found[1]
         except (TypeError, ValueError) as error:
-            raise EntrantError(self.name, f"whose {error}") from error
+            raise EntrantError(f"policy is {self.name!r}, whose {error}") from error

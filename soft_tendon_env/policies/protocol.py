@@ -18,16 +18,16 @@ class Policy(Protocol):
 
 
 class FunctionPolicy:
-    """A policy without memory: actions (rows, n_a) as a function of observations (rows, size), of which one alone is a row."""
+    """A policy without memory: actions (rows, n_a) as a function of observations (rows, size), or of a dictionary of such."""
 
     def __init__(self, function: Callable[[Any], Any]) -> None:
         self._function = function
 
     def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False) -> tuple[Any, Any]:
-        if isinstance(observation, dict):
-            return self._function(observation), state
-        actions = self._function(np.atleast_2d(observation))
-        return (actions[0] if np.ndim(observation) == 1 else actions), state
+        parts = observation if isinstance(observation, dict) else {"": observation}
+        rows = {key: np.atleast_2d(part) for key, part in parts.items()}
+        actions = self._function(rows if parts is observation else rows[""])
+        return (actions[0] if np.ndim(next(iter(parts.values()))) == 1 else actions), state
 
 
 class LostState:

@@ -14,13 +14,13 @@ class UserError(Exception):
 
 
 def describe(error: BaseException) -> str:
-    """An error in words: of an OSError the file comes first, without the number."""
+    """An error in words: of an OSError the file comes first, without the number; its notes come last."""
     if isinstance(error, OSError) and error.strerror:
         names = ", ".join(str(name) for name in (error.filename, error.filename2) if name is not None)
         return f"{names}: {error.strerror}" if names else error.strerror
     if isinstance(error, MemoryError):
         return f"there is too little memory: {error}" if str(error) else "there is too little memory"
-    return str(error) or type(error).__name__
+    return ". ".join([str(error) or type(error).__name__, *getattr(error, "__notes__", [])])
 
 
 def first_line(error: BaseException) -> str:

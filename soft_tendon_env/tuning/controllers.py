@@ -5,13 +5,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from soft_tendon_env.envs import Options
 from soft_tendon_env.evaluation.conditions import SEEDS, SETTINGS
 from soft_tendon_env.evaluation.play import validation_error, validation_scores
-from soft_tendon_env.evaluation.settings import TaskName, episode_steps
+from soft_tendon_env.evaluation.settings import RegimeNames, SettingNames, TaskName, episode_steps
 from soft_tendon_env.evaluation.summaries import tracking_cost
+from soft_tendon_env.policies.agent_files import EnvironmentOptions
 from soft_tendon_env.policies.names import Controller, PolicyName
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.scene.file import load_scene
@@ -40,28 +41,13 @@ class ControllerSearch(Search):
 
     policy: str
     task: TaskName = "TipPose"
-    settings: tuple[str, ...] = Field(default=("model_errors",), min_length=1)
-    regimes: tuple[str, ...] = ()
+    settings: SettingNames = Field(default=("model_errors",), min_length=1)
+    regimes: RegimeNames = ()
     episodes: int = Field(default=len(SEEDS["tuning"]), ge=1, le=len(SEEDS["tuning"]))
     seconds: Positive = 3.0
     skip: NotNegative = 1.0
-    options: dict[str, Any] = Field(default={})
+    options: EnvironmentOptions = Field(default={})
     parameters: dict[str, int | float] = Field(default={})
-
-    @field_validator("settings", "regimes")
-    @classmethod
-    def _known(cls, names: tuple[str, ...], info: Any) -> tuple[str, ...]:
-        valid = SETTINGS if info.field_name == "settings" else REGIMES
-        for name in names:
-            if name not in valid:
-                raise ValueError(f"names {name!r}: {not_among(name, valid)}")
-        return tuple(dict.fromkeys(names))
-
-    @field_validator("options")
-    @classmethod
-    def _of_an_environment(cls, options: dict[str, Any]) -> dict[str, Any]:
-        Options.parse(options, "options")
-        return options
 
     @model_validator(mode="after")
     def _fits(self) -> "ControllerSearch":

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import optuna
 from optuna.pruners import BasePruner, HyperbandPruner, MedianPruner, NopPruner
 from optuna.samplers import TPESampler
-from optuna.storages import BaseStorage, JournalStorage, get_storage
+from optuna.storages import JournalStorage, get_storage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial, TrialState
 
@@ -39,7 +39,8 @@ def open_study(work: Work) -> optuna.Study:
     """The study, made where it is not there. Raises ValueError where its storage cannot be opened, or has another search by its name."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     try:
-        study = optuna.create_study(storage=_storage(work.storage), study_name=work.name, load_if_exists=True, pruner=_pruner(work.search))
+        storage = get_storage(work.storage) if "://" in work.storage else JournalStorage(JournalFileBackend(work.storage))
+        study = optuna.create_study(storage=storage, study_name=work.name, load_if_exists=True, pruner=_pruner(work.search))
         begun = study.user_attrs.get(SEARCH)
     except Exception as error:  # of a driver, of a database, of a file that is no journal
         raise ValueError(f"storage is {work.storage}: it cannot be opened, {first_line(error)}") from error
@@ -53,10 +54,6 @@ def open_study(work: Work) -> optuna.Study:
         differences = "; ".join(f"{key} was {shown(begun.get(key))} and is {shown(own[key])}" for key in changed)
         raise ValueError(f"{work.storage} has another search called {work.name}, {differences}: give another --out, or another --storage")
     return study
-
-
-def _storage(text: str) -> BaseStorage:
-    return get_storage(text) if "://" in text else JournalStorage(JournalFileBackend(text))
 
 
 def _pruner(search: Search) -> BasePruner:

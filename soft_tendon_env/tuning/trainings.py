@@ -10,18 +10,19 @@ from typing import Any
 import numpy as np
 from pydantic import Field, model_validator
 
-from soft_tendon_env.envs.options import without_bank
+from soft_tendon_env.envs import Options
+from soft_tendon_env.envs.options import resolved_scene, without_bank
 from soft_tendon_env.evaluation.conditions import SEEDS
-from soft_tendon_env.evaluation.metrics import EpisodeScore
 from soft_tendon_env.evaluation.play import validation_scores
 from soft_tendon_env.learning.config import Training, find_config
 from soft_tendon_env.policies import load_policy
+from soft_tendon_env.scene.scene import rod_length
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, dotted, override, read_toml, shown
 from soft_tendon_env.tools.types import Array
 from soft_tendon_env.tuning.search import Report, Search
 
 LOST = 1.0
-"""Cost [m] of an episode that diverged: more than an agent has that leaves the arm anywhere."""
+"""Cost of an episode that diverged, as a share of the rod's length: more than an agent has that leaves the arm anywhere."""
 
 
 class TrainingSearch(Search):
@@ -39,22 +40,21 @@ class TrainingSearch(Search):
 
     @model_validator(mode="after")
     def _fits(self) -> "TrainingSearch":
-        try:
-            self._training({})
-        except ConfigurationError as error:
-            said = [f"{dotted(key)} {text}".strip() for key, text in error.problems]
-            problems = [Problem(("set",), f"does not fit {self.training}: {text}") for text in said]
-            raise ConfigurationError(problems) from error
-        problems = []
-        for name, parameter in self.search.items():
-            for key, value in parameter.ends.items():
-                try:
-                    self._training({name: value})
-                except ConfigurationError as error:
-                    problems += [Problem(("search", name, *key), f"is {shown(value)}: {dotted(k)} {text}") for k, text in error.problems]
+        ends = [(("search", name, *key), name, value) for name, parameter in self.search.items() for key, value in parameter.ends.items()]
+        problems = [Problem(("set",), f"does not fit {self.training}: {text}") for text in self._mistakes({})] or [
+            Problem(key, f"is {shown(value)}: {text}") for key, name, value in ends for text in self._mistakes({name: value})
+        ]
         if problems:
             raise ConfigurationError(problems)
         return self
+
+    def _mistakes(self, values: Mapping[str, Any]) -> list[str]:
+        """Problems of the training with these values of keys."""
+        try:
+            self._training(values)
+        except ConfigurationError as error:
+            return [f"{dotted(key)} {text}".strip() for key, text in error.problems]
+        return []
 
     def file(self, values: Mapping[str, Any]) -> dict[str, Any]:
         table = deepcopy(read_toml(find_config(self.training)))
@@ -78,10 +78,11 @@ class TrainingSearch(Search):
         costs: list[float] = []
 
         def watch(row: Mapping[str, float]) -> None:
-            costs.append(row_cost(row, training.evaluation.episodes))
+            costs.append(row_cost(row, training.evaluation.episodes, lost))
             report(costs[-1])
 
         training = self._training(values)
+        lost = LOST * rod_length(resolved_scene(Options.parse(training.options, "options")))
         try:
             self._train(training, folder, watch)
         finally:
@@ -98,7 +99,7 @@ class TrainingSearch(Search):
             best, skip = str(own / "best"), training.evaluation.skip
             make = partial(load_policy, best)
             scores = validation_scores(make, training.task, without_bank(training.options), SEEDS["evaluation"], training.seconds, skip)
-            costs.append([_error(score) for score in scores])
+            costs.append([LOST * score.length if score.diverged else next(iter(score.errors.values())).rms for score in scores])
         return np.array(costs)
 
     @staticmethod
@@ -109,15 +110,11 @@ class TrainingSearch(Search):
         train.train(training, folder, train.checkpoint_to_resume(folder, training, resume=True), watch)
 
 
-def row_cost(row: Mapping[str, float], episodes: int) -> float:
-    """Cost [m] of a row of a learning curve: the first error, and LOST of episodes that diverged."""
+def row_cost(row: Mapping[str, float], episodes: int, lost: float) -> float:
+    """Cost [m] of a row of a learning curve: the first error, and `lost` of episodes that diverged."""
     error = next(value for name, value in row.items() if name.endswith("_rms"))
-    lost = row["diverged"] / episodes
-    return LOST if lost == 1.0 else (1.0 - lost) * error + lost * LOST
-
-
-def _error(score: EpisodeScore) -> float:
-    return LOST if score.diverged is not None else next(iter(score.errors.values())).rms
+    share = row["diverged"] / episodes
+    return lost if share == 1.0 else (1.0 - share) * error + share * lost
 
 
 def _flat(tables: Mapping[str, Any], before: str = "") -> dict[str, Any]:

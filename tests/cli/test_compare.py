@@ -120,6 +120,7 @@ def test_arguments_go_before_the_config_file(tmp_path, catalogue, command):
     (environment,) = json.loads((tmp_path / "configuration.json").read_text())["environments"]
     assert environment["options"]["preview"] == pytest.approx([0.04, 0.08]), "what the controller looks at, in its periods"
     assert environment["options"]["fidelity"] == "fast", "of the file, beside what was given"
+    assert not (tmp_path / "Shape_episodes.csv").exists(), "only where it is asked for"
 
 
 def test_episodes_errors_and_options_are_given_on_the_command_line(tmp_path, catalogue, capsys, command):
@@ -185,26 +186,16 @@ def test_a_folder_of_runs_is_one_policy(tmp_path, runs, catalogue, capsys, comma
     assert together["summary"]["episodes"] == 4
     number = tables.number
     low, mean, high = (number(1e3 * value) for value in (min(each), sum(each) / 2, max(each)))
-    line = next(line for line in printed.splitlines() if f"{runs} (2 seeds) " in line)
+    (line, *_) = (line for line in printed.splitlines() if f"{runs} (2 seeds) " in line)
     assert f"| {mean} ({low}-{high}) / " in line
     rows = {row["policy"]: row for row in rows_of(tmp_path / "out" / "TipPose.csv") if row["model_error"] == "nominal"}
     assert float(rows[str(runs)]["position_error_rms_low"]) == min(each) and rows[str(runs)]["seeds"] == "2"
     assert rows["far"]["position_error_rms_low"] == rows["far"]["seeds"] == ""
-
-
-def test_every_episode_in_a_row(tmp_path, runs, catalogue, command):
-    config = write_config(tmp_path)
-    given = ("--config", config, "--task", "TipPose", "--policies", "far", runs, "--out", tmp_path / "out")
-    command("compare", *given)
-    path = tmp_path / "out" / "TipPose_episodes.csv"
-    assert not path.exists(), "only where it is asked for"
-    command("compare", *given, "--episode-csv")
-    rows = rows_of(path)
+    rows = rows_of(tmp_path / "out" / "TipPose_episodes.csv")
     found = [(row["policy"], row["training_seed"], row["model_error"]) for row in rows[::2]]
-    policies = (("far", [""]), (str(runs), ["2", "10"]))
+    policies = (("far", [""]), (str(runs), ["2", "10"]), *((str(file), [""]) for file in files))
     assert found == [(policy, seed, error) for policy, seeds in policies for error in ("nominal", "tension-10%") for seed in seeds]
-    result = json.loads((tmp_path / "out" / "TipPose.json").read_text())["results"][0]
-    for row, episode in zip(rows[:2], result["episodes"], strict=True):
+    for row, episode in zip(rows[:2], results[0]["episodes"], strict=True):
         assert int(row["episode_seed"]) == episode["seed"]
         assert float(row["position_error_rms"]) == pytest.approx(episode["errors"]["position_error"]["rms"], rel=1e-5)
         assert float(row["return"]) == pytest.approx(episode["total_reward"], rel=1e-5)

@@ -138,7 +138,7 @@ def test_chatter_is_the_part_above_ten_hertz_of_the_changes_of_tension(frequency
 
 def test_what_is_too_short_or_too_slow_for_chatter_has_none():
     assert math.isnan(chatter(np.zeros((8, 1)), 0.02))
-    assert chatter(np.arange(60.0)[:, None] % 2, 0.1) == 0.0
+    assert chatter(np.arange(60.0)[:, None] % 2, 0.1) == chatter(np.arange(3.0)[:, None], 0.05) == 0.0
 
 
 def test_violations_are_counted_and_rewards_summed():
@@ -162,11 +162,17 @@ def test_a_diverged_episode_has_not_settled_and_says_why():
     assert math.isnan(judged.errors["position_error"].rms)
 
 
-def test_an_episode_that_lived_and_is_shorter_than_skip_is_an_error():
-    with pytest.raises(ValueError, match="skip should be at most the episode's 2 s, not 2.5 s"):
-        score(episode(), skip=2.5)
-    with pytest.raises(ValueError, match="skip should be a number of seconds"):
-        score(episode(), skip=-1.0)
+@pytest.mark.cases(
+    "judge, said",
+    [
+        (lambda: score(episode(), skip=2.5), "skip should be at most the episode's 2 s, not 2.5 s"),  # of one that lived
+        (lambda: score(episode(), skip=-1.0), "skip should be a number of seconds"),
+        (lambda: summarise([]), "at least one episode"),
+    ],
+)
+def test_what_cannot_be_judged_is_an_error(judge, said):
+    with pytest.raises(ValueError, match=said):
+        judge()
 
 
 def test_a_summary_is_over_all_samples_of_episodes_alike():
@@ -180,10 +186,11 @@ def test_a_summary_is_over_all_samples_of_episodes_alike():
     assert (summary.episodes, summary.diverged, summary.flagged, summary.reached) == (3, 0, False, None)
 
 
-def test_a_summary_counts_who_settled():
+def test_a_summary_counts_who_settled_and_who_reached_the_goal():
     settled, not_settled = (0.3, 0.001, 0.001, 0.001), (0.3, 0.001, 0.3, 0.001)
-    summary = summarise([score(episode(position), skip=0.0) for position in (settled, settled, not_settled)])
-    assert (summary.settled, summary.settling_time) == (2, PERIOD)
+    given = [(settled, True), (settled, True), (not_settled, False), (not_settled, True)]
+    summary = summarise([score(episode(position, reached=reached), skip=0.0) for position, reached in given])
+    assert (summary.settled, summary.settling_time, summary.reached) == (2, PERIOD, 0.75)
     assert summarise([score(episode(not_settled), skip=0.0)]).settling_time is None
 
 
@@ -198,16 +205,6 @@ def test_a_divergence_flags_the_summary_and_stays_out_of_the_errors():
     assert none_lived.flagged
 
 
-def test_goals_reached_are_a_share_of_all_episodes():
-    scores = [score(episode(reached=reached)) for reached in (True, True, False, True)]
-    assert summarise(scores).reached == 0.75
-
-
-def test_a_summary_of_nothing_is_an_error():
-    with pytest.raises(ValueError, match="at least one episode"):
-        summarise([])
-
-
 def test_tuning_costs_are_of_errors_and_chatter_within_the_worst():
     still, fast = np.ones((151, 2)), np.ones((151, 2))
     fast[::2] += 0.5
@@ -215,6 +212,7 @@ def test_tuning_costs_are_of_errors_and_chatter_within_the_worst():
     assert tracking_cost([judged(2e-3, still)]) == pytest.approx(2e-3)
     assert tracking_cost([judged(2e-3, still), judged(0.5, still)]) == pytest.approx((2e-3 + WORST) / 2)
     assert tracking_cost([judged(2e-3, still, cause="diverged")]) == WORST
+    assert tracking_cost([score(episode(np.full(5, 2e-3), period=0.02), 0.0)]) == 2e-3, "too short for chatter"
     shaken = judged(2e-3, fast)
     assert shaken.chatter == pytest.approx(0.5, rel=1e-3) and tracking_cost([shaken]) == 2e-3 + CHATTER_COST * shaken.chatter
 

@@ -35,16 +35,7 @@ def test_a_stamp_says_what_a_block_was_made_by_and_follows_what_it_depends_on(co
     assert made.changed()
 
 
-def test_a_folder_and_the_package_count(clone, monkeypatch):
-    made = Stamp.of(("soft-tendon", "demo"), "fast", ["configs"])
-    (clone / "configs" / "new.toml").write_text("")
-    assert made.changed()
-    made = Stamp.of(("soft-tendon", "demo"), "fast")
-    monkeypatch.setattr(pages, "package_version", lambda: "of other code")
-    assert made.changed()
-
-
-def test_documents_docstrings_and_what_python_compiles_in_a_folder_do_not_count(clone):
+def test_a_folder_and_the_package_count_without_documents_docstrings_and_what_python_compiles(clone, monkeypatch):
     source = clone / "configs" / "own.py"
     source.write_text('"""Words."""\nVALUE = 1\n')
     made = Stamp.of(("soft-tendon", "demo"), "fast", ["configs"])
@@ -53,7 +44,13 @@ def test_documents_docstrings_and_what_python_compiles_in_a_folder_do_not_count(
     (clone / "configs" / "README.md").write_text("a document")
     source.write_text('"""Other words."""\nVALUE = 1\n')
     assert not made.changed()
+    (clone / "configs" / "new.toml").write_text("")
+    assert made.changed()
+    made = Stamp.of(("soft-tendon", "demo"), "fast", ["configs"])
     source.write_text('"""Other words."""\nVALUE = 2\n')
+    assert made.changed()
+    made = Stamp.of(("soft-tendon", "demo"), "fast")
+    monkeypatch.setattr(pages, "package_version", lambda: "of other code")
     assert made.changed()
 
 

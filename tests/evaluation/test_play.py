@@ -100,16 +100,20 @@ def test_a_row_that_diverges_ends_alone():
     assert scores[1].steps < 40 and scores[0].steps == scores[2].steps == 40
 
 
-def test_rows_that_do_not_fit_are_refused():
-    policy = Constant(0.0, 0.0, 0.0)
-    with pytest.raises(ValueError, match="one for each of the 3 rows, not 2"):
-        evaluate_rows(policy, make_rows(), [0, 1])
-    with pytest.raises(ValueError, match="next_step"):
-        evaluate_rows(policy, make_rows(autoreset_mode="same_step"), [0, 1, 2])
-    with pytest.raises(ValueError, match="max_episode_steps"):
-        evaluate_rows(policy, make_rows(max_episode_steps=None), [0, 1, 2])
-    with pytest.raises(TypeError, match="gym.make_vec"):
-        evaluate_rows(policy, gym.make_vec("CartPole-v1", num_envs=3), [0, 1, 2])
+@pytest.mark.cases(
+    "play_on, make_env, seeds, error, said",
+    [
+        (evaluate_rows, make_rows, [0, 1], ValueError, "one for each of the 3 rows, not 2"),
+        (evaluate_rows, lambda: make_rows(autoreset_mode="same_step"), [0, 1, 2], ValueError, "next_step"),
+        (evaluate_rows, lambda: make_rows(max_episode_steps=None), [0, 1, 2], ValueError, "max_episode_steps"),
+        (evaluate_rows, lambda: gym.make_vec("CartPole-v1", num_envs=3), [0, 1, 2], TypeError, "gym.make_vec"),
+        (evaluate, lambda: gym.make("Pendulum-v1"), [0], TypeError, "env should be a TendonRodEnv"),
+        (evaluate, lambda: TipPoseEnv(**SMALL), [0], ValueError, "env should end its episodes"),
+    ],
+)
+def test_environments_that_cannot_be_evaluated_are_refused(play_on, make_env, seeds, error, said):
+    with pytest.raises(error, match=said):
+        play_on(Constant(0.0, 0.0, 0.0), make_env(), seeds)
 
 
 @pytest.mark.cases("name", MODEL_ERRORS)
@@ -239,12 +243,3 @@ def test_a_divergence_is_kept_with_its_cause():
     (found,) = evaluate(Constant(1.0, -1.0, 1.0), env, [0], skip=0.1)
     assert found.diverged and found.steps < STEPS
     assert summarise([found]).flagged
-
-
-def test_environments_that_cannot_be_evaluated_are_refused():
-    with pytest.raises(TypeError, match="env should be a TendonRodEnv"):
-        evaluate(Constant(0.0), gym.make("Pendulum-v1"), [0])
-    with pytest.raises(ValueError, match="env should end its episodes"):
-        evaluate(Constant(0.0), TipPoseEnv(**SMALL), [0])
-    limited = TimeLimit(TipPoseEnv(**SMALL), STEPS)
-    assert len(evaluate(Constant(0.0, 0.0, 0.0), limited, [0], skip=0.0)) == 1

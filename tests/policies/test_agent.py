@@ -17,6 +17,7 @@ from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from soft_tendon_env.envs import IDS
+from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 from soft_tendon_env.policies import agent
 from soft_tendon_env.policies.agent_checks import TrainingWarning, caveats, layout_of
 from soft_tendon_env.policies.load import load_policy
@@ -177,20 +178,11 @@ def test_a_policy_of_its_authors_own_classes_is_refused(tmp_path):
         agent.load_agent(str(tmp_path / "model.zip"), make())
 
 
-def nan_weights(folder, network, normalization):
-    weights = dict(network.state_dict())
-    weights["action_net.bias"] = torch.full_like(weights["action_net.bias"], torch.nan)
-    torch.save(weights, folder / "weights.pt")
+BIAS = "action_net.bias"
 
 
-def fewer_weights(folder, network, normalization):
-    weights = dict(network.state_dict())
-    del weights["action_net.bias"]
-    torch.save(weights, folder / "weights.pt")
-
-
-def no_tensors(folder, network, normalization):
-    torch.save([1, 2], folder / "weights.pt")
+def weights(change):
+    return lambda folder, network, normalization: torch.save(change(dict(network.state_dict())), folder / "weights.pt")
 
 
 def arrays(**changes):
@@ -213,9 +205,12 @@ def table(**changes):
 @pytest.mark.parametrize(
     "spoil, said",
     [
-        (nan_weights, "weights.pt: action_net.bias has weights that are not finite"),
-        (fewer_weights, "weights.pt: the weights are not of a PPO policy for this environment: .*action_net.bias"),
-        (no_tensors, "weights.pt should hold tensors by name"),
+        (weights(lambda found: {**found, BIAS: torch.nan * found[BIAS]}), "weights.pt: action_net.bias has weights that are not finite"),
+        (
+            weights(lambda found: found.pop(BIAS) is None or found),
+            "weights.pt: the weights are not of a PPO policy for this env.*action_net",
+        ),
+        (weights(list), "weights.pt should hold tensors by name"),
         (arrays(mean=np.zeros(3), variance=np.ones(3)), r"statistics.npz is of observations \(3,\), this environment has"),
         (arrays(mean=None), "statistics.npz should have mean, variance, clip above 0 and epsilon, and nothing else .variance"),
         (arrays(clip=None), "statistics.npz should have mean, variance, clip and epsilon"),
@@ -311,6 +306,17 @@ def test_an_agent_says_once_it_is_loaded_that_it_was_trained_otherwise(tmp_path,
     assert len(texts) == (said is not None) and all(f"{said}" in text and "policy_options()" in text for text in texts)
 
 
+def test_rows_of_stable_baselines_are_an_environment_too(tmp_path, trained):
+    envs = make_sb3_vec_env(IDS["TipPose"], 2, **SMALL)
+    assert agent.load_agent(str(write_agent(tmp_path / "agent", *trained)), envs).predict(envs.reset())[0].shape == (2, 3)
+
+
+@pytest.mark.cases("env", [lambda: gym.make("CartPole-v1"), lambda: None])
+def test_environments_of_other_packages_are_refused(env):
+    with pytest.raises(TypeError, match="env should be an environment of soft_tendon_env, not"):
+        agent.load_agent("agent", env())
+
+
 @pytest.mark.cases(
     "changes",
     [
@@ -330,7 +336,7 @@ def test_what_a_module_of_ones_own_registers_is_asked_for(tmp_path, trained, cha
 
 def test_an_agent_takes_along_its_arm_and_its_interface_but_not_what_it_learned(tmp_path):
     learned = {"target": "circle", "reward": {"position": 1.0}, "randomize": {"payload": 0.1}, "threshold": 0.02, "on_divergence": "raise"}
-    kept = {**SMALL, "action": "increment", "tension_rate": 50.0, "preview": [0.1], "control_period": 0.01, "tension_limits": [0.0, 9.0]}
+    kept = {**SMALL, "action": "increment", "preview": [0.1], "contact_sections": 3, "control_period": 0.01, "tension_limits": [0.0, 9.0]}
     (tmp_path / "model.zip").touch()
     (tmp_path / "config.json").write_text(json.dumps({"options": {**learned, **kept}}))
     assert Agent(str(tmp_path / "model.zip"), "TipPose").options({}) == kept

@@ -3,23 +3,16 @@
 import json
 
 import gymnasium as gym
-import numpy as np
 import pytest
 
+from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.policies import load_policy, policy_options
-from soft_tendon_env.policies.load import short_name
+from soft_tendon_env.policies.load import expand_policies, short_name
 from soft_tendon_env.policies.names import Agent, Controller, Own, PolicyName, Seeds
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 BEHIND = "what stands behind 'filtered:' should be a controller of TipPose, .*valid: .*predictive.* An agent acts without a state estimator"
-
-
-def still(env):
-    return lambda observations: np.zeros((len(np.atleast_2d(observations)), 3), dtype=np.float32)
-
-
-still.options = {"observation": ["tip_position"]}
 
 
 @pytest.fixture
@@ -66,6 +59,10 @@ def test_every_name_is_one_of_four(here, text, kind, known):
         ("nothing:there", "policy is 'nothing:there', no policy: .* module:name, or a controller of TipPose"),
         ("os:nothing", "should be module:name of what makes a policy"),
         ("os:sep", "sep should be callable with an environment"),
+        ("kalman:predictive", "policy is 'kalman:predictive', no policy"),
+        ("filtered:predictiv", "did you mean 'predictive'"),
+        ("filtered:predictive@coarse", "stands behind '@' should be 'fast', 'standard', 'fine'"),
+        ("predictive@", "stands behind '@' should be 'fast'"),
         ("seeds", "policy is 'seeds', a folder"),
         *((f"filtered:{name}", BEHIND) for name in ("apg", "run/best", "PPO:somewhere/model.zip", "seeds", "best.toml", "nobody")),
         ("odd.toml", "parameters has 'effort', which tracking has not: valid: damping"),
@@ -76,17 +73,15 @@ def test_what_is_no_policy_is_refused(here, text, said):
         PolicyName.parse(text, "TipPose").options({})
 
 
-def test_a_policy_of_ones_own_sees_what_it_says_and_acts():
-    name = f"{__name__}:still"
-    env = gym.make(IDS["TipPose"], **policy_options(name, "TipPose", SMALL))
-    action, _ = load_policy(name, env).predict(env.reset(seed=0)[0])
-    assert env.observation_space.shape == (3,) and not action.any()
-
-
 def test_tuned_parameters_are_those_of_the_policy(here):
     env = gym.make(IDS["TipPose"], **policy_options("best.toml", "TipPose", SMALL))
     policy = load_policy("best.toml", env)
     assert policy.estimator.uncertainty.force == 0.002
+
+
+def test_all_stands_for_the_controllers_of_a_task():
+    assert expand_policies("Reach", ("tracking", "all", "own.zip")) == (*dict.fromkeys(["tracking", *CONTROLLERS["Reach"]]), "own.zip")
+    assert expand_policies("TipPose", ("own.zip",)) == ("own.zip",)
 
 
 def test_short_names_are_the_ends_of_paths():

@@ -1,12 +1,14 @@
 """Environments and agents as controllers meet them: interfaces, names, Stable-Baselines3's evaluation, recordings."""
 
+from types import SimpleNamespace
+
 import gymnasium as gym
 import numpy as np
 import pytest
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor
 
-from soft_tendon_env.control import CONTROLLERS, Estimate
+from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of, make_policy, observation_options
@@ -38,16 +40,8 @@ def test_observations_that_say_too_little_are_refused(short, probed):
     blind = short("single", IDS["TipPose"], observation=("tip_position", "coordinates"))
     with pytest.raises(ConfigurationError, match="observation.*lacks tip_rotation, rates, target_error, preview, which Probe needs"):
         probed(blind)
-
-    class Estimator:
-        needs = ("strain", "strain_rate")
-        history = 0
-
-        def estimate(self, measured, last):
-            return Estimate(np.zeros(3), np.zeros(3))
-
     with pytest.raises(ConfigurationError, match="lacks strain"):
-        ControllerPolicy(probe, interface_of(short("single", IDS["TipPose"])), Estimator())
+        ControllerPolicy(probe, interface_of(short("single", IDS["TipPose"])), SimpleNamespace(needs=("strain", "strain_rate"), history=0))
 
 
 MEASURED = ("tip_position", "tip_rotation", "coordinates", "rates")
@@ -56,7 +50,6 @@ MEASURED = ("tip_position", "tip_rotation", "coordinates", "rates")
 @pytest.mark.parametrize(
     "task, seen, missing",
     [
-        ("TipPose", (), "target_error, preview"),
         ("TipPose", ("target_error",), "preview"),
         ("Shape", ("target_error", "preview"), "target_coordinates, coordinate_preview"),
         ("Shape", ("target_coordinates",), "coordinate_preview"),

@@ -17,7 +17,7 @@ from soft_tendon_env.tools.messages import UserError
 from soft_tendon_env.tuning.controllers import ControllerSearch
 from soft_tendon_env.tuning.search import Parameter, Search
 from soft_tendon_env.tuning.study import Work, done, open_study, run_trial, values_of
-from soft_tendon_env.tuning.trainings import LOST, TrainingSearch, row_cost
+from soft_tendon_env.tuning.trainings import TrainingSearch, row_cost
 from soft_tendon_env.tuning.tune import compare, read_search, tune
 
 SPACE = {"a": {"low": 0.1, "high": 10.0, "log": True}, "b": {"low": 1, "high": 100}, "c": {"choices": [[1, 2], "x"]}}
@@ -141,7 +141,7 @@ def test_what_is_not_better_is_said(work):
         (ControllerSearch, {"policy": "agent"}, "policy is 'agent': it should be a controller"),
         (ControllerSearch, {"policy": "tracking", "search": {"damping": {"low": 1.0, "high": 2.0}}}, "regimes are for controllers with"),
         (ControllerSearch, {"policy": "trackin"}, "policy is 'trackin', no policy"),
-        (ControllerSearch, {"settings": ["errors"]}, "settings is .*names 'errors'.*valid: actuation"),
+        (ControllerSearch, {"settings": ["errors"]}, r"settings\[0\] is 'errors': it should be a setting: .*valid: actuation"),
         (ControllerSearch, {"options": {"fidelty": "fast"}}, "options.fidelty is an unknown key"),
         (TrainingSearch, {"training": "ppo"}, "ppo.* is neither the path of a .toml file nor a training"),
         (TrainingSearch, {"set": {"stepz": 3}}, "set does not fit ppo_tip_pose: stepz is an unknown key"),
@@ -192,9 +192,9 @@ def test_trainings_are_tuned(tmp_path):
 
 
 def test_costs_of_learning_curves_are_of_errors_and_divergence():
-    assert row_cost({"steps": 1, "diverged": 0, "position_error_rms": 0.3}, 4) == 0.3
-    assert row_cost({"diverged": 1, "position_error_rms": 0.2}, 4) == pytest.approx(0.15 + 0.25 * LOST)
-    assert row_cost({"diverged": 4, "position_error_rms": np.nan}, 4) == LOST
+    assert row_cost({"steps": 1, "diverged": 0, "position_error_rms": 0.3}, 4, 3.0) == 0.3
+    assert row_cost({"diverged": 1, "position_error_rms": 0.2}, 4, 3.0) == pytest.approx(0.15 + 0.25 * 3.0)
+    assert row_cost({"diverged": 4, "position_error_rms": np.nan}, 4, 3.0) == 3.0
 
 
 @pytest.mark.parametrize("name", config_names("tune_"))
