@@ -27,8 +27,8 @@ COARSE = 0.5
 """Share of an interval's reach by which a finer model may move a parameter."""
 UNLIKELY = 5.0
 """Factor of a Young's modulus from which a unit may be wrong."""
-MATTERS = 1.01
-"""Factor of the error of held-out data from which it counts as higher."""
+RISEN, MATTERS = 0.01, 1.05
+"""Probability of chance below which, and factor from which, the error of held-out data counts as higher."""
 FAR = 1.5
 """Root mean square residual, in parts of a known noise, from which the model lacks something."""
 LACKING = "the model lacks something that no parameter here makes up for, such as routing, a payload, friction, a gain or fidelity"
@@ -194,13 +194,20 @@ def commands_in_residuals(found: Fit, readings: Readings) -> tuple[float, float]
     return (1 + sum(own >= follows for own in drawn)) / (1 + PERMUTATIONS), float(np.sqrt(follows / columns.size))
 
 
-def over_fitting_text(name: str, without: tuple[float, float], with_it: tuple[float, float]) -> str | None:
-    """Warning where a parameter lowers the mean error of the fit [m] and raises that of held-out recordings; None where it does not."""
-    if not (with_it[0] < without[0] and with_it[1] > MATTERS * without[1]):
+def over_fitting_text(name: str, seen: Array, unseen: Array, tests: int) -> str | None:
+    """Warning where a parameter lowers the error of the fit and raises that of held-out data; None where it does not, or may by chance.
+
+    seen (2,), unseen (2, groups): mean errors [m] without it and with it; those of held-out recordings by groups of the same commands, in
+    which the rise is tested by Student's t, one-sided, for one of a number of tests.
+    """
+    from scipy.stats import ttest_rel  # here: it takes longer to import than all else that most scenes need
+
+    chance = tests * ttest_rel(unseen[1], unseen[0], alternative="greater").pvalue
+    if not (seen[1] < seen[0] and unseen[1].mean() > MATTERS * unseen[0].mean() and chance <= RISEN):
         return None
-    (before, after), (seen, unseen) = ([f"{1e3 * own[i]:.3g}" for own in (without, with_it)] for i in (0, 1))
+    (before, after), (first, last) = ([f"{1e3 * own.mean():.3g}" for own in part] for part in (seen, unseen))
     text = f"{name} over-fits: with it the error of the fit goes from {before} to {after} mm"
-    return f"{text}, that of held-out data from {seen} to {unseen} mm."
+    return f"{text}, that of held-out data from {first} to {last} mm."
 
 
 def family(name: str) -> str:

@@ -170,12 +170,16 @@ def over_fitting(found: Fit, fitted: Readings, unseen: Readings, loss: Loss) -> 
     kinds = list(dict.fromkeys(family(own.name) for own in plants.parameters))
     if len(kinds) < 2 or not unseen.recordings:
         return []
-    with_it = mean_of_finite(fitted.errors(found.x)), mean_of_finite(unseen.errors(found.x))
+    seen, group = fitted.errors(found.x), unseen.group
+    with_it = unseen.errors(found.x)
     texts = []
     for kind in kinds:
         kept = [i for i, own in enumerate(plants.parameters) if family(own.name) != kind]
         fewer = plants.only(kept)
         few, others = Readings(fewer, fitted.recordings), Readings(fewer, unseen.recordings)
         other = fit(few, found.sigma, loss, found.x[kept])
-        texts.append(over_fitting_text(kind, (mean_of_finite(few.errors(other.x)), mean_of_finite(others.errors(other.x))), with_it))
+        errors = np.array([others.errors(other.x), with_it])
+        grouped = np.array([[mean_of_finite(own[group == i]) for i in range(group.max() + 1)] for own in errors])
+        means = np.array([mean_of_finite(few.errors(other.x)), mean_of_finite(seen)])
+        texts.append(over_fitting_text(kind, means, grouped[:, np.isfinite(grouped).all(axis=0)], len(kinds)))
     return [text for text in texts if text is not None]
