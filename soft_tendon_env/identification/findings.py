@@ -172,19 +172,22 @@ def coarse_text(moved: Array, found: Fit, parameters: Sequence[Parameter], sprea
 def commands_in_residuals(found: Fit, readings: Readings) -> tuple[float, float]:
     """Probability that the residuals of holds follow their commands by chance, and the root mean square [m] of the part that does.
 
-    Regression of each marker coordinate's residual on commands and their squares; the probability by permutations of the holds, which
-    takes nothing for granted about errors within one (B. Phipson and G. K. Smyth 2010). (1, 0) where holds are too few.
+    Regression of each marker coordinate's residual on commands and their squares, in means of holds with the same commands, whose errors
+    are common; the probability by permutations of them, which takes nothing for granted about errors within one (B. Phipson and G. K. Smyth
+    2010). (1, 0) where they are too few.
     """
-    holds = [own for own in readings.recordings if not own.period]
-    if not holds:
+    still = np.array([not own.period for own in readings.recordings])
+    _, group = np.unique(readings.group[still], return_inverse=True)
+    if not group.size:
         return 1.0, 0.0
+    mean = (group == np.arange(group.max() + 1)[:, None]) / np.bincount(group)[:, None]
     residual = np.full(readings.measured.shape, np.nan)
     residual[readings.seen] = found.residual[: int(readings.seen.sum())]
-    columns = residual[: len(holds)].reshape(len(holds), -1)
+    columns = mean @ residual[: len(group)].reshape(len(group), -1)
     columns = columns[:, np.isfinite(columns).all(axis=0)]
-    command = np.array([own.command[0] for own in holds]).reshape(len(holds), -1)
-    basis = np.hstack([np.ones((len(holds), 1)), command, command**2])
-    if len(holds) <= basis.shape[1] + 1 or not columns.any():
+    command = mean @ np.array([own.command[0] for own in readings.recordings[: len(group)]]).reshape(len(group), -1)
+    basis = np.hstack([np.ones((len(mean), 1)), command, command**2])
+    if len(mean) <= basis.shape[1] + 1 or not columns.any():
         return 1.0, 0.0
     U, values, _ = np.linalg.svd(basis, full_matrices=False)
     U = U[:, values > 1e-9 * values[0]]

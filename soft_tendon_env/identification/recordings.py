@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.identification.markers import UNIT, UNITS, MarkerSet, Source
+from soft_tendon_env.identification.parameters import command_limits
 from soft_tendon_env.identification.sampling import steps_of
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import not_among
@@ -231,16 +232,15 @@ def _check_quaternions(rows: Sequence[_Row], sensed: Array, names: Sequence[str]
 
 
 def check_commands(recording: Recording, scene: Scene) -> None:
-    """Raises ValueError for tensions outside of the tendons' limits, and displacements that are longer than the rod."""
-    unit, length = scene.effects.command_unit, rod_length(scene)
-    for i, tendon in enumerate(scene.tendons):
-        least, greatest = tendon.tension_limits if unit == "N" else (-length, length)
-        values = recording.command[:, i]
+    """Raises ValueError for commands outside of the scene's limits."""
+    unit = scene.effects.command_unit
+    for i, (least, greatest) in enumerate(command_limits(scene)):
+        values, kind = recording.command[:, i], COMMANDS[unit]
         odd = values[(values < least) | (values > greatest)]
         if odd.size:
-            what = f"the scene's tension_limits are {least:g} to {greatest:g} N" if unit == "N" else f"the rod is {length:g} m long"
-            guess = unit_guess(f"{COMMANDS[unit]}_{i}", float(np.abs(values).max()), max(-least, greatest), unit)
-            raise ValueError(f"{recording.where}: {COMMANDS[unit]}_{i} is {odd[0]:g} {unit}: {what}{guess}")
+            text = f"{kind}_{i} is {odd[0]:g} {unit}: the scene's {kind}_limits are {least:g} to {greatest:g} {unit}"
+            guess = unit_guess(f"{kind}_{i}", float(np.abs(values).max()), max(-least, greatest), unit)
+            raise ValueError(f"{recording.where}: {text}{guess}")
 
 
 def _check_sensed(recordings: Sequence[Recording], units: Mapping[str, str], length: float) -> None:
@@ -264,7 +264,7 @@ def unit_guess(quantity: str, value: float, most: float, unit: str) -> str:
 def _check_unit(recordings: Sequence[Recording], length: float, path: Path, marker: str) -> None:
     """Raises ValueError where markers lie further from the base than the rod reaches, or all of them lie at it."""
     distances = [np.linalg.norm(recording.positions, axis=-1) for recording in recordings]
-    distance = max((float(np.nanmax(own)) for own in distances if np.isfinite(own).any()), default=math.nan)
+    distance = max((float(np.nanmax(own)) for own in distances if not np.isnan(own).all()), default=math.nan)
     if math.isnan(distance):
         raise ValueError(f"{path}: no marker was seen")
     reach = REACH * length

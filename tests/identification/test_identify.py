@@ -102,8 +102,8 @@ def test_exact_data_are_said_to_be_met_to_the_solvers_tolerance(arm, record, pla
 
 
 def test_a_parameter_too_many_is_told_by_held_out_data(arm, record, placed, tensions, truth):
-    noisy = record("noisy", truth, tensions, noise=3e-3)
-    found = identify(arm, noisy, placed, [E, RHO, "markers.*.offset~0.05"], fidelity="scene", held_out=13)
+    noisy = record("noisy", truth, [*tensions, *0.8 * tensions, *0.6 * tensions], noise=3e-3)
+    found = identify(arm, noisy, placed, [E, RHO, "markers.*.offset~0.05"], fidelity="scene", held_out=44)
     assert found.errors[0] < found.errors[1] and any("markers.*.offset over-fits" in text for text in found.findings)
 
 
