@@ -9,17 +9,20 @@ from pydantic import Field
 from soft_tendon_env.cli.arms import ArmSettings
 from soft_tendon_env.cli.errors import writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation.tables import markdown_table, number
+from soft_tendon_env.evaluation.tables import markdown_table
 from soft_tendon_env.identification.design import next_holds
 from soft_tendon_env.identification.fit import Loss
 from soft_tendon_env.identification.identify import FIDELITY, Estimate, identify
 from soft_tendon_env.identification.output import save_estimate
+from soft_tendon_env.identification.report import error_table, parameter_table
 from soft_tendon_env.identification.split import SHARE
 from soft_tendon_env.identification.statics import NoHoldError
 from soft_tendon_env.tools.messages import UserError, describe
 from soft_tendon_env.tools.types import GivenLength
 
 STOPPED = "stopped: nothing was written"
+SHORT = 5
+"""Columns of the parameters' table that are printed; the page has all."""
 
 
 class Identify(ArmSettings):
@@ -76,18 +79,8 @@ def run(arguments: Sequence[str]) -> None:
 
 def report(found: Estimate) -> str:
     """Tables of errors and parameters, and the findings."""
-    counts = zip(("fit", "held out"), (found.error_fit.size, found.error_held_out.size), found.before, found.errors, strict=True)
-    errors = [(name, str(count), *(number(1e3 * value) for value in values)) for name, count, *values in counts]
-    rows = [
-        (own.name, f"{own.value:.4g}", f"{value:.4g}", f"{low:.4g} to {high:.4g}", "yes" if seen else "no")
-        for own, value, low, high, seen in zip(
-            found.parameters, found.value, found.intervals.low, found.intervals.high, found.intervals.identified, strict=True
-        )
-    ]
-    tables = [
-        markdown_table(("markers' mean distance", "recordings", "before [mm]", "identified [mm]"), errors),
-        markdown_table(("parameter", "before", "identified", "95 % interval", "in the data"), rows),
-    ]
+    header, rows = parameter_table(found)
+    tables = [markdown_table(*error_table(found)), markdown_table(header[:SHORT], [row[:SHORT] for row in rows])]
     return "\n\n".join([*tables, *(["\n".join(f"- {text}" for text in found.findings)] if found.findings else [])])
 
 

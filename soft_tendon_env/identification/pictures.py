@@ -1,4 +1,4 @@
-"""Pictures of an estimate's page, as SVG: markers, errors of recordings, correlations."""
+"""Pictures of an estimate's page, as SVG: markers, correlations."""
 
 import io
 import itertools
@@ -28,18 +28,6 @@ def draw_shapes(found: Estimate) -> str:
             axes.plot(simulated[..., i].ravel(), simulated[..., j].ravel(), "x", color=colour, markersize=4)
             axes.set(xlabel=f"{'xyz'[i]} [mm]", ylabel=f"{'xyz'[j]} [mm]", aspect="equal")
     figure.suptitle("blue: fit, red: held out")
-    return _svg(figure)
-
-
-def draw_errors(found: Estimate) -> str:
-    """Mean distance of the markers of each recording."""
-    figure = Figure(figsize=(11.0, 3.2), constrained_layout=True)
-    axes, place = figure.subplots(), 0
-    for errors, colour, name in ((found.error_fit, FIT, "fit"), (found.error_held_out, HELD_OUT, "held out")):
-        axes.bar(place + np.arange(errors.size), 1e3 * errors, color=colour, label=name)
-        place += errors.size
-    axes.set(ylabel="mm", xlabel="recording")
-    axes.legend()
     return _svg(figure)
 
 

@@ -107,9 +107,8 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
     kinds = {f"{COMMANDS[unit]}_{i}": unit for i in range(n_a)}
     places = {f"{name}_{axis}": "m" for name in markers.markers for axis in "xyz"}
     of_sensors = markers.sensed(n_a)
-    sheet = _sheet(
-        path, markers.sources({**kinds, **places, **of_sensors, "time": "s", "hold": ""}), {"time", "hold"} - markers.columns.keys()
-    )
+    sources = markers.sources({**kinds, **places, **of_sensors, "time": "s", "hold": ""})
+    sheet = _sheet(path, sources, {"time", "hold"} - markers.columns.keys())
     rows, notes = [where for where, _ in sheet.table.rows], _notes(path, sheet)
     command = sheet.numbers(kinds)
     if np.isnan(command).any():
