@@ -14,15 +14,13 @@ from soft_tendon_env.identification.design import next_holds
 from soft_tendon_env.identification.fit import Loss
 from soft_tendon_env.identification.identify import FIDELITY, Estimate, identify
 from soft_tendon_env.identification.output import save_estimate
-from soft_tendon_env.identification.report import error_table, parameter_table
+from soft_tendon_env.identification.report import summary
 from soft_tendon_env.identification.split import SHARE
 from soft_tendon_env.identification.statics import NoHoldError
 from soft_tendon_env.tools.messages import UserError, describe
 from soft_tendon_env.tools.types import GivenLength
 
 STOPPED = "stopped: nothing was written"
-SHORT = 5
-"""Columns of the parameters' table that are printed; the page has all."""
 
 
 class Identify(ArmSettings):
@@ -39,7 +37,7 @@ class Identify(ArmSettings):
         loss: how residuals count; soft_l1 and cauchy are robust to outliers.
         fidelity: of the model that is fitted: fast, standard, fine, scene or a length such as 1mm.
         next: number of further holds to propose, those that would narrow the intervals most.
-        out: folder for scene.toml, markers.toml, estimate.json, report.html and measured.rrd.
+        out: folder for scene.toml, markers.toml, estimate.json, report.md and measured.rrd.
     """
 
     data: tuple[str, ...] = Field(min_length=1)
@@ -70,18 +68,11 @@ def run(arguments: Sequence[str]) -> None:
             noise=settings.noise,
             loss=settings.loss,
         )
-    print(report(found))
+    print(summary(found))
     if settings.next is not None:
         print(f"\n{proposals(found, settings.next)}")
     for path in save_estimate(found, out):
         print(f"written: {path}")
-
-
-def report(found: Estimate) -> str:
-    """Tables of errors and parameters, and the findings."""
-    header, rows = parameter_table(found)
-    tables = [markdown_table(*error_table(found)), markdown_table(header[:SHORT], [row[:SHORT] for row in rows])]
-    return "\n\n".join([*tables, *(["\n".join(f"- {text}" for text in found.findings)] if found.findings else [])])
 
 
 def proposals(found: Estimate, count: int) -> str:

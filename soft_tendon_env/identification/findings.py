@@ -21,8 +21,8 @@ ALIKE, MOST = 0.5, 3
 """Share of what the likeliest fault explains of the residuals from which another is named beside it, and how many are."""
 EXACT = 1e-6
 """Root mean square residual, as a share of the rod's length, below which data are exact: cameras see 1e-5 at best."""
-CORRELATED = 0.3
-"""Correlation of successive residuals from which they are no noise."""
+CORRELATED, FEWEST = 0.3, 100
+"""Correlation of successive residuals from which they are no noise, and pairs below which it may be so by chance."""
 COARSE = 0.5
 """Share of an interval's reach by which a finer model may move a parameter."""
 UNLIKELY = 5.0
@@ -145,14 +145,14 @@ def twins_text(twins: Sequence[str]) -> str | None:
 
 def memory_of_residuals(found: Fit, readings: Readings) -> tuple[float, float]:
     """Correlation of successive residuals of the same marker coordinate in motions, and the root mean square [m] of the part that stays;
-    (0, 0) without motions."""
+    (0, 0) without motions, or with too few samples."""
     residual = np.full(readings.measured.shape, np.nan)
     residual[readings.seen] = found.residual[: int(readings.seen.sum())]
     ends = np.cumsum([len(own.command) for own in readings.recordings])
     moving = [residual[end - len(own.command) : end] for own, end in zip(readings.recordings, ends, strict=True) if own.period]
     products = np.concatenate([(own[1:] * own[:-1]).ravel() for own in moving] or [np.zeros(0)])
     squares = np.concatenate([own.ravel() ** 2 for own in moving] or [np.zeros(0)])
-    if not np.isfinite(products).any() or not np.nanmean(squares) > 0.0:
+    if np.isfinite(products).sum() < FEWEST or not np.nanmean(squares) > 0.0:
         return 0.0, 0.0
     common = max(float(np.nanmean(products)), 0.0)
     return common / float(np.nanmean(squares)), float(np.sqrt(common))
