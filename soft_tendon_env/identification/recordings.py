@@ -174,8 +174,8 @@ def _in_steps(own: Recording, times: Array, wheres: Sequence[str]) -> Recording:
         steps = steps_of(times, wheres)
         note = (f"Motion {own.name!r}: {steps.note}.",) if steps.note else ()
         sensed = None if own.sensed is None else steps.spread(own.sensed)
-        spread = {"command": steps.held(own.command), "positions": steps.spread(own.positions), "sensed": sensed}
-        return replace(own, period=steps.period, notes=note, **spread)
+        command, positions = steps.held(own.command), steps.spread(own.positions)
+        return replace(own, command=command, positions=positions, sensed=sensed, period=steps.period, notes=note)
     if len(wheres) > 1:
         raise ValueError(f"{wheres[1]}: hold {own.name!r} has a second row: samples of a motion need a column time [s]")
     return own

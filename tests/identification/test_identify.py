@@ -5,6 +5,7 @@ import json
 import os
 import runpy
 from pathlib import Path
+from types import SimpleNamespace
 
 import gymnasium as gym
 import numpy as np
@@ -216,7 +217,7 @@ def test_files_of_an_estimate_lead_to_it_again_and_to_an_environment(arm, record
     gym.make("TendonRod-Reach-v0", scene=scene, fidelity="fast", randomize=table).reset(seed=0)
 
 
-def test_an_arm_that_is_driven_by_displacement_shows_its_stiffness_beside_that_of_its_tendons(arm, placed):
+def test_an_arm_that_is_driven_by_displacement_shows_its_stiffness_beside_that_of_its_tendons(arm, placed, monkeypatch):
     elastic = arm.replace({"effects.tendon_elasticity": {"stiffness": 2000.0, "displacement_limits": [0.0, 0.01]}})
     parameters = read_parameters([E], elastic, placed)
     plants = Plants(elastic, build_model(elastic), placed, parameters)
@@ -225,7 +226,12 @@ def test_an_arm_that_is_driven_by_displacement_shows_its_stiffness_beside_that_o
     truth = np.array([0.2])
     seen = Readings(plants, still).positions(truth)
     holds = [Recording(own.name, own.where, own.command, at[None], 0.0, {}) for own, at in zip(still, seen, strict=True)]
-    assert fit(Readings(plants, holds)).x == pytest.approx(truth, abs=1e-6)
+    readings = Readings(plants, holds)
+    found = fit(readings)
+    assert found.x == pytest.approx(truth, abs=1e-6)
+    monkeypatch.setattr("soft_tendon_env.identification.design.CANDIDATES", 4)
+    further = next_holds(SimpleNamespace(scene=elastic, fitted=readings, fit=found, markers=placed), 1).command
+    assert further.shape == (1, 3) and 0.0 <= further.min() < further.max() <= 0.01
 
 
 def test_the_measured_tentacle_is_met_on_holds_that_were_not_fitted(tmp_path):
