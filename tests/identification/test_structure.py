@@ -84,7 +84,7 @@ def test_errors_that_repeats_of_the_same_commands_have_in_common_are_no_structur
 
 
 @pytest.mark.slow
-@pytest.mark.cases("name, data_sets", [("three_tendon", 100), ("two_segment_six", 40), ("four_tendon", 40)])
+@pytest.mark.parametrize("name, data_sets", [("three_tendon", 100), ("two_segment_six", 40), ("four_tendon", 40)])
 def test_at_most_5_of_100_clean_data_sets_have_a_finding(name, data_sets):
     assert sum(bool(findings(name, "none", seed)) for seed in range(data_sets)) <= 0.05 * data_sets
 
