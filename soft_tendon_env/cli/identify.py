@@ -9,11 +9,12 @@ from pydantic import Field
 from soft_tendon_env.cli.arms import ArmSettings
 from soft_tendon_env.cli.errors import writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation.tables import markdown_table, number
+from soft_tendon_env.evaluation.tables import markdown_table
 from soft_tendon_env.identification.design import next_holds
 from soft_tendon_env.identification.fit import Loss
 from soft_tendon_env.identification.identify import FIDELITY, Estimate, identify
 from soft_tendon_env.identification.output import save_estimate
+from soft_tendon_env.identification.report import summary
 from soft_tendon_env.identification.split import SHARE
 from soft_tendon_env.identification.statics import NoHoldError
 from soft_tendon_env.tools.messages import UserError, describe
@@ -36,7 +37,7 @@ class Identify(ArmSettings):
         loss: how residuals count; soft_l1 and cauchy are robust to outliers.
         fidelity: of the model that is fitted: fast, standard, fine, scene or a length such as 1mm.
         next: number of further holds to propose, those that would narrow the intervals most.
-        out: folder for scene.toml, markers.toml, estimate.json, report.html and measured.rrd.
+        out: folder for scene.toml, markers.toml, estimate.json, report.md and measured.rrd.
     """
 
     data: tuple[str, ...] = Field(min_length=1)
@@ -67,28 +68,11 @@ def run(arguments: Sequence[str]) -> None:
             noise=settings.noise,
             loss=settings.loss,
         )
-    print(report(found))
+    print(summary(found))
     if settings.next is not None:
         print(f"\n{proposals(found, settings.next)}")
     for path in save_estimate(found, out):
         print(f"written: {path}")
-
-
-def report(found: Estimate) -> str:
-    """Tables of errors and parameters, and the findings."""
-    counts = zip(("fit", "held out"), (found.error_fit.size, found.error_held_out.size), found.before, found.errors, strict=True)
-    errors = [(name, str(count), *(number(1e3 * value) for value in values)) for name, count, *values in counts]
-    rows = [
-        (own.name, f"{own.value:.4g}", f"{value:.4g}", f"{low:.4g} to {high:.4g}", "yes" if seen else "no")
-        for own, value, low, high, seen in zip(
-            found.parameters, found.value, found.intervals.low, found.intervals.high, found.intervals.identified, strict=True
-        )
-    ]
-    tables = [
-        markdown_table(("markers' mean distance", "recordings", "before [mm]", "identified [mm]"), errors),
-        markdown_table(("parameter", "before", "identified", "95 % interval", "in the data"), rows),
-    ]
-    return "\n\n".join([*tables, *(["\n".join(f"- {text}" for text in found.findings)] if found.findings else [])])
 
 
 def proposals(found: Estimate, count: int) -> str:

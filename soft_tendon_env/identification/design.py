@@ -9,13 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.identification.identify import Estimate
+from soft_tendon_env.identification.parameters import command_limits
 from soft_tendon_env.identification.readings import Readings
 from soft_tendon_env.identification.recordings import Recording
 from soft_tendon_env.identification.statics import NoHoldError
 from soft_tendon_env.tools.types import Array
 
 CANDIDATES = 128
-"""Candidate holds, evenly in the tensions' limits (Sobol)."""
+"""Candidate holds, evenly in the commands' limits (Sobol)."""
 LEAST = 1e-6
 """Information that every coordinate has at least, so that directions which no data contain are told from those that some would."""
 
@@ -28,10 +29,8 @@ class Design(NamedTuple):
 
 
 def next_holds(found: Estimate, count: int) -> Design:
-    """The `count` holds within the tendons' limits that would add most to what is known. Raises NoHoldError where none has an equilibrium,
-    ValueError for commands that are not tensions."""
-    if found.scene.effects.command_unit != "N":
-        raise ValueError("the design of holds needs tensions with limits: the scene's commands are displacements")
+    """The `count` holds within the commands' limits that would add most to what is known. Raises NoHoldError where none has an
+    equilibrium."""
     commands, information = _candidates(found)
     known = found.fit.information + np.diag(found.fit.prior + LEAST)
     before, chosen, shrinks = _widest(known), list[int](), list[float]()
@@ -54,7 +53,7 @@ def _candidates(found: Estimate) -> tuple[Array, Array]:
     """Commands (c, n_a) that have an equilibrium, and the information (c, k, k) of each."""
     from scipy.stats.qmc import Sobol  # here: it takes longer to import than all else that most scenes need
 
-    limits = np.array([tendon.tension_limits for tendon in found.scene.tendons])
+    limits = command_limits(found.scene)
     commands = limits[:, 0] + np.ptp(limits, axis=1) * Sobol(len(limits), rng=0).random(CANDIDATES)
     kept, information = [], []
     for command in commands:
@@ -66,5 +65,5 @@ def _candidates(found: Estimate) -> tuple[Array, Array]:
         kept.append(command)
         information.append(J.T @ J)
     if not kept:
-        raise NoHoldError("no hold within the tendons' limits has an equilibrium at the estimate")
+        raise NoHoldError("no hold within the commands' limits has an equilibrium at the estimate")
     return np.array(kept), np.array(information)

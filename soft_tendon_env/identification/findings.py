@@ -21,14 +21,14 @@ ALIKE, MOST = 0.5, 3
 """Share of what the likeliest fault explains of the residuals from which another is named beside it, and how many are."""
 EXACT = 1e-6
 """Root mean square residual, as a share of the rod's length, below which data are exact: cameras see 1e-5 at best."""
-CORRELATED = 0.3
-"""Correlation of successive residuals from which they are no noise."""
+CORRELATED, FEWEST = 0.3, 100
+"""Correlation of successive residuals from which they are no noise, and pairs below which it may be so by chance."""
 COARSE = 0.5
 """Share of an interval's reach by which a finer model may move a parameter."""
 UNLIKELY = 5.0
 """Factor of a Young's modulus from which a unit may be wrong."""
-MATTERS = 1.01
-"""Factor of the error of held-out data from which it counts as higher."""
+RISEN, MATTERS = 0.01, 1.05
+"""Probability of chance below which, and factor from which, the error of held-out data counts as higher."""
 FAR = 1.5
 """Root mean square residual, in parts of a known noise, from which the model lacks something."""
 LACKING = "the model lacks something that no parameter here makes up for, such as routing, a payload, friction, a gain or fidelity"
@@ -145,14 +145,14 @@ def twins_text(twins: Sequence[str]) -> str | None:
 
 def memory_of_residuals(found: Fit, readings: Readings) -> tuple[float, float]:
     """Correlation of successive residuals of the same marker coordinate in motions, and the root mean square [m] of the part that stays;
-    (0, 0) without motions."""
+    (0, 0) without motions, or with too few samples."""
     residual = np.full(readings.measured.shape, np.nan)
     residual[readings.seen] = found.residual[: int(readings.seen.sum())]
     ends = np.cumsum([len(own.command) for own in readings.recordings])
     moving = [residual[end - len(own.command) : end] for own, end in zip(readings.recordings, ends, strict=True) if own.period]
     products = np.concatenate([(own[1:] * own[:-1]).ravel() for own in moving] or [np.zeros(0)])
     squares = np.concatenate([own.ravel() ** 2 for own in moving] or [np.zeros(0)])
-    if not np.isfinite(products).any() or not np.nanmean(squares) > 0.0:
+    if np.isfinite(products).sum() < FEWEST or not np.nanmean(squares) > 0.0:
         return 0.0, 0.0
     common = max(float(np.nanmean(products)), 0.0)
     return common / float(np.nanmean(squares)), float(np.sqrt(common))
@@ -172,19 +172,22 @@ def coarse_text(moved: Array, found: Fit, parameters: Sequence[Parameter], sprea
 def commands_in_residuals(found: Fit, readings: Readings) -> tuple[float, float]:
     """Probability that the residuals of holds follow their commands by chance, and the root mean square [m] of the part that does.
 
-    Regression of each marker coordinate's residual on commands and their squares; the probability by permutations of the holds, which
-    takes nothing for granted about errors within one (B. Phipson and G. K. Smyth 2010). (1, 0) where holds are too few.
+    Regression of each marker coordinate's residual on commands and their squares, in means of holds with the same commands, whose errors
+    are common; the probability by permutations of them, which takes nothing for granted about errors within one (B. Phipson and G. K. Smyth
+    2010). (1, 0) where they are too few.
     """
-    holds = [own for own in readings.recordings if not own.period]
-    if not holds:
+    still = np.array([not own.period for own in readings.recordings])
+    _, group = np.unique(readings.group[still], return_inverse=True)
+    if not group.size:
         return 1.0, 0.0
+    mean = (group == np.arange(group.max() + 1)[:, None]) / np.bincount(group)[:, None]
     residual = np.full(readings.measured.shape, np.nan)
     residual[readings.seen] = found.residual[: int(readings.seen.sum())]
-    columns = residual[: len(holds)].reshape(len(holds), -1)
+    columns = mean @ residual[: len(group)].reshape(len(group), -1)
     columns = columns[:, np.isfinite(columns).all(axis=0)]
-    command = np.array([own.command[0] for own in holds]).reshape(len(holds), -1)
-    basis = np.hstack([np.ones((len(holds), 1)), command, command**2])
-    if len(holds) <= basis.shape[1] + 1 or not columns.any():
+    command = mean @ np.array([own.command[0] for own in readings.recordings[: len(group)]]).reshape(len(group), -1)
+    basis = np.hstack([np.ones((len(mean), 1)), command, command**2])
+    if len(mean) <= basis.shape[1] + 1 or not columns.any():
         return 1.0, 0.0
     U, values, _ = np.linalg.svd(basis, full_matrices=False)
     U = U[:, values > 1e-9 * values[0]]
@@ -194,13 +197,20 @@ def commands_in_residuals(found: Fit, readings: Readings) -> tuple[float, float]
     return (1 + sum(own >= follows for own in drawn)) / (1 + PERMUTATIONS), float(np.sqrt(follows / columns.size))
 
 
-def over_fitting_text(name: str, without: tuple[float, float], with_it: tuple[float, float]) -> str | None:
-    """Warning where a parameter lowers the mean error of the fit [m] and raises that of held-out recordings; None where it does not."""
-    if not (with_it[0] < without[0] and with_it[1] > MATTERS * without[1]):
+def over_fitting_text(name: str, seen: Array, unseen: Array, tests: int) -> str | None:
+    """Warning where a parameter lowers the error of the fit and raises that of held-out data; None where it does not, or may by chance.
+
+    seen (2,), unseen (2, groups): mean errors [m] without it and with it; those of held-out recordings by groups of the same commands, in
+    which the rise is tested by Student's t, one-sided, for one of a number of tests.
+    """
+    from scipy.stats import ttest_rel  # here: it takes longer to import than all else that most scenes need
+
+    chance = tests * ttest_rel(unseen[1], unseen[0], alternative="greater").pvalue
+    if not (seen[1] < seen[0] and unseen[1].mean() > MATTERS * unseen[0].mean() and chance <= RISEN):
         return None
-    (before, after), (seen, unseen) = ([f"{1e3 * own[i]:.3g}" for own in (without, with_it)] for i in (0, 1))
+    (before, after), (first, last) = ([f"{1e3 * own.mean():.3g}" for own in part] for part in (seen, unseen))
     text = f"{name} over-fits: with it the error of the fit goes from {before} to {after} mm"
-    return f"{text}, that of held-out data from {seen} to {unseen} mm."
+    return f"{text}, that of held-out data from {first} to {last} mm."
 
 
 def family(name: str) -> str:

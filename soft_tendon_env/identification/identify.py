@@ -23,11 +23,11 @@ from soft_tendon_env.identification.fit import Fit, Loss, fit
 from soft_tendon_env.identification.intervals import Intervals, intervals, shift
 from soft_tendon_env.identification.markers import MarkerSet, check_places, load_markers
 from soft_tendon_env.identification.misread import LOOK, are_far, misread_text
-from soft_tendon_env.identification.motions import begins_at_rest, rest_text
+from soft_tendon_env.identification.motions import begins_at_rest, rest_text, with_steps
 from soft_tendon_env.identification.parameters import Parameter, read_parameters
 from soft_tendon_env.identification.plant import Measurement, Plants, base_rotation
 from soft_tendon_env.identification.readings import Readings, mean_of_finite
-from soft_tendon_env.identification.recordings import Recording, read_recordings
+from soft_tendon_env.identification.recordings import read_recordings
 from soft_tendon_env.identification.split import SHARE, split, without_twins
 from soft_tendon_env.identification.statics import NoHoldError
 from soft_tendon_env.model.model import build_model
@@ -102,7 +102,7 @@ def identify(
         checked_fidelity(fidelity)
     except ValueError as error:
         raise ValueError(f"fidelity is {fidelity!r}: it {error}") from None
-    accurate = _fit_for(at_fidelity(scene, fidelity), [*parts.fit, *parts.held_out])
+    accurate = with_steps(at_fidelity(scene, fidelity), [*parts.fit, *parts.held_out])
     plants = Plants(accurate, build_model(accurate), placed, chosen)
     fitted, unseen = Readings(plants, parts.fit), Readings(plants, parts.held_out)
     try:
@@ -132,12 +132,6 @@ def identify(
         held_out=unseen,
         data=tuple(os.fspath(file) for file in files),
     )
-
-
-def _fit_for(scene: Scene, recordings: Sequence[Recording]) -> Scene:
-    """The scene with integrator steps of at most the samples' period, in each of which a command may arrive."""
-    period = min((own.period for own in recordings if own.period), default=np.inf)
-    return scene.replace({"integrator.step": period}) if period < scene.integrator.step else scene
 
 
 def _findings(found: Fit, spread: Intervals, fitted: Readings, unseen: Readings, noise: float | None, loss: Loss) -> list[str]:
@@ -170,12 +164,16 @@ def over_fitting(found: Fit, fitted: Readings, unseen: Readings, loss: Loss) -> 
     kinds = list(dict.fromkeys(family(own.name) for own in plants.parameters))
     if len(kinds) < 2 or not unseen.recordings:
         return []
-    with_it = mean_of_finite(fitted.errors(found.x)), mean_of_finite(unseen.errors(found.x))
+    seen, group = fitted.errors(found.x), unseen.group
+    with_it = unseen.errors(found.x)
     texts = []
     for kind in kinds:
         kept = [i for i, own in enumerate(plants.parameters) if family(own.name) != kind]
         fewer = plants.only(kept)
         few, others = Readings(fewer, fitted.recordings), Readings(fewer, unseen.recordings)
         other = fit(few, found.sigma, loss, found.x[kept])
-        texts.append(over_fitting_text(kind, (mean_of_finite(few.errors(other.x)), mean_of_finite(others.errors(other.x))), with_it))
+        errors = np.array([others.errors(other.x), with_it])
+        grouped = np.array([[mean_of_finite(own[group == i]) for i in range(group.max() + 1)] for own in errors])
+        means = np.array([mean_of_finite(few.errors(other.x)), mean_of_finite(seen)])
+        texts.append(over_fitting_text(kind, means, grouped[:, np.isfinite(grouped).all(axis=0)], len(kinds)))
     return [text for text in texts if text is not None]

@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.identification.fit import Loss, fit
 from soft_tendon_env.identification.markers import UNITS, MarkerSet
+from soft_tendon_env.identification.motions import with_steps
 from soft_tendon_env.identification.plant import Plants
-from soft_tendon_env.identification.readings import Readings, mean_of_finite
+from soft_tendon_env.identification.readings import Readings
 from soft_tendon_env.identification.recordings import COMMANDS, Recording, check_commands
 from soft_tendon_env.identification.sampling import USUAL
 from soft_tendon_env.model.model import build_model
@@ -86,14 +87,11 @@ def _few(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def _readings(plants: Plants, recordings: Sequence[Recording]) -> Readings:
-    """Readings of recordings, with integrator steps of at most their period. Raises ValueError for commands beyond their limits."""
+    """Readings of recordings. Raises ValueError for commands beyond their limits."""
     for own in recordings:
         check_commands(own, plants.scene)
-    period = min((own.period for own in recordings if own.period), default=np.inf)
-    if period < plants.scene.integrator.step:
-        scene = plants.scene.replace({"integrator.step": period})
-        plants = Plants(scene, build_model(scene), plants.markers, plants.parameters)
-    return Readings(plants, recordings)
+    scene = with_steps(plants.scene, recordings)
+    return Readings(plants if scene is plants.scene else Plants(scene, build_model(scene), plants.markers, plants.parameters), recordings)
 
 
 def _simulated(plants: Plants, recordings: Sequence[Recording], x: Array | None = None) -> Array | float:
@@ -106,15 +104,14 @@ def _simulated(plants: Plants, recordings: Sequence[Recording], x: Array | None 
 
 def _distance(simulated: Array | float, recordings: Sequence[Recording]) -> float:
     """Mean distance [m] of simulated markers from those of recordings."""
-    distance = np.linalg.norm(simulated - np.concatenate([own.positions for own in recordings]), axis=-1)
-    return float(np.nanmean(distance))
+    return float(np.nanmean(np.linalg.norm(simulated - np.concatenate([own.positions for own in recordings]), axis=-1)))
 
 
 def _fitted(plants: Plants, recordings: Sequence[Recording], noise: float | None, loss: Loss) -> float:
     """Mean distance [m] of markers after a fit; infinite where there is none."""
     try:
         readings = _readings(plants, recordings)
-        return mean_of_finite(readings.errors(fit(readings, noise, loss).x))
+        return _distance(readings.positions(fit(readings, noise, loss).x), readings.recordings)
     except ValueError:
         return np.inf
 

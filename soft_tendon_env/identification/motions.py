@@ -5,15 +5,18 @@ A command is held until the next sample; before the first one the first command 
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from soft_tendon_env.identification.plant import Plant
 from soft_tendon_env.identification.recordings import Recording
-from soft_tendon_env.identification.sampling import longest_still, moved
+from soft_tendon_env.identification.sampling import moved
 from soft_tendon_env.identification.statics import NoHoldError
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import NoEquilibriumError, Simulation, SimulationDiverged, simulate
 from soft_tendon_env.model.state import State
 from soft_tendon_env.model.statics import commanded_equilibrium
 from soft_tendon_env.model.strain_limits import StrainLimitError
+from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.types import Array
 
 STILL = 0.005
@@ -41,6 +44,12 @@ class Motions:
             raise NoHoldError(text) from error
 
 
+def with_steps(scene: Scene, motions: Sequence[Recording]) -> Scene:
+    """The scene with integrator steps of at most the samples' period, in each of which a command may arrive."""
+    period = min((own.period for own in motions if own.period), default=np.inf)
+    return scene.replace({"integrator.step": period}) if period < scene.integrator.step else scene
+
+
 def begins_at_rest(motion: Recording, length: float) -> bool:
     """Whether markers of a motion stay under its first command, which is held from rest on, on a rod of a length [m]."""
     return moved(*motion.positions[:2]) <= STILL * length
@@ -48,10 +57,9 @@ def begins_at_rest(motion: Recording, length: float) -> bool:
 
 def rest_text(motion: Recording, length: float) -> str:
     """How still a motion is, as sentences that say what to look at."""
-    first, still = 1e3 * moved(*motion.positions[:2]), motion.period * longest_still(motion.positions, STILL * length)
+    first = 1e3 * moved(*motion.positions[:2])
     text = f"It should begin at rest under its first command: in the first period markers move {first:.2g} mm, at rest up to"
-    text += f" {1e3 * STILL * length:.2g} mm, which they keep to for {still:.3g} s at most"
-    return f"{text}. Samples are {motion.period:.3g} s apart, if the unit of time is right."
+    return f"{text} {1e3 * STILL * length:.2g} mm. Samples are {motion.period:.3g} s apart, if the unit of time is right."
 
 
 def _at_rest(model: Model, command: Array) -> State:

@@ -1,4 +1,4 @@
-"""Files of an estimate: scene.toml, markers.toml, estimate.json, report.html, and measured.rrd where Rerun is installed."""
+"""Files of an estimate: scene.toml, markers.toml, estimate.json, report.md, and measured.rrd where Rerun is installed."""
 
 import importlib.util
 from pathlib import Path
@@ -10,6 +10,7 @@ import tomli_w
 from soft_tendon_env.evaluation.provenance import origin, write_json
 from soft_tendon_env.identification.identify import Estimate
 from soft_tendon_env.identification.parameters import DELAY, command_limits
+from soft_tendon_env.identification.report import page
 from soft_tendon_env.scene.scene import scene_to_dict
 from soft_tendon_env.tools.configuration import plain
 from soft_tendon_env.tools.files import digest, replacing
@@ -19,17 +20,14 @@ RANDOMIZED = {"young_modulus": "stiffness", "damping": "damping", "density": "de
 
 
 def save_estimate(found: Estimate, folder: Path) -> list[Path]:
-    """Writes an estimate into a folder; returns the files. Without matplotlib the page has no pictures, without Rerun there is no
-    recording. Raises OSError."""
-    from soft_tendon_env.identification.report import page
-
+    """Writes an estimate into a folder; returns the files. Without Rerun there is no recording. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
-    texts = {"scene.toml": scene_text(found), "markers.toml": tomli_w.dumps(plain(found.markers)), "report.html": page(found)}
+    texts = {"scene.toml": scene_text(found), "markers.toml": tomli_w.dumps(plain(found.markers)), "report.md": page(found)}
     for name, text in texts.items():
         with replacing(folder / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
     write_json(folder / "estimate.json", as_json(found), say=False)
-    files = [folder / name for name in ("scene.toml", "markers.toml", "estimate.json", "report.html")]
+    files = [folder / name for name in (*texts, "estimate.json")]
     if importlib.util.find_spec("rerun") is not None:
         from soft_tendon_env.identification.recording import write_recording
 

@@ -27,7 +27,7 @@ class Readings:
         holds, motions = ([own for own in recordings if bool(own.period) == moves] for moves in (False, True))
         self.plants, self.recordings = plants, [*holds, *motions]
         self._statics, self._motions = Statics(holds), Motions(motions)
-        self._sensed = Sensed(plants.markers, self.recordings, len(plants.scene.tendons))
+        self._sensed = Sensed(plants.markers, self.recordings, plants.scene)
         self._difference = DIFFERENCE["motion" if motions else "hold"]
 
     @cached_property

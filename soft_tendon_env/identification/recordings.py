@@ -9,7 +9,7 @@ Its table `[columns]` gives quantities other names and units.
 import contextlib
 import itertools
 import math
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.identification.markers import UNIT, UNITS, MarkerSet, Source
+from soft_tendon_env.identification.parameters import command_limits
 from soft_tendon_env.identification.sampling import steps_of
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import not_among
@@ -54,37 +55,41 @@ class Recording:
     notes: tuple[str, ...] = ()
 
 
-class _Row(NamedTuple):
-    """Cells of a line by column."""
-
-    where: str
-    cells: Mapping[str, str]
-
-    def number(self, source: Source) -> float:
-        """A cell as a number in SI units, NaN where there is none. Raises ValueError for other text and infinity."""
-        text = self.cells[source.name]
-        if text.casefold() in ABSENT:
-            return math.nan
-        try:
-            value = math.nan if "_" in text else float(text.replace(",", ".")) * source.factor
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise ValueError(f"{self.where}: {source.name} is {text!r}: it should be a finite number, or empty where a marker was not seen")
-        return value
-
-
 class _Sheet(NamedTuple):
-    """Rows of a file, and the columns of its quantities."""
+    """Table of a file and the columns of its quantities, with the names that its header has."""
 
-    rows: list[_Row]
-    commands: list[Source]
-    places: list[Source]
-    sensed: list[Source]
-    time: Source | None
-    hold: Source | None
-    others: list[str]
-    notes: tuple[str, ...]
+    table: Table
+    sources: Mapping[str, Source]
+
+    def numbers(self, quantities: Iterable[str]) -> Array:
+        """Numbers (rows, quantities) in SI units, NaN where there are none. Raises ValueError."""
+        sources = [self.sources[quantity] for quantity in quantities]
+        places = [self.table.header.index(source.name) for source in sources]
+        found = [[_number(where, cells[i], own) for i, own in zip(places, sources, strict=True)] for where, cells in self.table.rows]
+        return np.array(found).reshape(len(self.table.rows), len(places))
+
+    def others(self, row: int) -> dict[str, float]:
+        """Numbers of a row in further columns; text is left out."""
+        (where, cells), header = self.table.rows[row], self.table.header
+        found, known = dict[str, float](), {source.name for source in self.sources.values()}
+        for name, cell in zip(header, cells, strict=True):
+            if name not in known and header.count(name) == 1:
+                with contextlib.suppress(ValueError):
+                    found[name] = _number(where, cell, Source(name))
+        return found
+
+
+def _number(where: str, text: str, source: Source) -> float:
+    """A cell as a number in SI units, NaN where there is none. Raises ValueError for other text and infinity."""
+    if text.casefold() in ABSENT:
+        return math.nan
+    try:
+        value = math.nan if "_" in text else float(text.replace(",", ".")) * source.factor
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"{where}: {source.name} is {text!r}: it should be a finite number, or empty where a marker was not seen")
+    return value
 
 
 def read_recordings(paths: Sequence[str | Path], scene: Scene, markers: MarkerSet) -> list[Recording]:
@@ -98,43 +103,37 @@ def read_recordings(paths: Sequence[str | Path], scene: Scene, markers: MarkerSe
 
 def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
     """Recordings of one file."""
-    sheet = _sheet(path, scene, markers)
-    groups = itertools.groupby(sheet.rows, lambda row: row.cells[sheet.hold.name] if sheet.hold else path.stem)
-    found = [_recording(name, list(group), sheet, markers) for name, group in groups]
-    if sheet.notes:
-        found[0] = replace(found[0], notes=(*sheet.notes, *found[0].notes))
-    for recording in found:
-        check_commands(recording, scene)
-    _check_sensed(found, markers.sensed(len(scene.tendons)), rod_length(scene))
-    _check_unit(found, rod_length(scene), path, next(iter(markers.markers)))
+    unit, n_a, length = scene.effects.command_unit, len(scene.tendons), rod_length(scene)
+    kinds = {f"{COMMANDS[unit]}_{i}": unit for i in range(n_a)}
+    places = {f"{name}_{axis}": "m" for name in markers.markers for axis in "xyz"}
+    of_sensors = markers.sensed(n_a)
+    sources = markers.sources({**kinds, **places, **of_sensors, "time": "s", "hold": ""})
+    sheet = _sheet(path, sources, {"time", "hold"} - markers.columns.keys())
+    rows, notes = [where for where, _ in sheet.table.rows], _notes(path, sheet)
+    command = sheet.numbers(kinds)
+    if np.isnan(command).any():
+        row, tendon = np.argwhere(np.isnan(command))[0]
+        raise ValueError(f"{rows[row]}: {sheet.sources[[*kinds][tendon]].name} is empty: it should be a number")
+    positions, unseen = _positions(sheet, places, markers)
+    sensed = sheet.numbers(of_sensors)
+    _check_unit(positions, length, path, next(iter(markers.markers)))
+    _check_quaternions(rows, sensed, [name for name, marker in markers.markers.items() if marker.orientation])
+    _check_sensed(path, sensed, of_sensors, length)
+    times = sheet.numbers({"time"} & sheet.sources.keys())
+    named, found = sheet.sources.get("hold"), list[Recording]()
+    names = [cells[sheet.table.header.index(named.name)] if named else path.stem for _, cells in sheet.table.rows]
+    for name, group in itertools.groupby(range(len(rows)), key=names.__getitem__):
+        own = [*group]
+        data = command[own], positions[own], 0.0, sheet.others(own[0]), sensed[own]
+        found.append(_in_steps(Recording(name, rows[own[0]], *data), times[own].ravel(), [rows[i] for i in own]))
+        check_commands(found[-1], scene)
+    found[0] = replace(found[0], notes=(*notes, *unseen, *found[0].notes))
     return found
 
 
-def _sheet(path: Path, scene: Scene, markers: MarkerSet) -> _Sheet:
-    """Rows of a file with the columns of its quantities."""
-    unit, n_a = scene.effects.command_unit, len(scene.tendons)
-    commands = {f"{COMMANDS[unit]}_{i}": unit for i in range(n_a)}
-    places = {f"{name}_{axis}": "m" for name in markers.markers for axis in "xyz"}
-    sensed = markers.sensed(n_a)
-    sources = markers.sources({**commands, **places, **sensed, "time": "s", "hold": ""})
-    table = read_table(path, [source.name for source in sources.values()])
-    found = _found(table, sources, optional={"time", "hold"} - markers.columns.keys())
-    if not table.rows:
-        raise ValueError(f"{table.where}: there are no rows beneath the header")
-    rows = []
-    for where, cells in table.rows:
-        if len(cells) != len(table.header):
-            raise ValueError(f"{where}: there are {len(cells)} cells, the header has {len(table.header)}: {table.where}")
-        rows.append(_Row(where, dict(zip(table.header, cells, strict=True))))
-    first, second, third = ([found[quantity] for quantity in part] for part in (commands, places, sensed))
-    names = {source.name for source in found.values()}
-    others = [name for name in table.header if name not in names and table.header.count(name) == 1]
-    return _Sheet(rows, first, second, third, found.get("time"), found.get("hold"), others, _notes(path, table, rows, found))
-
-
-def _found(table: Table, sources: Mapping[str, Source], optional: Set[str]) -> dict[str, Source]:
-    """Sources with the names of their columns as the header has them. Raises ValueError for a column that is not there, or twice."""
-    found = {}
+def _sheet(path: Path, sources: Mapping[str, Source], optional: Set[str]) -> _Sheet:
+    """Table with the columns of quantities. Raises ValueError for columns that are not there, or twice, and for rows of other lengths."""
+    table, found = read_table(path, [source.name for source in sources.values()]), dict[str, Source]()
     for quantity, source in sources.items():
         same = [name for name in table.header if name == source.name]
         same = same or [name for name in table.header if name.casefold() == source.name.casefold()]
@@ -146,80 +145,57 @@ def _found(table: Table, sources: Mapping[str, Source], optional: Set[str]) -> d
     if missing or not found.keys() & {"time", "hold"}:
         text = f"there is no column {', '.join(missing or ['hold', 'time'])}: [columns] of the markers' file gives columns other names"
         raise ValueError(f"{table.where}: {text}; {not_among((missing or ['hold'])[0], table.header)}")
-    return found
+    if not table.rows:
+        raise ValueError(f"{table.where}: there are no rows beneath the header")
+    if odd := next(((where, cells) for where, cells in table.rows if len(cells) != len(table.header)), None):
+        raise ValueError(f"{odd[0]}: there are {len(odd[1])} cells, the header has {len(table.header)}: {table.where}")
+    return _Sheet(table, found)
 
 
-def _notes(path: Path, table: Table, rows: Sequence[_Row], sources: Mapping[str, Source]) -> tuple[str, ...]:
+def _notes(path: Path, sheet: _Sheet) -> list[str]:
     """Notes on how a file was read, in sentences. Raises ValueError for numbers with decimal points and commas."""
-    notes = []
-    if table.skipped:
-        lines = ", ".join(map(str, table.skipped[:5])) + (", ..." if len(table.skipped) > 5 else "")
-        notes.append(f"{path}: {len(table.skipped)} lines above the header or with comments were skipped: {lines}.")
-    numbers = [source.name for quantity, source in sources.items() if quantity != "hold"]
-    marks = {mark: next(((row, name) for row in rows for name in numbers if mark in row.cells[name]), None) for mark in ".,"}
-    if marks[","] is not None:
-        if marks["."] is not None:
-            (row, name), (other, another) = marks[","], marks["."]
-            what = f"{name} is {row.cells[name]!r}, but in {other.where} {another} is {other.cells[another]!r}"
-            raise ValueError(f"{row.where}: {what}: numbers should have one decimal mark, and no others")
-        notes.append(f"{path}: numbers have decimal commas.")
-    return tuple(notes)
+    notes, (_, header, rows, skipped) = [], sheet.table
+    if skipped:
+        lines = ", ".join(map(str, skipped[:5])) + (", ..." if len(skipped) > 5 else "")
+        notes.append(f"{path}: {len(skipped)} lines above the header or with comments were skipped: {lines}.")
+    names = [source.name for quantity, source in sheet.sources.items() if quantity != "hold"]
+    cells = ((where, name, row[header.index(name)]) for where, row in rows for name in names)
+    marked = [own for own in cells if "." in own[2] or "," in own[2]]
+    comma, point = (next((own for own in marked if mark in own[2]), None) for mark in ",.")
+    if comma and point:
+        what = f"{comma[1]} is {comma[2]!r}, but in {point[0]} {point[1]} is {point[2]!r}"
+        raise ValueError(f"{comma[0]}: {what}: numbers should have one decimal mark, and no others")
+    return [*notes, f"{path}: numbers have decimal commas."] if comma else notes
 
 
-def _recording(name: str, rows: Sequence[_Row], sheet: _Sheet, markers: MarkerSet) -> Recording:
-    """Recording of rows with one name."""
-    command = _numbers(rows, sheet.commands)
-    if np.isnan(command).any():
-        sample, tendon = np.argwhere(np.isnan(command))[0]
-        raise ValueError(f"{rows[sample].where}: {sheet.commands[tendon].name} is empty: it should be a number")
-    positions, notes = _positions(name, rows, sheet.places, markers)
-    sensed = _numbers(rows, sheet.sensed)
-    _check_quaternions(rows, sensed, [name for name, marker in markers.markers.items() if marker.orientation])
-    others, period = _others(rows[0], sheet.others), 0.0
-    times = _numbers(rows, [sheet.time] if sheet.time else [])[:, :1].ravel()
+def _in_steps(own: Recording, times: Array, wheres: Sequence[str]) -> Recording:
+    """A recording of rows at times (rows,) [s], none for holds, in equal steps. Raises ValueError."""
     if len(times) > 1 or (times >= 0.0).any():  # one row before time 0 is a log that was cut off behind the row at rest, which is a hold
-        steps = steps_of(times, [row.where for row in rows])
-        period = steps.period
-        command, positions, sensed = steps.held(command), steps.spread(positions), steps.spread(sensed)
-        notes += [f"Motion {name!r}: {steps.note}."] if steps.note else []
-    elif len(rows) > 1:
-        raise ValueError(f"{rows[1].where}: hold {name!r} has a second row: samples of a motion need a column time [s]")
-    return Recording(name, rows[0].where, command, markers.frame.to_scene(positions), period, others, sensed, tuple(notes))
+        steps = steps_of(times, wheres)
+        note = (f"Motion {own.name!r}: {steps.note}.",) if steps.note else ()
+        sensed = None if own.sensed is None else steps.spread(own.sensed)
+        command, positions = steps.held(own.command), steps.spread(own.positions)
+        return replace(own, command=command, positions=positions, sensed=sensed, period=steps.period, notes=note)
+    if len(wheres) > 1:
+        raise ValueError(f"{wheres[1]}: hold {own.name!r} has a second row: samples of a motion need a column time [s]")
+    return own
 
 
-def _numbers(rows: Sequence[_Row], sources: Sequence[Source]) -> Array:
-    """Numbers (rows, sources). Raises ValueError."""
-    return np.array([[row.number(source) for source in sources] for row in rows]).reshape(len(rows), len(sources))
-
-
-def _others(row: _Row, columns: Sequence[str]) -> dict[str, float]:
-    """Numbers of a row in further columns; text is left out."""
-    found = {}
-    for column in columns:
-        with contextlib.suppress(ValueError):
-            found[column] = row.number(Source(column))
-    return found
-
-
-def _positions(name: str, rows: Sequence[_Row], places: Sequence[Source], markers: MarkerSet) -> tuple[Array, list[str]]:
-    """Positions (rows, m, 3) [m] in the frame of the data, NaN where a marker was not seen, and what was left out, in sentences."""
-    positions = _numbers(rows, places).reshape(len(rows), -1, 3)
-    seen = np.isfinite(positions)
-    names = [*markers.markers]
+def _positions(sheet: _Sheet, places: Iterable[str], markers: MarkerSet) -> tuple[Array, list[str]]:
+    """Positions (rows, m, 3) [m] in the scene's frame, NaN where a marker was not seen, and what was left out, in sentences."""
+    positions = sheet.numbers(places).reshape(len(sheet.table.rows), -1, 3)
+    seen, names = np.isfinite(positions), [*markers.markers]
     if (partial := seen.any(axis=2) & ~seen.all(axis=2)).any():
-        sample, marker = np.argwhere(partial)[0]
-        raise ValueError(f"{rows[sample].where}: marker {names[marker]!r} has some of x, y, z: it should have all, or none")
+        row, marker = np.argwhere(partial)[0]
+        raise ValueError(f"{sheet.table.rows[row][0]}: marker {names[marker]!r} has some of x, y, z: it should have all, or none")
     zero = (positions == 0.0).all(axis=2) & (markers.arc_lengths > 0.0)  # as some trackers write it
     positions[zero] = np.nan
-    notes = [
-        f"Marker {names[marker]!r} is at exactly 0, 0, 0 in {count} samples of {name!r}: it counts as not seen there."
-        for marker, count in enumerate(zero.sum(axis=0))
-        if count
-    ]
-    return positions, notes
+    counts = zip(names, zero.sum(axis=0), strict=True)
+    notes = [f"Marker {name!r} is at exactly 0, 0, 0 in {count} rows: it counts as not seen there." for name, count in counts if count]
+    return markers.frame.to_scene(positions), notes
 
 
-def _check_quaternions(rows: Sequence[_Row], sensed: Array, names: Sequence[str]) -> None:
+def _check_quaternions(rows: Sequence[str], sensed: Array, names: Sequence[str]) -> None:
     """Raises ValueError for orientations of markers that are no unit quaternions; empty ones are left out."""
     for i, name in enumerate(names):
         own = sensed[:, 4 * i : 4 * i + 4]
@@ -227,31 +203,29 @@ def _check_quaternions(rows: Sequence[_Row], sensed: Array, names: Sequence[str]
         odd = np.flatnonzero(~np.isnan(own).all(axis=1) & ~(np.abs(length - 1.0) <= UNIT))
         if odd.size:
             what = f"{name}_qw to {name}_qz have the length {length[odd[0]]:.4g}"
-            raise ValueError(f"{rows[odd[0]].where}: {what}: they should be a unit quaternion, or all of them empty")
+            raise ValueError(f"{rows[odd[0]]}: {what}: they should be a unit quaternion, or all of them empty")
 
 
 def check_commands(recording: Recording, scene: Scene) -> None:
-    """Raises ValueError for tensions outside of the tendons' limits, and displacements that are longer than the rod."""
-    unit, length = scene.effects.command_unit, rod_length(scene)
-    for i, tendon in enumerate(scene.tendons):
-        least, greatest = tendon.tension_limits if unit == "N" else (-length, length)
-        values = recording.command[:, i]
+    """Raises ValueError for commands outside of the scene's limits."""
+    unit = scene.effects.command_unit
+    for i, (least, greatest) in enumerate(command_limits(scene)):
+        values, kind = recording.command[:, i], COMMANDS[unit]
         odd = values[(values < least) | (values > greatest)]
         if odd.size:
-            what = f"the scene's tension_limits are {least:g} to {greatest:g} N" if unit == "N" else f"the rod is {length:g} m long"
-            guess = unit_guess(f"{COMMANDS[unit]}_{i}", float(np.abs(values).max()), max(-least, greatest), unit)
-            raise ValueError(f"{recording.where}: {COMMANDS[unit]}_{i} is {odd[0]:g} {unit}: {what}{guess}")
+            text = f"{kind}_{i} is {odd[0]:g} {unit}: the scene's {kind}_limits are {least:g} to {greatest:g} {unit}"
+            guess = unit_guess(f"{kind}_{i}", float(np.abs(values).max()), max(-least, greatest), unit)
+            raise ValueError(f"{recording.where}: {text}{guess}")
 
 
-def _check_sensed(recordings: Sequence[Recording], units: Mapping[str, str], length: float) -> None:
-    """Raises ValueError for numbers of sensors in a file that differ by more than those of an arm can."""
+def _check_sensed(path: Path, sensed: Array, units: Mapping[str, str], length: float) -> None:
+    """Raises ValueError for numbers (rows, k) of sensors in a file that differ by more than those of an arm can."""
     most = {"m": REACH * length, "1/m": CURVED / length, "1": CHANGED}
-    every = np.concatenate([own.sensed for own in recordings if own.sensed is not None])
-    for (quantity, unit), values in zip(units.items(), every.T, strict=True):
+    for (quantity, unit), values in zip(units.items(), sensed.T, strict=True):
         change = float(np.ptp(values[np.isfinite(values)])) if np.isfinite(values).any() else 0.0
         if change > most[unit]:
             text = f"{quantity} changes by {change:g} {unit}, on a rod of {length:g} m"
-            raise ValueError(f"{recordings[0].where}: {text}{unit_guess(quantity, change, most[unit], unit)}")
+            raise ValueError(f"{path}: {text}{unit_guess(quantity, change, most[unit], unit)}")
 
 
 def unit_guess(quantity: str, value: float, most: float, unit: str) -> str:
@@ -261,13 +235,12 @@ def unit_guess(quantity: str, value: float, most: float, unit: str) -> str:
     return f'{text}"{like[0]}" }}' if like else ""
 
 
-def _check_unit(recordings: Sequence[Recording], length: float, path: Path, marker: str) -> None:
-    """Raises ValueError where markers lie further from the base than the rod reaches, or all of them lie at it."""
-    distances = [np.linalg.norm(recording.positions, axis=-1) for recording in recordings]
-    distance = max((float(np.nanmax(own)) for own in distances if np.isfinite(own).any()), default=math.nan)
-    if math.isnan(distance):
+def _check_unit(positions: Array, length: float, path: Path, marker: str) -> None:
+    """Raises ValueError where markers (rows, m, 3) lie further from the base than the rod reaches, or all of them lie at it."""
+    distances = np.linalg.norm(positions, axis=-1)
+    if np.isnan(distances).all():
         raise ValueError(f"{path}: no marker was seen")
-    reach = REACH * length
+    distance, reach = float(np.nanmax(distances)), REACH * length
     if distance > reach:
         guess = unit_guess(f'"{marker}_*"', distance, reach, "m") or "; is the [frame] of --markers right?"
         raise ValueError(f"{path}: markers are up to {distance:.4g} m from the base of a rod of {length:g} m{guess}")

@@ -53,11 +53,8 @@ def steps_of(times: Array, wheres: Sequence[str]) -> Steps:
         raise ValueError(f"{wheres[0]}: samples are {middle:.4g} s apart in time: {guess}")
     gaps = np.rint(change / middle).astype(int)
     places = np.concatenate([[0], np.cumsum(gaps)])
-    period = float((times[-1] - times[0]) / max(places[-1], 1))
-    off = times - times[0] - period * places
-    if np.ptp(off) > UNEVEN * period:  # of the first and the last time, too
-        period, first = map(float, np.polyfit(places, times - times[0], 1))
-        off = times - times[0] - first - period * places
+    period, first = map(float, np.polyfit(places, times - times[0], 1))
+    off = times - times[0] - first - period * places
     far = np.abs(off) > LARGEST * period
     if gaps.min() < 1 or far.any():
         at = int(np.argmax(far)) if far.any() else int(np.argmin(gaps)) + 1
@@ -73,16 +70,6 @@ def steps_of(times: Array, wheres: Sequence[str]) -> Steps:
             f"{lost} of {places[-1] + 1} samples of {1e3 * period:.6g} ms were lost, the first behind {wheres[int(np.argmax(gaps > 1))]}"
         )
     return Steps(period, places, "; ".join(notes) or None)
-
-
-def longest_still(positions: Array, limit: float) -> int:
-    """Longest number of successive steps in which no marker (samples, m, 3) moves further than a limit [m] from where they begin."""
-    first = longest = 0
-    for at in range(1, len(positions)):
-        if moved(positions[first], positions[at]) > limit:
-            first = at
-        longest = max(longest, at - first)
-    return longest
 
 
 def moved(before: Array, after: Array) -> float:

@@ -10,7 +10,7 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from inspect import Parameter, Signature
-from typing import Any, NamedTuple, Self, get_args, get_type_hints
+from typing import Any, NamedTuple, Self, get_args, get_origin, get_type_hints
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -240,11 +240,13 @@ def _place(node: Any, part: str, path: str, parents: list[str]) -> str | int:
 def _problems(table: type[Configuration], error: ErrorDetails) -> list[Problem]:
     """The problems behind one of pydantic's errors, with keys relative to `table`.
 
-    A nested table reports its own as a ConfigurationError, so a location holds no keys beyond the first: any other string in it
-    is the tag of a union's member, which the user never wrote.
+    A nested table reports its own as a ConfigurationError, so a location holds no keys beyond the first and, in a table of tables, their
+    name: any other string in it is the tag of a union's member, which the user never wrote.
     """
     location = error["loc"]
-    key = location[:1] + tuple(part for part in location[1:] if isinstance(part, int))
+    field = table.model_fields.get(str(*location[:1]))
+    named = 2 if field is not None and get_origin(field.annotation) is dict else 1
+    key = location[:named] + tuple(part for part in location[named:] if isinstance(part, int))
     value, kind, context = error["input"], error["type"], error.get("ctx", {})
     cause = context.get("error")
     if isinstance(cause, ConfigurationError):

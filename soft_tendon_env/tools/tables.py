@@ -1,5 +1,6 @@
 """Tables from files: rows of text from CSV in its dialects, or Parquet, each with where it stands."""
 
+import contextlib
 import csv
 import warnings
 from collections.abc import Collection, Sequence
@@ -54,21 +55,29 @@ def _read_csv(path: Path, names: set[str]) -> Table:
     # minutes of a log have tens of megabytes; bytes that are no text are no numbers
     lines = whole_lines(path, read_text(path, MOST_BINARY, "replace"))
     first, separator, header = _header(lines, names)
-    skipped = [number for number, line in enumerate(lines[:first], 1) if line.strip()]
+    skipped = [number for number, line in enumerate(lines, 1) if (number <= first and line.strip()) or line.startswith(COMMENTS)]
+    if first + 1 in skipped:
+        skipped.remove(first + 1)
     # a blank line stays one, so that the reader counts all of them
     kept = ["" if line.startswith(COMMENTS) else line for line in lines[first + 1 :]]
-    skipped += [number for number, line in enumerate(lines[first + 1 :], first + 2) if line.startswith(COMMENTS)]
-    reader = csv.reader(kept if separator != " " else map(_single_spaced, kept), delimiter=separator, skipinitialspace=True, strict=True)
+    reader = _reader(kept, separator)
     rows, number = [], first + 2
     try:
         for cells in reader:
             if any(cell.strip() for cell in cells):
-                rows.append((f"{path}, line {number}", _cut([cell.strip() for cell in cells], len(header))))
+                cells = cells[: len(header)] if not any(cells[len(header) :]) else cells  # without empty ones beyond the header's
+                rows.append((f"{path}, line {number}", [cell.strip() for cell in cells]))
             number = first + 2 + reader.line_num
     except csv.Error as error:
         raise ValueError(f"{path}, line {number} cannot be read: {error}") from error
     where = f"{path}, line {first + 1}" + (f" (separated by {separator!r})" if len(header) > 1 else "")
     return Table(where, header, rows, skipped)
+
+
+def _reader(lines: Sequence[str], separator: str) -> Any:
+    """Reader of lines; where spaces separate, any number of them does, and tabs."""
+    spaced = (" ".join(line.split()) for line in lines) if separator == " " else lines
+    return csv.reader(spaced, delimiter=separator, skipinitialspace=True, strict=True)
 
 
 def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]:
@@ -78,28 +87,16 @@ def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]
         is_comment = line.startswith(COMMENTS)
         for text in (line.lstrip("".join(COMMENTS) + " \t"), line)[not is_comment :]:
             separator = max(SEPARATORS, key=text.count)
-            if separator not in text.strip():
-                separator, text = " ", _single_spaced(text)
-            if len(text) > csv.field_size_limit():
-                continue  # which the reader tells
-            cells = [cell.strip() for own in csv.reader([text], delimiter=separator, skipinitialspace=True) for cell in own]
-            found = len(names.intersection(map(str.casefold, cells))) - is_comment  # a comment counts by its names alone
-            if any(cells) and found > most:
-                best, most = (place, separator, cells), found
+            separator = separator if separator in text.strip() else " "
+            with contextlib.suppress(csv.Error):  # which the reader tells
+                cells = [cell.strip() for own in _reader([text], separator) for cell in own]
+                found = len(names.intersection(map(str.casefold, cells))) - is_comment  # a comment counts by its names alone
+                if any(cells) and found > most:
+                    best, most = (place, separator, cells), found
     place, separator, cells = best
     while cells and not cells[-1]:
         cells = cells[:-1]
     return place, separator, cells
-
-
-def _single_spaced(line: str) -> str:
-    """A line with one space where there are many, or tabs."""
-    return " ".join(line.split())
-
-
-def _cut(cells: list[str], count: int) -> list[str]:
-    """Cells without empty ones beyond the header's."""
-    return cells[:count] if not any(cells[count:]) else cells
 
 
 def whole_lines(path: Path, text: str) -> list[str]:

@@ -196,7 +196,7 @@ def test_a_marker_at_exactly_zero_was_not_seen(tmp_path):
     numbers = NUMBERS.copy()
     numbers[1, 3:] = 0.0
     found = read(tmp_path, table(numbers=numbers))
-    assert np.isnan(found[1].positions).all() and "exactly 0, 0, 0 in 1 samples of 'b'" in found[1].notes[0]
+    assert np.isnan(found[1].positions).all() and "exactly 0, 0, 0 in 1 rows" in found[0].notes[0]
 
 
 @pytest.mark.cases("text", ["nan", "NaN", "", "NA", "null", "None"])

@@ -1,11 +1,16 @@
 """Recordings of real arms: what is read, and data that cannot be used, each in one line that says where."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from soft_tendon_env.identification import load_markers
+from soft_tendon_env.identification import Marker, MarkerSet, load_markers
+from soft_tendon_env.identification.markers import Sensing
 from soft_tendon_env.identification.recordings import Recording, read_recordings
+from soft_tendon_env.identification.sensed import Sensed
 from soft_tendon_env.identification.split import same_commands, split, without_twins
+from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 
@@ -69,8 +74,8 @@ def test_bad_data_are_told_with_their_place(arm, changed, placed, line, column, 
         ("[markers.a]\narc_length = 0.9", "markers.a.arc_length is 0.9: it should be at most the rod's length, 0.3 m"),
         ("[markers.a]\narc_length = 90", "markers.a.arc_length is 90: it should be at most the rod's length, 0.3 m; is it in mm?"),
         ("[markers.a]\narc_length = 0.1\noffset = [0, 0, 12]", "markers.a.offset is 12: it should be at most the rod's length"),
-        ("[markers.a]\narc = 0.1", "markers.a"),
-        ("[markers.a]\narc_length = 0.1\n[columns.a_x]\nsign = 2", "columns.sign is 2: it should be 1 or -1"),
+        ("[markers.a]\narc = 0.1", "markers.a.arc is an unknown key"),
+        ("[markers.a]\narc_length = 0.1\n[columns.a_x]\nsign = 2", "columns.a_x.sign is 2: it should be 1 or -1"),
         ("[markers.a]\narc_length = 0.1\n[frame]\nquaternion = [1, 1, 0, 0]", "should have length 1, not 1.414"),
     ],
 )
@@ -142,3 +147,27 @@ def test_recordings_that_stand_twice_are_left_out():
     first, second, third = held([1.0], [1.0], [2.0])
     kept, twins = without_twins([first, second, third, Recording("copy", "simulated", third.command, third.positions, 0.0, {})])
     assert kept == [first, second, third] and twins == ["copy (as 2)"]
+
+
+def test_displacements_beyond_their_limits_are_told(arm, holds, placed, tmp_path):
+    path = tmp_path / "pulled.csv"
+    path.write_text(holds.read_text().replace("tension_", "displacement_"))
+    driven = arm.replace({"effects.tendon_elasticity": {"stiffness": 3e3, "displacement_limits": [-0.01, 0.03]}})
+    with pytest.raises(ValueError, match="m: the scene's displacement_limits are -0.01 to 0.03 m; is it in cm or mm. .columns."):
+        read_recordings([path], driven, placed)
+
+
+def test_sensors_weigh_as_shares_of_the_arms_length():
+    found = []
+    for length in (0.03, 1.0):
+        scene = load_scene("three_tendon").replace({"segments.0.length": length})
+        sensors = Sensing(tendon_lengths=True, strain=(0.5 * length,))
+        markers = MarkerSet(markers={"m": Marker(arc_length=0.5 * length, orientation=True)}, sensors=sensors)
+        away = np.concatenate([1e-3 * length * np.ones(3), 0.01 / length * np.ones(3), 1e-3 * np.ones(3)])
+        sensed = np.array([[np.cos(0.005), np.sin(0.005), 0.0, 0.0, *own] for own in (away, -away)])
+        model = SimpleNamespace(tendon_lengths=lambda q: np.zeros(3), strain_at=lambda q, places: (np.zeros((1, 6)),))
+        plant = SimpleNamespace(model=model, measurement=SimpleNamespace(rotation=np.zeros(3)))
+        data = Recording("m", "simulated", np.zeros((2, 3)), np.full((2, 1, 3), np.nan), 0.1, {}, sensed)
+        found.append(Sensed(markers, [data], scene).residual(plant, [np.zeros(3)] * 2, np.tile(np.eye(4), (2, 1, 1, 1))) / length)
+    assert found[0] == pytest.approx(found[1])
+    assert np.abs(found[1][[0, 3, 6, 9]]) == pytest.approx([1e-3 * 0.01 / np.deg2rad(0.5), 2e-3, 2e-4, 1e-3])

@@ -8,15 +8,17 @@ import pytest
 from soft_tendon_env.identification import Marker, MarkerSet
 from soft_tendon_env.identification.findings import misfit_texts
 from soft_tendon_env.identification.fit import fit
+from soft_tendon_env.identification.identify import over_fitting
 from soft_tendon_env.identification.parameters import distance_parameter, read_parameters
 from soft_tendon_env.identification.plant import Plants
 from soft_tendon_env.identification.readings import Readings
 from soft_tendon_env.identification.recordings import Recording
+from soft_tendon_env.identification.split import split
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import rod_length
 
-HOLDS, NOISE = 14, 5e-4  # [m]
+HOLDS, NOISE = 18, 5e-4  # [m]
 ASKED = ["segments.*.young_modulus", "segments.*.density"]
 FAULTS = {"none": (0.0, 0.0), "further": (0.12, 0.0), "closer": (-0.12, 0.0), "higher": (0.0, 0.2)}
 """Distance of the tendons from the axis, as a change in parts, and what is added to all tensions [N]."""
@@ -47,8 +49,9 @@ def findings(name, fault, seed):
     """Findings about residuals with noise."""
     drawn, commands, positions = arm(name, fault)
     noise = NOISE * np.random.default_rng(seed).normal(size=positions.shape)
-    readings = Readings(drawn, holds(commands, positions + noise))
-    return misfit_texts(fit(readings), readings, None)
+    fitted, unseen = (Readings(drawn, part) for part in split(holds(commands, positions + noise)))
+    found = fit(fitted)
+    return misfit_texts(found, fitted, None) + over_fitting(found, fitted, unseen, "linear")
 
 
 @pytest.mark.cases(
@@ -69,7 +72,23 @@ def test_tendons_at_another_distance_and_an_offset_of_tensions_are_told(name, fa
     )
 
 
+def test_errors_that_repeats_of_the_same_commands_have_in_common_are_no_structure():
+    drawn, commands, positions = arm("three_tendon", "none")
+    told = 0
+    for seed in range(5):
+        random = np.random.default_rng(seed)
+        common = np.tile(positions + NOISE * random.normal(size=positions.shape), (3, 1, 1))
+        readings = Readings(drawn, holds(np.tile(commands, (3, 1)), common + 0.2 * NOISE * random.normal(size=common.shape)))
+        told += bool(misfit_texts(fit(readings), readings, None))
+    assert told <= 1
+
+
 @pytest.mark.slow
-def test_clean_data_raise_at_most_5_findings_of_100_and_faults_are_told_in_most():
-    assert sum(bool(findings("three_tendon", "none", seed)) for seed in range(100)) <= 5
+@pytest.mark.parametrize("name, data_sets", [("three_tendon", 100), ("two_segment_six", 40), ("four_tendon", 40)])
+def test_at_most_5_of_100_clean_data_sets_have_a_finding(name, data_sets):
+    assert sum(bool(findings(name, "none", seed)) for seed in range(data_sets)) <= 0.05 * data_sets
+
+
+@pytest.mark.slow
+def test_faults_are_told_in_most():
     assert sum(any("further from" in text for text in findings("three_tendon", "further", seed)) for seed in range(20)) >= 18
