@@ -18,7 +18,7 @@ from soft_tendon_env.envs.contacts import NO_CONTACT, Contacts, encountered
 from soft_tendon_env.envs.courses import Courses
 from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, Sizes, stress_free_strain, units_of
 from soft_tendon_env.envs.options import GOAL_BOUND, Options, check_fit, groups_of, resolved_scene, sensor_places
-from soft_tendon_env.envs.randomization import Measured, Sensors, drawn, own_stream
+from soft_tendon_env.envs.randomization import Measured, Sensors
 from soft_tendon_env.envs.reset_options import ResetOptions
 from soft_tendon_env.envs.rewards import GoalReward, Reward, Weight
 from soft_tendon_env.envs.starts import Beginning, Starts
@@ -36,10 +36,6 @@ from soft_tendon_env.model.state import State, checked_motion, state_of
 from soft_tendon_env.model.step_control import cause_of, step_control
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
-
-START = 1
-"""Purpose of the random stream from which tensions to begin under are drawn."""
-
 
 class Snapshot(NamedTuple):
     """Strain, tensions and poses of all rows in one step, copied, for recordings of rows that are reset in the same step."""
@@ -77,12 +73,14 @@ class Episodes:
         self.sensors = sensor_places(options, scene)
         stations = np.linspace(0.0, model.length, STATIONS + 1)[1:] if task.shapes else np.empty(0)
         self.arms = Arms(model, rows, self.period, stations, self.sensors, threads)
-        self.starts = starts = Starts(task, options, self.arms)
+        ahead = [0, *(round(time / self.period) for time in options.preview)]
+        self.ahead = self.period * np.array(ahead, dtype=np.float64)
+        self._courses = Courses(self.arms, self.period, ahead, task.shapes)
+        self.starts = starts = Starts(task, options, self.arms, self._courses)
         self.limits, self.start_tension, self.start_command = starts.limits, starts.tension, starts.command
         self.goal_kind: GoalReward = options.reward if options.reward in ("sparse", "dense") else "sparse"
         self.goal_bound, self.threshold = GOAL_BOUND * model.length, starts.threshold
         self._contacts = Contacts(self.arms, options.contact_sections) if encountered(model) else None
-        self._courses = self._make_courses()
         commands = model.scene.effects.command_limits(self.limits)
         share, strongest = np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0], np.abs(commands).max(axis=1)
         self.actuation = Actuation(options, commands, self.start_command, share, rows, self.arms.substeps)
@@ -135,20 +133,12 @@ class Episodes:
             raise TypeError("an environment whose arm is a robot cannot be copied: there is one robot")
         return {name: value for name, value in self.__dict__.items() if name != "layout"}
 
-    def _make_courses(self) -> Courses:
-        """Targets of all rows."""
-        ahead = [0, *(round(time / self.period) for time in self.options.preview)]
-        self.ahead = self.period * np.array(ahead, dtype=np.float64)
-        courses = Courses(self.arms, self.period, ahead, self.task.shapes)
-        self.starts.settle_target(courses)
-        return courses
-
     def beginnings(self, given: Mapping[int, ResetOptions], members: Indices) -> dict[int, Beginning]:
         """How those of the rows `members` begin that are given options. Raises ConfigurationError, TypeError, ValueError."""
         own = {row: given[row] for row in members.tolist() if row in given}
         if not self._simulated and any(begins.state or begins.start not in (None, "rest") for begins in own.values()):
             raise ConfigurationError([Problem((), "should have no state or start: robots begin at rest")], "options")
-        return {row: self.starts.beginning(begins, self._courses) for row, begins in own.items()}
+        return {row: self.starts.beginning(begins) for row, begins in own.items()}
 
     def begin(
         self, members: Indices, generators: Sequence[np.random.Generator], beginnings: Mapping[int, Beginning] | None = None
@@ -158,15 +148,8 @@ class Episodes:
         command, motions = np.empty_like(tension), {}
         for i, (row, generator) in enumerate(zip(members.tolist(), generators, strict=True)):
             own = (beginnings or {}).get(row, self.starts.usual)
-            effects = own_stream(generator) if self.starts.effects else None
-            start = own_stream(generator, START) if own.start == "random" else None
-            draw = drawn(self.options.randomize, self.model.tendon_count, generator)
-            rest = self.starts.begin_arm(row, (draw.material, effects), own.target, self._courses)
-            tension[i], command[i], q[i] = self.starts.begin_shape(row, own.start, start, rest)
+            draw, tension[i], command[i], q[i] = self.starts.begin(row, own, generator)
             self.actuation.begin(row, draw, command[i])
-            shape = self.model.arm.strain.of_softer_rod(rest, np.array(draw.material.stiffness))
-            begins = q[i] if own.state is None else own.state.q
-            self.starts.begin_course(row, own.target, generator, (shape, begins), self._courses)
             if self._sensors is not None:  # after the target, which is the same with and without noise
                 self._sensors.begin(row, int(generator.integers(2**63)))
             if own.state is not None:
