@@ -4,6 +4,7 @@ import warnings
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from soft_tendon_env.envs.arms import Arms, Material, RowEffects
 from soft_tendon_env.envs.contacts import ObstacleFreeSpace, encountered, why_base_inside, why_inside, why_target_inside
@@ -55,6 +56,7 @@ class Begun(NamedTuple):
     tension: Array  # (n_a,) [N]
     command: Array  # (n_a,) that holds it
     q: Array  # (n,)
+    setting: Setting  # among which targets are drawn for it
 
 
 class Starts:
@@ -119,15 +121,20 @@ class Starts:
         draw = drawn(self._options.randomize, self._model.tendon_count, generator)
         rest = self._begin_arm(row, draw.material, effects, how.target)
         tension, command, q = self._begin_shape(row, how.start, start, rest)
+        setting = self._setting
         if isinstance(how.target, Target):
-            shape = self._model.arm.strain.of_softer_rod(rest, np.array(draw.material.stiffness))
-            setting = self._among(self._setting._replace(model=self._arms.model_among(row)), shape) if self.redraws else self._setting
-            own = self._arms.model_of(row) if self._options.randomize.of_arm else self._model
-            tip = own.tip_pose(q if how.state is None else how.state.q)[:3, 3] if self._task.goal is not None else None
-            self._courses.begin(row, *self.draw_course(how.target, generator, setting, tip))
+            if self.redraws:
+                shape = self._model.arm.strain.of_softer_rod(rest, np.array(draw.material.stiffness))
+                setting = self._among(setting._replace(model=self._arms.model_among(row)), shape)
+            self._courses.begin(row, *self.draw_course(how.target, generator, setting))
         else:
             self._courses.begin(row, how.target)
-        return Begun(draw, tension, command, q)
+        return Begun(draw, tension, command, q, setting)
+
+    def may_draw_again(self, target: Target | Course) -> bool:
+        """Whether a goal that is reached at the beginning is drawn again: not one that is given, at rest, or with a threshold for all."""
+        drawn_away = isinstance(target, Target) and not target.begins_at_rest
+        return self._task.goal is not None and drawn_away and self.threshold <= EVERYWHERE * self._model.length
 
     def _begin_arm(self, row: int, material: Material, stream: np.random.Generator | None, target: Target | Course) -> Array:
         """Give a row its material, and effects drawn from a stream if any are: the coordinates (n,) at which it rests."""
@@ -174,12 +181,12 @@ class Starts:
         return self.tension, self.command, rest
 
     def draw_course(
-        self, target: Target, generator: np.random.Generator, setting: Setting, tip: Array | None = None
+        self, target: Target, generator: np.random.Generator, setting: Setting, tips: Array | None = None
     ) -> tuple[Course, int]:
         """A course of a target that is drawn, from its bank if it has one, and the control period of it to begin at.
 
-        It keeps clear of the obstacles of the setting, as the arm at rest does where that is so, and its goal is not reached by a tip (3,)
-        [m], but for a warning. Raises ConfigurationError.
+        It keeps clear of the obstacles of the setting, as the arm at rest does where that is so, and its goal is not reached by tips
+        (k, 3) [m], but for a warning. Raises ConfigurationError.
         """
         for _ in range(MOST_DRAWS):
             if isinstance(target, Random) and target.bank is not None:
@@ -187,8 +194,8 @@ class Starts:
             else:
                 course, first = target.draw(generator, setting), 0
             inside = "" if isinstance(course, ShapeCourse) else self._target_inside(course, setting.model)
-            begins = None if inside else self._unreached(course, first, target, tip, generator)
-            if begins is not None:
+            begins = first if tips is None else self._unreached(course, first, target, tips, generator)
+            if not inside and begins is not None:
                 return course, begins
         if inside:
             raise _problem(("target",), f"lay inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}, at last {inside}")
@@ -196,19 +203,14 @@ class Starts:
         warnings.warn(f"{text}: the episode begins solved; choose a smaller threshold, or a larger fraction of tensions", stacklevel=2)
         return course, first
 
-    def _unreached(self, course: Course, first: int, target: Target, tip: Array | None, generator: np.random.Generator) -> int | None:
-        """Control period at which a drawn course begins with a goal that the tip (3,) [m] has not reached: `first`, or of motions that repeat
+    def _unreached(self, course: Course, first: int, target: Target, tips: Array, generator: np.random.Generator) -> int | None:
+        """Control period at which a drawn course begins with a goal that no tip (k, 3) [m] has reached: `first`, or of motions that repeat
         one that is drawn; None: there is none."""
-        goal, period = self._task.goal, self._options.control_period
-        if goal is None or tip is None or target.begins_at_rest or self.threshold > EVERYWHERE * self._model.length:
-            return first
-        later = first + np.arange(1, round(target.period / period) if isinstance(target, Random) else 1)
-        for periods in (np.array([first]), later):
-            goals = np.float32(self._courses.tip_positions(course, period * periods))  # as they are observed
-            far = periods[goal.distance(np.broadcast_to(np.float32(tip), goals.shape), goals) > self.threshold]
-            if far.size:
-                return int(generator.choice(far)) if periods is later else first
-        return None
+        period = self._options.control_period
+        periods: NDArray[np.int64] = first + np.arange(round(target.period / period) if isinstance(target, Random) else 1)
+        goals = self._courses.tip_positions(course, period * periods.astype(np.float64)).astype(np.float32)  # as they are observed
+        far = periods[np.linalg.norm(goals[:, None] - tips, axis=2).min(axis=1) > self.threshold]
+        return None if not far.size else first if far[0] == first else int(generator.choice(far))
 
     def _from_bank(self, target: Random, size: int, generator: np.random.Generator) -> tuple[Course, int]:
         """A drawn course of the bank, which is made when it is first asked for, and the drawn control period of it to begin at."""
