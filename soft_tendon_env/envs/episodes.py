@@ -18,11 +18,11 @@ from soft_tendon_env.envs.contacts import NO_CONTACT, Contacts, encountered
 from soft_tendon_env.envs.courses import Courses
 from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, Sizes, stress_free_strain, units_of
 from soft_tendon_env.envs.options import GOAL_BOUND, Options, check_fit, groups_of, resolved_scene, sensor_places
-from soft_tendon_env.envs.randomization import Measured, Sensors, drawn, own_stream
+from soft_tendon_env.envs.randomization import Measured, Sensors
 from soft_tendon_env.envs.reset_options import ResetOptions
 from soft_tendon_env.envs.rewards import GoalReward, Reward, Weight
 from soft_tendon_env.envs.starts import Beginning, Starts
-from soft_tendon_env.envs.targets import TargetSamples
+from soft_tendon_env.envs.targets import Setting, TargetSamples
 from soft_tendon_env.envs.tasks import STATIONS, Task
 from soft_tendon_env.envs.tracking import CONTACT_ERRORS, Tracking, TrackingError, norm
 from soft_tendon_env.mechanics.motion.batch import Reading
@@ -36,9 +36,6 @@ from soft_tendon_env.model.state import State, checked_motion, state_of
 from soft_tendon_env.model.step_control import cause_of, step_control
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
-
-START = 1
-"""Purpose of the random stream from which tensions to begin under are drawn."""
 
 
 class Snapshot(NamedTuple):
@@ -77,12 +74,14 @@ class Episodes:
         self.sensors = sensor_places(options, scene)
         stations = np.linspace(0.0, model.length, STATIONS + 1)[1:] if task.shapes else np.empty(0)
         self.arms = Arms(model, rows, self.period, stations, self.sensors, threads)
-        self.starts = starts = Starts(task, options, self.arms)
+        ahead = [0, *(round(time / self.period) for time in options.preview)]
+        self.ahead = self.period * np.array(ahead, dtype=np.float64)
+        self._courses = Courses(self.arms, self.period, ahead, task.shapes)
+        self.starts = starts = Starts(task, options, self.arms, self._courses)
         self.limits, self.start_tension, self.start_command = starts.limits, starts.tension, starts.command
         self.goal_kind: GoalReward = options.reward if options.reward in ("sparse", "dense") else "sparse"
         self.goal_bound, self.threshold = GOAL_BOUND * model.length, starts.threshold
         self._contacts = Contacts(self.arms, options.contact_sections) if encountered(model) else None
-        self._courses = self._make_courses()
         commands = model.scene.effects.command_limits(self.limits)
         share, strongest = np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0], np.abs(commands).max(axis=1)
         self.actuation = Actuation(options, commands, self.start_command, share, rows, self.arms.substeps)
@@ -135,38 +134,23 @@ class Episodes:
             raise TypeError("an environment whose arm is a robot cannot be copied: there is one robot")
         return {name: value for name, value in self.__dict__.items() if name != "layout"}
 
-    def _make_courses(self) -> Courses:
-        """Targets of all rows."""
-        ahead = [0, *(round(time / self.period) for time in self.options.preview)]
-        self.ahead = self.period * np.array(ahead, dtype=np.float64)
-        courses = Courses(self.arms, self.period, ahead, self.task.shapes)
-        self.starts.settle_target(courses)
-        return courses
-
     def beginnings(self, given: Mapping[int, ResetOptions], members: Indices) -> dict[int, Beginning]:
         """How those of the rows `members` begin that are given options. Raises ConfigurationError, TypeError, ValueError."""
         own = {row: given[row] for row in members.tolist() if row in given}
         if not self._simulated and any(begins.state or begins.start not in (None, "rest") for begins in own.values()):
             raise ConfigurationError([Problem((), "should have no state or start: robots begin at rest")], "options")
-        return {row: self.starts.beginning(begins, self._courses) for row, begins in own.items()}
+        return {row: self.starts.beginning(begins) for row, begins in own.items()}
 
-    def begin(
-        self, members: Indices, generators: Sequence[np.random.Generator], beginnings: Mapping[int, Beginning] | None = None
-    ) -> None:
+    def begin(self, members: Indices, generators: Sequence[np.random.Generator], beginnings: Mapping[int, Beginning] | None = None) -> None:
         """New episodes for the rows `members`, each drawn from its generator; `beginnings` of rows that do not begin as usual."""
         q, tension = (np.empty((members.size, size)) for size in (self.model.coordinate_count, self.model.tendon_count))
-        command, motions = np.empty_like(tension), {}
+        command, motions, again = np.empty_like(tension), {}, {}
         for i, (row, generator) in enumerate(zip(members.tolist(), generators, strict=True)):
             own = (beginnings or {}).get(row, self.starts.usual)
-            effects = own_stream(generator) if self.starts.effects else None
-            start = own_stream(generator, START) if own.start == "random" else None
-            draw = drawn(self.options.randomize, self.model.tendon_count, generator)
-            rest = self.starts.begin_arm(row, (draw.material, effects), own.target, self._courses)
-            tension[i], command[i], q[i] = self.starts.begin_shape(row, own.start, start, rest)
+            draw, tension[i], command[i], q[i], setting = self.starts.begin(row, own, generator)
             self.actuation.begin(row, draw, command[i])
-            shape = self.model.arm.strain.of_softer_rod(rest, np.array(draw.material.stiffness))
-            begins = q[i] if own.state is None else own.state.q
-            self.starts.begin_course(row, own.target, generator, (shape, begins), self._courses)
+            if self.starts.may_draw_again(own.target):
+                again[row] = own.target, generator, setting
             if self._sensors is not None:  # after the target, which is the same with and without noise
                 self._sensors.begin(row, int(generator.integers(2**63)))
             if own.state is not None:
@@ -180,6 +164,16 @@ class Episodes:
         if motions:
             self._put(motions)
         self._observe(members)
+        self._begin_unsolved(again)
+
+    def _begin_unsolved(self, drawn: Mapping[int, tuple[Any, np.random.Generator, Setting]]) -> None:
+        """Draw goals again that the tip has reached, as it is or as it is measured; `drawn`: by row, what its target was drawn from."""
+        solved = [row for row in drawn if self._reached[row] or self._distance[row] <= self.threshold]
+        for row in solved:
+            tips = np.stack([self.arms.reading.tip_pose[row, :3, 3], self._goals[0][row]])
+            self._courses.begin(row, *self.starts.draw_course(*drawn[row], tips))
+        if solved:
+            self._observe(np.array(solved, dtype=np.int64), moved=False)
 
     def put(self, states: Mapping[int, State]) -> None:
         """Put rows into states: their arms alone, while targets, last actions, commands that are on their way and counts of steps stay, and
@@ -242,6 +236,7 @@ class Episodes:
             reach, positions = np.float32(self.goal_bound), (measured.tip_pose[:, :3, 3], self.target_pose[:, :3, 3])
             achieved, desired = (np.minimum(np.maximum(position.astype(np.float32), -reach), reach) for position in positions)
             self._goals = achieved, desired  # tip positions (rows, 3) [m] as measured and as wanted, within their space
+            self._reached, self._distance = self.task.goal.distance(achieved, desired) <= self.threshold, off[0]
         if self.history is not None:
             self.history.keep(self._present, self.step_count if moved else np.zeros_like(self.step_count), members)
         tracking = Tracking(self.arms, self.target, error[:, 0], off, self._applied, self._action_change, contact)
@@ -287,7 +282,7 @@ class Episodes:
         info["diverged"] = self.diverged
         info["rejected_steps"] = self.arms.outcome.rejected.copy()
         if self.task.goal:
-            info["is_success"] = self.task.goal.distance(*self._goals) <= self.threshold
+            info["is_success"] = self._reached.copy()
         return info
 
     def remember(self) -> None:
@@ -319,10 +314,9 @@ class Episodes:
 def _reward_of(task: Task, options: Options, strongest: Array, length: float, contact: bool) -> Reward:
     given, of_contact = options.reward, {error.term: error.as_term for error in CONTACT_ERRORS}
     weights = given if isinstance(given, dict) else {name: Weight(weight=weight) for name, weight in task.reward.items()}
-    missing = [name for name in weights if name in of_contact and not contact]
-    if missing:
-        problems = [Problem(("reward", name), "needs a scene with obstacles, effects.contact") for name in missing]
-        raise ConfigurationError(problems, "environment")
+    if missing := [] if contact else [name for name in weights if name in of_contact]:
+        text = "needs a scene with obstacles, effects.contact"
+        raise ConfigurationError([Problem(("reward", name), text) for name in missing], "environment")
     return Reward(weights, {**task.terms, **(of_contact if contact else {})}, strongest, length, "environment")
 
 

@@ -4,12 +4,14 @@ import warnings
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from soft_tendon_env.envs.arms import Arms, Material, RowEffects
 from soft_tendon_env.envs.contacts import ObstacleFreeSpace, encountered, why_base_inside, why_inside, why_target_inside
 from soft_tendon_env.envs.courses import Courses
 from soft_tendon_env.envs.effect_ranges import EffectRanges
 from soft_tendon_env.envs.options import Options, Start, check_start, check_target
+from soft_tendon_env.envs.randomization import Draw, drawn, own_stream
 from soft_tendon_env.envs.reset_options import ResetOptions
 from soft_tendon_env.envs.targets import TARGETS, Course, Setting, ShapeCourse, Target, make_setting
 from soft_tendon_env.envs.targets.equilibria import Equilibria
@@ -24,9 +26,11 @@ from soft_tendon_env.tools.checks import shown_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Key, Problem, shown
 from soft_tendon_env.tools.types import Array
 
-MOST_DRAWS = 100
+MOST_DRAWS = 200
 """How often obstacles are drawn in which the arm would begin, and targets inside of obstacles, before that is an error; and goals that are
 reached already, before they are taken."""
+START = 1
+"""Purpose of the random stream from which tensions to begin under are drawn."""
 BANK_SEED = 2**64
 """Seed of the first course of a bank; the others follow, one apart: beyond all seeds of `reset` that have a purpose."""
 THRESHOLD = 0.01
@@ -38,11 +42,21 @@ TARGET_CHECKS = 100
 
 
 class Beginning(NamedTuple):
-    """How an episode of a row begins, checked."""
+    """How an episode of a row is to begin, checked."""
 
     start: Start
     target: Target | Course  # one that is drawn, or the course of one that is not
     state: State | None = None  # in which the row begins, whatever `start` says
+
+
+class Begun(NamedTuple):
+    """A row in which an episode has begun, at rest."""
+
+    draw: Draw
+    tension: Array  # (n_a,) [N]
+    command: Array  # (n_a,) that holds it
+    q: Array  # (n,)
+    setting: Setting  # among which targets are drawn for it
 
 
 class Starts:
@@ -53,9 +67,10 @@ class Starts:
     goal is reached.
     """
 
-    def __init__(self, task: Task, options: Options, arms: Arms) -> None:
-        """Raises ConfigurationError where the arm, or one that can be drawn, does not rest, or begins inside of an obstacle."""
-        self._task, self._options, self._arms, self._model = task, options, arms, arms.model
+    def __init__(self, task: Task, options: Options, arms: Arms, courses: Courses) -> None:
+        """Raises ConfigurationError where the arm, or one that can be drawn, does not rest, or begins inside of an obstacle, and where the
+        course of a target that is not drawn cannot be."""
+        self._task, self._options, self._arms, self._model, self._courses = task, options, arms, arms.model, courses
         self.threshold = THRESHOLD * arms.model.length if options.threshold is None else options.threshold
         self.limits = np.array([tendon.tension_limits for tendon in arms.model.scene.tendons])
         self.tension = nearest_to_zero(self.limits)
@@ -67,48 +82,62 @@ class Starts:
         self.command = arms.model.command(self.tension, self.q)
         self._check_extremes()
         self._setting = self._among(make_setting(arms, self.limits), self.q)
-        self._target = options.target or TARGETS[task.target](type=task.target)
-        self.usual = Beginning(options.start, self._target)
-        self._bank: dict[int, Course] = {}
-        if self.redraws and isinstance(self._target, Random) and self._target.bank is not None:
-            text = f"is {self._target.bank}: it should be left out where obstacles are drawn, of which every target keeps clear"
+        target = options.target or TARGETS[task.target](type=task.target)
+        if self.redraws and isinstance(target, Random) and target.bank is not None:
+            text = f"is {target.bank}: it should be left out where obstacles are drawn, of which every target keeps clear"
             raise _problem(("target", "bank"), text)
+        self._bank: dict[int, Course] = {}
+        self.usual = Beginning(options.start, self._settled_target(target))
 
-    def settle_target(self, courses: Courses) -> None:
-        """Find the course of the target once, where it is not drawn. Raises ConfigurationError."""
-        self.usual = self.usual._replace(target=self.settled_target(self._target, courses))
-
-    def settled_target(self, target: Target, courses: Courses) -> Target | Course:
+    def _settled_target(self, target: Target) -> Target | Course:
         """The course of a target; one that is drawn as it is. Raises ConfigurationError where the course cannot be, or lies inside of an
         obstacle."""
         if target.is_random:
             return target
         course = target.draw(np.random.default_rng(0), self._setting)
-        if inside := self._target_inside(course, courses, self._model):
+        if inside := self._target_inside(course, self._model):
             raise _problem(("target",), f"lies inside of an obstacle: {inside}")
         return course
 
-    def beginning(self, given: ResetOptions, courses: Courses) -> Beginning:
+    def beginning(self, given: ResetOptions) -> Beginning:
         """How a row with these options begins. Raises ConfigurationError, TypeError or ValueError where it cannot, but for what depends on
         the arm that is drawn for its episode: that is found out when it begins."""
         start, wanted, scene = given.start or self.usual.start, given.goal or given.target, self._model.scene
         check_start(start, scene)
         if not self._options.randomize.of_arm:
             if not isinstance(start, str):
-                self.begin_shape(0, start, None, self.q)
+                self._begin_shape(0, start, None, self.q)
             if given.state is not None:
                 checked_motion(self._model, given.state)
         if wanted is None:
             return Beginning(start, self.usual.target, given.state)
         check_target(wanted, self._task, scene)
-        return Beginning(start, self.settled_target(wanted, courses), given.state)
+        return Beginning(start, self._settled_target(wanted), given.state)
 
-    def begin_arm(self, row: int, draw: tuple[Material, np.random.Generator | None], target: Target | Course, courses: Courses) -> Array:
-        """Give a row its material, and effects drawn from a stream if any are: the coordinates (n,) at which it rests.
+    def begin(self, row: int, how: Beginning, generator: np.random.Generator) -> Begun:
+        """Give a row its arm and its target, drawn from a generator. Raises ConfigurationError."""
+        effects = own_stream(generator) if self.effects else None
+        start = own_stream(generator, START) if how.start == "random" else None
+        draw = drawn(self._options.randomize, self._model.tendon_count, generator)
+        rest = self._begin_arm(row, draw.material, effects, how.target)
+        tension, command, q = self._begin_shape(row, how.start, start, rest)
+        setting = self._setting
+        if isinstance(how.target, Target):
+            if self.redraws:
+                shape = self._model.arm.strain.of_softer_rod(rest, np.array(draw.material.stiffness))
+                setting = self._among(setting._replace(model=self._arms.model_among(row)), shape)
+            self._courses.begin(row, *self.draw_course(how.target, generator, setting))
+        else:
+            self._courses.begin(row, how.target)
+        return Begun(draw, tension, command, q, setting)
 
-        Raises ConfigurationError.
-        """
-        material, stream = draw
+    def may_draw_again(self, target: Target | Course) -> bool:
+        """Whether a goal that is reached at the beginning is drawn again: not one that is given, at rest, or with a threshold for all."""
+        drawn_away = isinstance(target, Target) and not target.begins_at_rest
+        return self._task.goal is not None and drawn_away and self.threshold <= EVERYWHERE * self._model.length
+
+    def _begin_arm(self, row: int, material: Material, stream: np.random.Generator | None, target: Target | Course) -> Array:
+        """Give a row its material, and effects drawn from a stream if any are: the coordinates (n,) at which it rests."""
         if not self._options.randomize.of_arm:
             return self.q
         if stream is None:
@@ -123,12 +152,12 @@ class Starts:
                 raise
             if isinstance(target, Target) or not self.redraws:
                 return q
-            if not (inside := self._target_inside(target, courses, self._arms.model_of(row))):
+            if not (inside := self._target_inside(target, self._arms.model_of(row))):
                 return q
         text = f"put the target inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}: {inside}"
         raise _problem(("randomize", "effects"), text)
 
-    def begin_shape(self, row: int, start: Start, stream: np.random.Generator | None, rest: Array) -> tuple[Array, Array, Array]:
+    def _begin_shape(self, row: int, start: Start, stream: np.random.Generator | None, rest: Array) -> tuple[Array, Array, Array]:
         """Tensions (n_a,) [N] under which a row begins, the command (n_a,) that holds them, and its coordinates (n,) then.
 
         start: of a row that without tension rests at `rest` (n,); tensions drawn from `stream` are halved until the arm holds them, clear
@@ -151,45 +180,37 @@ class Starts:
             tension = 0.5 * (self.tension + tension)
         return self.tension, self.command, rest
 
-    def begin_course(
-        self, row: int, target: Target | Course, generator: np.random.Generator, shapes: tuple[Array, Array], courses: Courses
-    ) -> None:
-        """Give a row its target, from a bank if there is one. One that is drawn keeps clear of the row's obstacles, as the arm at rest does
-        where that is so, and is not reached already.
+    def draw_course(
+        self, target: Target, generator: np.random.Generator, setting: Setting, tips: Array | None = None
+    ) -> tuple[Course, int]:
+        """A course of a target that is drawn, from its bank if it has one, and the control period of it to begin at.
 
-        shapes: coordinates (n,) of the arm at rest, and where the row begins. Raises ConfigurationError.
+        It keeps clear of the obstacles of the setting, as the arm at rest does where that is so, and its goal is not reached by tips
+        (k, 3) [m], but for a warning. Raises ConfigurationError.
         """
-        if not isinstance(target, Target):
-            courses.begin(row, target)
-            return
-        (rest, begins), setting = shapes, self._setting
-        if self.redraws:
-            setting = self._among(setting._replace(model=self._arms.model_among(row)), rest)
         for _ in range(MOST_DRAWS):
             if isinstance(target, Random) and target.bank is not None:
                 course, first = self._from_bank(target, target.bank, generator)
             else:
                 course, first = target.draw(generator, setting), 0
-            inside = "" if isinstance(course, ShapeCourse) else self._target_inside(course, courses, setting.model)
-            if not inside and not self._is_reached(target, course, first, row, begins):
-                break
-        else:
-            if inside:
-                text = f"lay inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}, at last {inside}"
-                raise _problem(("target",), text)
-            text = f"a goal was within the threshold, {1e3 * self.threshold:.3g} mm, of where the tip begins in {MOST_DRAWS} draws"
-            warnings.warn(f"{text}: the episode begins solved; choose a smaller threshold, or a larger fraction of tensions", stacklevel=2)
-        courses.begin(row, course, first)
+            inside = "" if isinstance(course, ShapeCourse) else self._target_inside(course, setting.model)
+            begins = first if tips is None else self._unreached(course, first, target, tips, generator)
+            if not inside and begins is not None:
+                return course, begins
+        if inside:
+            raise _problem(("target",), f"lay inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}, at last {inside}")
+        text = f"a goal was within the threshold, {1e3 * self.threshold:.3g} mm, of where the tip begins in {MOST_DRAWS} draws"
+        warnings.warn(f"{text}: the episode begins solved; choose a smaller threshold, or a larger fraction of tensions", stacklevel=2)
+        return course, first
 
-    def _is_reached(self, target: Target, course: Course, first: int, row: int, begins: Array) -> bool:
-        """Whether the arm reaches the goal of a drawn target where it begins (n,), at the control period that the target begins at."""
-        if self._task.goal is None or target.begins_at_rest or self.threshold > EVERYWHERE * self._model.length:
-            return False
-        own = self._arms.model_of(row) if self._options.randomize.of_arm else self._model
-        start, now = own.tip_pose(begins), np.array([first * self._options.control_period])
-        goal = self._model.tip_pose(course.coordinates(now)[0][0]) if isinstance(course, ShapeCourse) else course.sample(now).tip_pose[0]
-        away = self._task.goal.distance(*(np.float32(pose[:3, 3]) for pose in (start, goal)))  # as they are observed
-        return bool(away <= self.threshold)
+    def _unreached(self, course: Course, first: int, target: Target, tips: Array, generator: np.random.Generator) -> int | None:
+        """Control period at which a drawn course begins with a goal that no tip (k, 3) [m] has reached: `first`, or of motions that repeat
+        one that is drawn; None: there is none."""
+        period = self._options.control_period
+        periods: NDArray[np.int64] = first + np.arange(round(target.period / period) if isinstance(target, Random) else 1)
+        goals = self._courses.tip_positions(course, period * periods.astype(np.float64)).astype(np.float32)  # as they are observed
+        far = periods[np.linalg.norm(goals[:, None] - tips, axis=2).min(axis=1) > self.threshold]
+        return None if not far.size else first if far[0] == first else int(generator.choice(far))
 
     def _from_bank(self, target: Random, size: int, generator: np.random.Generator) -> tuple[Course, int]:
         """A drawn course of the bank, which is made when it is first asked for, and the drawn control period of it to begin at."""
@@ -253,12 +274,12 @@ class Starts:
         free = ObstacleFreeSpace(self._arms, setting.model)
         return setting._replace(free=free if free.holds(rest[None]).all() else None)
 
-    def _target_inside(self, course: Course, courses: Courses, model: Model) -> str:
+    def _target_inside(self, course: Course, model: Model) -> str:
         """Obstacle standing still that a target's tip is inside of, as the end of a sentence; "": none."""
         if not self._meets:
             return ""
         times = self._options.control_period * np.linspace(0.0, MAX_EPISODE_STEPS, TARGET_CHECKS)
-        return why_target_inside(model, courses.tip_positions(course, times))
+        return why_target_inside(model, self._courses.tip_positions(course, times))
 
 
 def _problem(key: Key, text: str) -> ConfigurationError:

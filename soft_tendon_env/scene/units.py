@@ -1,7 +1,6 @@
 """Plausibility of a scene: a word where a number is one that no arm has, most likely because it is in another unit than SI's.
 
-Each number is compared with what materials and arms have, and then with the others: mm, N and MPa are a system of units of their own, in
-which ratios come out right. What tells it from metres is length, modulus and density alone, and the weight of the rod beside its modulus.
+mm, N and MPa are units of their own, in which ratios come out right: what tells is length, modulus and density, and weight beside modulus.
 """
 
 import math
@@ -12,24 +11,18 @@ import numpy as np
 
 from soft_tendon_env.scene.scene import Scene, Tendon, rod_length, rod_radius, segment_index, tendon_ends, tendon_offset
 
-LENGTHS = {"cm": 1e-2, "mm": 1e-3, "um": 1e-6}
+LENGTHS, DENSITIES = {"cm": 1e-2, "mm": 1e-3, "um": 1e-6}, {"g/cm^3": 1e3, "t/mm^3": 1e12}
 MODULI = {"kPa": 1e3, "MPa": 1e6, "GPa": 1e9}
-DENSITIES = {"g/cm^3": 1e3, "t/mm^3": 1e12}
 LENGTH, MODULUS, DENSITY = (1e-3, 20.0), (1e3, 1e12), (10.0, 25e3)
 """Ranges of rods [m], endoscopes to hoses; of Young's moduli [Pa], gels to diamond; of densities [kg/m^3], foams to osmium."""
-SLENDER = 0.03
-"""A usual radius or offset, as a share of the rod's length."""
-FAR_OFF = 0.2
-"""Offset of a tendon outside of the rod, as a share of the rod's length, that no arm has; some radii off a thin wire are usual."""
-METAL, SOFT = 5e3, 1e7
-"""Density [kg/m^3] above which materials are metals, and modulus [Pa] below which none is: gels and rubbers are."""
-CRUSHED = 30.0
-"""Strain by a rod's own weight that is no arm's, even of gel and in water."""
-STRAINED, STIFF_STRAINED = 10.0, 2.0
-"""Strains of a section at the tensions' limits that are far beyond what gels and rubbers, or from the modulus SOFT on others, can take."""
-LEAST_BENT = 1e-4
-"""Angle [rad] by which limits of tensions bend more than nothing: less is said of arms longer than a metre."""
-PLACES = 9
+SLENDER, FAR_OFF = 0.03, 0.2
+"""Shares of the rod's length: a usual radius or offset, and an offset outside of the rod that no arm has; radii off a wire are usual."""
+METAL, IN_MPA = 5e3, 5e5
+"""Density [kg/m^3] of metals, and of rubbers full of them; a number that no metal's modulus in MPa reaches, and such rubbers' in Pa do."""
+SOFT, STRAINED, STIFF_STRAINED = 1e7, 10.0, 2.0
+"""Modulus [Pa] of rubbers, and strains of a section at the tensions' limits that are far beyond what these, and stiffer ones, can take."""
+CRUSHED, LEAST_BENT, PLACES = 30.0, 1.5e-3, 9
+"""Strain by its own weight that not even gel in water has; angle [rad] that tensions bend arms of metres; places along tendons."""
 
 
 class UnitsWarning(UserWarning):
@@ -38,15 +31,14 @@ class UnitsWarning(UserWarning):
 
 def warn_of_units(scene: Scene) -> None:
     """Warns, once, of the numbers of a scene that are likely to be in other units."""
-    if found := [*_unlikely(scene)] or [*_unlikely_together(scene)]:
+    if found := [*_unlikely(scene)] or [*_unlikely_together(scene)][:1]:
         text = f"{scene.name!r} has numbers that look as if they were not in SI units (m, kg, s, N, Pa): {'; '.join(found)}"
         warnings.warn(text, UnitsWarning, stacklevel=4)  # where the user builds it
 
 
 def _asked(value: float, usual: float, units: Mapping[str, float]) -> str:
     """The question after the unit that brings a value nearest to a usual one; none where it has a usual size already."""
-    distance = {unit: abs(math.log10(value * factor / usual)) for unit, factor in {**units, "": 1.0}.items()}
-    nearest = min(distance, key=distance.__getitem__)
+    nearest = min(["", *units], key=lambda unit: abs(math.log10(value * units.get(unit, 1.0) / usual)))
     return f": is it {nearest}?" if nearest else ""
 
 
@@ -61,41 +53,29 @@ def _unlikely(scene: Scene) -> Iterator[str]:
             yield f"segments[{i}].young_modulus is {E:g} Pa{_asked(E, 5e10 if density > METAL else 5e5, MODULI)}"
         if not DENSITY[0] <= density <= DENSITY[1]:
             yield f"segments[{i}].density is {density:g} kg/m^3{_asked(density, 1e3, DENSITIES)}"
-    places = length * (np.arange(PLACES) + 0.5) / PLACES
-    radius = rod_radius(scene, places)[0].max()
-    if radius > length:
-        yield f"the rod has a radius of {radius:g} m on a length of {length:g} m{_asked(radius, SLENDER * length, LENGTHS)}"
-    for i, tendon in enumerate(scene.tendons):
-        offset, radii, _ = _along(scene, tendon)
-        off = offset.max()
-        if off >= FAR_OFF * length and off > radii.max():
-            yield f"tendons[{i}] is up to {off:g} m off the axis of a rod of {length:g} m{_asked(off, SLENDER * length, LENGTHS)}"
-            break
+    offset, radius = np.array([[values.max() for values in _along(scene, tendon)[:2]] for tendon in scene.tendons]).T
+    if (widest := radius.max()) >= length:
+        yield f"the rod has a radius of {widest:g} m on a length of {length:g} m{_asked(widest, SLENDER * length, LENGTHS)}"
+    for i in np.flatnonzero(offset > np.maximum(FAR_OFF * length, radius))[:1]:
+        yield f"tendons[{i}] is up to {offset[i]:g} m off the axis of a rod of {length:g} m{_asked(offset[i], SLENDER * length, LENGTHS)}"
 
 
 def _unlikely_together(scene: Scene) -> Iterator[str]:
     """Materials, weights and limits of tensions that do not go together, in words."""
-    length = rod_length(scene)
+    length, bent, usual = rod_length(scene), [0.0], Tendon.model_fields["tension_limits"].default
     for i, segment in enumerate(scene.segments):
         E, density = segment.young_modulus, segment.density
-        if density > METAL and E < SOFT:
+        if density > METAL and E < IN_MPA:
             yield f"segments[{i}].young_modulus is {E:g} Pa, and its density, {density:g} kg/m^3, that of a metal{_asked(E, 5e10, MODULI)}"
-            return
         if 9.81 * density * length / E > CRUSHED:
-            text = f"a rod {length:g} m long with segments[{i}].young_modulus, {E:g} Pa, is crushed by its own weight"
-            yield f"{text}: is it mm, or MPa?"
-            return
-    bent, usual = [0.0], Tendon.model_fields["tension_limits"].default
+            yield f"a rod {length:g} m long with segments[{i}].young_modulus, {E:g} Pa, is crushed by its own weight: is it mm, or MPa?"
     for i, tendon in enumerate(scene.tendons):
-        offset, radius, modulus = _along(scene, tendon)
-        pull, start_end = max(map(abs, tendon.tension_limits)), tendon_ends(scene, tendon)
+        (offset, radius, modulus), pull = _along(scene, tendon), max(map(abs, tendon.tension_limits))
         curvature = 4.0 * pull * offset / (np.pi * modulus * radius**4)
         strain = float(np.median(curvature * radius + pull / (np.pi * modulus * radius**2)))
-        bent.append(float(curvature.mean()) * (start_end[1] - start_end[0]))
+        bent.append(float(curvature.mean() * np.ptp(tendon_ends(scene, tendon))))
         if tendon.tension_limits != usual and strain > (STRAINED if modulus.min() < SOFT else STIFF_STRAINED):
-            text = f"tendons[{i}].tension_limits are up to {pull:g} N, which strain the rod by {100 * strain:.3g} %"
-            yield f"{text}: is it mN, or young_modulus in another unit?"
-            return
+            yield f"tendons[{i}].tension_limits are up to {pull:g} N, which strain the rod by {strain:.0%}: is it mN, or a modulus in kPa?"
     if 0.0 < max(bent) < LEAST_BENT and length > 1.0:
         yield f"tensions within their limits bend the rod by at most {max(bent):.2g} rad: are lengths in mm?"
 

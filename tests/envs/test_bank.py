@@ -44,7 +44,7 @@ def test_targets_are_courses_that_are_drawn_from_any_control_period_on(arm):
     times, expected = 0.02 * np.arange(PERIODS), []
     for number in range(3):
         starts = own.episodes.starts
-        starts.begin_course(0, starts.usual.target, np.random.default_rng(BANK_SEED + number), (starts.q, starts.q), own.episodes._courses)
+        own.episodes._courses.begin(0, *starts.draw_course(starts.usual.target, np.random.default_rng(BANK_SEED + number), starts._setting))
         expected.append(own.target_at(times).tip_pose)
     seen = set()
     for seed in range(12):

@@ -1,5 +1,6 @@
 """Target motions: the poses they say, twists that are their derivatives, shapes that the statics can hold."""
 
+import warnings
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +15,7 @@ from soft_tendon_env.envs.targets.motions import Circle, CircleCourse, ClosedSpl
 from soft_tendon_env.envs.targets.statics import BETWEEN, EquilibriumSpline, NotHeld, Response
 from soft_tendon_env.evaluation import EVALUATION_SEEDS
 from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.model.tension_limits import TensionLimitWarning
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -243,6 +245,16 @@ def test_a_ramp_ends_where_its_tensions_hold_the_arm(arm):
     assert not env.episodes.target.tip_twist[0].any()
 
 
+@pytest.mark.parametrize("target", ["ramp", "hold"])
+def test_given_tensions_beyond_limits_get_a_word(target):
+    """Of 5 N; what is at a limit gets none."""
+    with pytest.warns(TensionLimitWarning, match=r"tendons\[1\] goes beyond its tension_limits, 0 to 5 N"):
+        TipPoseEnv(**SMALL, target={"type": target, "tension": [5.0, 5.5, 0.0]})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", TensionLimitWarning)
+        TipPoseEnv(**SMALL, target={"type": target, "tension": [5.0, 0.0, 0.0]})
+
+
 def test_held_poses_are_those_given():
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [0.1, 0.2, 0.0]
@@ -370,7 +382,7 @@ def test_a_material_that_cannot_rest_is_refused():
     with pytest.raises(ConfigurationError, match=r"environment: randomize can make arms that \[0, 0, 0\] N, .* cannot hold: stiffness"):
         TipPoseEnv(scene=hanging, randomize={"stiffness": [1e-6, 1.0], "payload": [0.0, 10.0]})
     env = TipPoseEnv(scene="three_tendon", tension_limits=[4.0, 5.0], randomize={"stiffness": [0.9, 1.1]})
-    env.episodes.options = Options(scene="three_tendon", randomize={"stiffness": 0.001})
+    env.episodes.starts._options = Options(scene="three_tendon", randomize={"stiffness": 0.001})
     with pytest.raises(ConfigurationError, match=r"randomize can make arms that \[4, 4, 4\] N.*stiffness 0\.001"):
         env.reset(seed=0)
 

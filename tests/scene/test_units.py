@@ -52,6 +52,7 @@ def said(scene):
         (WIRE, {"modulus": 1e-9}, ["young_modulus is 60 Pa: is it GPa?"]),
         (WIRE, {"density": 1e-3}, ["density is 6.45 kg/m^3: is it g/cm^3?"]),
         (WIRE, {"limit": 1e3}, ["tension_limits are up to 20000 N", "is it mN"]),
+        ({**SILICONE, "length": 0.05}, {"length": 1e2, "radius": 1e2, "offset": 1e2, "modulus": 0.1}, ["bend the rod by at most 0.0"]),
         (WIRE, {"length": 0.1}, ["tendons[0] is up to 0.0045 m off the axis of a rod of 0.02 m"]),
         (
             {**SILICONE, "length": 0.012, "radius": 4e-4, "offset": 2e-4, "limit": 0.01},
@@ -84,6 +85,7 @@ def test_other_units_get_a_word(base, factor, words):
         {"length": 0.001, "radius": 4e-5, "offset": 2e-5, "modulus": 4e5, "density": 1070.0, "limit": 6e-5},
         {"length": 20.0, "radius": 0.2, "offset": 0.15, "modulus": 5e6, "density": 1000.0, "limit": 5e3},
         {"length": 0.04, "radius": 0.015, "offset": 0.012, "modulus": 8e4, "density": 1070.0, "limit": 10.0},  # short and thick
+        {"length": 0.06, "radius": 1e-3, "offset": 8e-4, "modulus": 9e5, "density": 5600.0, "limit": 0.5},  # rubber full of magnets
         {"length": 0.1, "radius": 0.003, "offset": 0.002, "modulus": 1e5, "density": 1070.0, "limit": 50.0},  # limits left as they are
     ],
 )

@@ -13,6 +13,7 @@ from soft_tendon_env.envs.targets import Setting, ShapeCourse
 from soft_tendon_env.envs.targets.equilibria import Equilibria
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.statics import rests_at_tensions, static_equilibrium
+from soft_tendon_env.model.tension_limits import warn_beyond_limits
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_array, shown_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
@@ -88,7 +89,8 @@ def check_tension(tension: tuple[float, ...] | None, scene: Scene) -> None:
 
 
 def given_course(tension: tuple[float, ...], setting: Setting, motion: Callable[[Array], Tensions]) -> "StaticCourse":
-    """The course of a motion that given tensions make."""
+    """The course of a motion that given tensions make. Beyond their limits they are taken as they are, with a TensionLimitWarning."""
+    warn_beyond_limits(setting.limits.tolist(), np.array(tension))
     try:
         return StaticCourse(setting, motion(checked_array("target.tension", tension, (setting.arms.model.tendon_count,))))
     except NotHeld as error:

@@ -27,7 +27,7 @@ and `desired_goal` are tip positions in metres, `Box((3,), float32)`.
 
 ## Starting State
 As in `TipPoseEnv`. The goal is drawn: it is the tip's position at rest under random tensions. One within `threshold` of where the
-tip begins is drawn again, up to a hundred times; a goal that is given stays.
+tip begins is drawn again; a goal that is given stays.
 
 ## Episode End
 As in `TipPoseEnv`. Reaching the goal does not end the episode; `info["is_success"]` says whether the tip is within `threshold`.
