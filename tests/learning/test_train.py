@@ -16,12 +16,10 @@ import numpy as np
 import pytest
 import stable_baselines3
 import yaml
-from gymnasium.utils import EzPickle
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.rewards import Reward
 from soft_tendon_env.envs.tasks import TASKS, register_task
-from soft_tendon_env.envs.vector import TendonRodVectorEnv
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS, evaluate, summarise
 from soft_tendon_env.learning import callback, checkpoints, config, monitor, train, training_env, validation
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env, unwrapped
@@ -135,7 +133,6 @@ def test_the_same_seed_gives_the_same_learning_curve(tmp_path, training):
     assert curves["a"] == curves["b"] != curves["c"]
 
 
-@pytest.mark.skipif(issubclass(TendonRodVectorEnv, EzPickle), reason="pickled environments begin anew")
 @pytest.mark.parametrize("run", ["PPO", "SAC", "APG", "hindsight", "running"])
 def test_a_training_that_was_stopped_ends_as_one_that_was_not(tmp_path, training, run):
     """Stopped at an evaluation, it goes on from the checkpoint before: the same weights, bit for bit."""
