@@ -195,6 +195,8 @@ ACCURACY = [  # arm, changes, shares of the range that commands change by in a p
     ("catheter", {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}, 0.05, 0.99),
     ("underwater", {}, 0.05, 0.99),
     ("three_tendon", {"effects.actuators": {"time_constant": 0.02, "delay": 0.05}}, 0.05, 0.99),
+    ("catheter", {"effects.actuators": {"delay": 0.05}}, 0.05, 0.99),
+    ("catheter", {"effects.actuators": {"delay": 0.03, "rate_limit": 50.0}}, 0.05, 0.99),
     ("three_tendon", {"effects.tendon_elasticity": ELASTIC}, 0.05, 0.98),
     ("underwater", {"effects.tendon_elasticity": {**ELASTIC, "displacement_limits": [0.0, 0.012]}}, 0.05, 0.92),
 ]
@@ -210,7 +212,8 @@ def test_gradients_of_every_kind_of_arm_are_those_of_differences(name, changes, 
 
 
 @pytest.mark.cases(
-    "action, delay, latency", [("tension", 0.03, 0.0), ("increment", 0.03, 0.0), ("increment", 0.05, 0.0), ("increment", 0.01, 0.0)]
+    "action, delay, latency",
+    [("tension", 0.03, 0.0), ("increment", 0.05, 0.0), ("increment", 0.01, 0.0), ("increment", 0.05, 0.01), ("increment", 0.013, 0.047)],
 )
 def test_commands_that_repeat_behind_a_delay_have_gradients(action, delay, latency):
     """A policy whose action stays what it was, so that commands repeat; an increment pulls from slack, to one side alone."""
