@@ -17,6 +17,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecNormalize
 
+from soft_tendon_env.evaluation.provenance import versions
 from soft_tendon_env.learning.callback import TrainingCallback
 from soft_tendon_env.learning.checkpoints import (
     BUFFER,
@@ -25,7 +26,6 @@ from soft_tendon_env.learning.checkpoints import (
     PICKLED,
     Midst,
     find_checkpoint,
-    learned_before,
     read_checkpoint,
     read_pickle,
     unpickling,
@@ -158,7 +158,11 @@ def copy_network(name: str, task: str, model: BaseAlgorithm) -> None:
 
 def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
     """Agent of a checkpoint, with all that it needs to learn on. Raises ValueError, OSError."""
-    done, _ = learned_before(checkpoint)
+    config, package = read_checkpoint(checkpoint), "soft_tendon_env"
+    before, now = config.get("record", {}).get("versions", {}).get(package), versions()[package]
+    if before != now:
+        text = f"{checkpoint} was written by {package} {before}, this is {now}: only that version can go on with it"
+        raise ValueError(f"{text}. `start_from` begins a new training with its network")
     midst = read_pickle(checkpoint / ENVIRONMENT, Midst)
     env = Timed(midst.env)
     statistics = read_pickle(checkpoint / PICKLED, VecNormalize)
@@ -169,7 +173,7 @@ def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
     kept = {"learning_rate": rate, "lr_schedule": rate}
     with unpickling(checkpoint / MODEL):
         model = training_class(training.algorithm).load(checkpoint / MODEL, device="cpu", env=statistics, custom_objects=kept)
-    if model.num_timesteps != done:
+    if model.num_timesteps != (done := config["steps_done"]):
         raise ValueError(f"{checkpoint} is of two trainings: its {MODEL} has learned {model.num_timesteps} steps, {CONFIG} says {done}")
     if hasattr(model, "load_replay_buffer"):
         with unpickling(checkpoint / BUFFER):

@@ -196,7 +196,7 @@ ACCURACY = [  # arm, changes, shares of the range that commands change by in a p
     ("underwater", {}, 0.05, 0.99),
     ("three_tendon", {"effects.actuators": {"time_constant": 0.02, "delay": 0.05}}, 0.05, 0.99),
     ("catheter", {"effects.actuators": {"delay": 0.05}}, 0.05, 0.99),
-    ("catheter", {"effects.actuators": {"delay": 0.03, "rate_limit": 50.0}}, 0.05, 0.99),
+    ("catheter", {"effects.actuators": {"delay": 0.033, "time_constant": 0.02}}, 0.05, 0.99),
     ("three_tendon", {"effects.tendon_elasticity": ELASTIC}, 0.05, 0.98),
     ("underwater", {"effects.tendon_elasticity": {**ELASTIC, "displacement_limits": [0.0, 0.012]}}, 0.05, 0.92),
 ]
