@@ -73,7 +73,7 @@ class AdjointMemory(Struct):
     gradient: GradientMemory
     path: PathMemory
     tape: Tape  # of one row: a part in pieces
-    rate: float  # [1/s] of pieces that resolve the slowest vibration
+    rate: float  # [1/s] of pieces that resolve the slowest vibration of the scene's arm
     share: FloatVector  # (1) of a part, where its matrices are evaluated
     middle: FloatVector  # (n)
     rates: FloatVector  # (n)
@@ -109,6 +109,7 @@ def adjoint_rows(batch, scheme, tape, members, cotangents, scratch, memory):
     for row in members:
         own = struct_at(batch.arm, batch.rows.arm, row)
         part, status = tape.duration.shape[1] - 1, OK
+        rate = memory.rate * own.rod.root_stiffness[0] / batch.arm.rod.root_stiffness[0]
         if has_failed(tape.duration[row]):
             clear_row(cotangents, row)
         else:
@@ -116,7 +117,7 @@ def adjoint_rows(batch, scheme, tape, members, cotangents, scratch, memory):
             transmitted(own, tape.command[row, part], scratch.work)
             memory.share[0] = 0.5 if scratch.work.bounded.any[0] == 0.0 else 1.0
             while part >= 0 and status == OK:
-                status = part_adjoint(own, scheme, tape, (row, part), cotangents, scratch, memory)
+                status = part_adjoint(own, scheme, tape, (row, part), rate, cotangents, scratch, memory)
                 part -= 1
         cotangents.status[row] = status
 
@@ -156,7 +157,7 @@ def motion_within(tape, row, part, memory):
 
 
 @kernel
-def part_adjoint(arm, scheme, tape, place, cotangents, scratch, memory):
+def part_adjoint(arm, scheme, tape, place, rate, cotangents, scratch, memory):
     """Cotangents from the end of a part to its beginning, and of the command that was held; place: row and part; a status.
 
     It goes back in as many pieces as its slowest vibration or stiff tendons call for.
@@ -169,7 +170,7 @@ def part_adjoint(arm, scheme, tape, place, cotangents, scratch, memory):
     copy(cotangents.q[row], own.q)
     copy(cotangents.q_dot[row], own.v)
     status, least = OK, STIFF_PIECES if memory.share[0] == 1.0 else 1
-    count = min(max(least, math.ceil(duration * memory.rate)), MOST_PIECES)
+    count = min(max(least, math.ceil(duration * rate)), MOST_PIECES)
     if count == 1 or not cut_part(arm, scheme, tape, place, count, scratch, memory):
         status = piece_adjoint(arm, scheme.method, tape, place, cotangents.state[row], command, scratch, memory)
     else:
