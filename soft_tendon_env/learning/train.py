@@ -33,7 +33,7 @@ from soft_tendon_env.learning.checkpoints import (
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.hyperparameters import learns_from_replay, training_class
 from soft_tendon_env.learning.monitor import Watch
-from soft_tendon_env.learning.training_env import Timed, make_training_env
+from soft_tendon_env.learning.training_env import make_training_env
 from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.policies.agent_files import CONFIG, find_agent
@@ -114,7 +114,7 @@ def learn(model: BaseAlgorithm, callback: TrainingCallback) -> None:
         callback.close()
     if learns_from_replay(training.algorithm) and not model._n_updates:
         say(f"{training.algorithm} has made no update: see learning_starts, gradient_steps and train_freq of its hyperparameters")
-    callback.report(callback.environment_seconds())
+    callback.report()
 
 
 def _is_of_environment(error: BaseException) -> bool:
@@ -164,11 +164,10 @@ def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
         text = f"{checkpoint} was written by {package} {before}, this is {now}: only that version can go on with it"
         raise ValueError(f"{text}. `start_from` begins a new training with its network")
     midst = read_pickle(checkpoint / ENVIRONMENT, Midst)
-    env = Timed(midst.env)
     statistics = read_pickle(checkpoint / PICKLED, VecNormalize)
-    if statistics.observation_space != env.observation_space:
+    if statistics.observation_space != midst.env.observation_space:
         raise ValueError(f"{checkpoint / PICKLED} is of other observations than the training has")
-    statistics.set_venv(env)
+    statistics.set_venv(midst.env)
     rate = learning_rate(training)
     kept = {"learning_rate": rate, "lr_schedule": rate}
     with unpickling(checkpoint / MODEL):
