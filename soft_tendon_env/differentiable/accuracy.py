@@ -19,7 +19,7 @@ WAY = 0.01
 """Share of the range by which commands are moved for the differences: as an optimiser's steps, above the jumps of an adaptive order."""
 CHANGE = 0.05
 """Share of the range that commands of absolute actions change by in a period."""
-DIRECTIONS, PERIODS = 16, 16
+DIRECTIONS, PERIODS, ROWS = 16, 16, 4
 
 
 class GradientWarning(UserWarning):
@@ -34,10 +34,16 @@ class GradientAccuracy(NamedTuple):
 
 
 def check_gradients(episodes: Episodes) -> None:
-    """Warns (GradientWarning) where gradients through the arm of an environment, under its commands, are below LEAST_COSINE."""
-    scale = episodes.actuation.actions
-    change = CHANGE * (scale.greatest - scale.least) if scale.increment is None else scale.increment
-    found = gradient_accuracy(episodes.model, episodes.period, scale.least, scale.greatest, change)
+    """Warns (GradientWarning) where gradients through the first arms of an environment, as drawn, are below LEAST_COSINE.
+
+    Commands are within the upper half of the environment's, or from 0 on: below that elastic tendons hang slack.
+    """
+    scale, arms = episodes.actuation.actions, episodes.arms
+    least = np.minimum(np.maximum(scale.least, 0.0), 0.5 * (scale.least + scale.greatest))
+    change = CHANGE * (scale.greatest - least) if scale.increment is None else scale.increment
+    models = map(arms.model_of, range(min(ROWS, arms.size)))
+    tried = [gradient_accuracy(model, episodes.period, least, scale.greatest, change) for model in models]
+    found = min(tried, key=lambda own: (own.cosine >= LEAST_COSINE, own.cosine))
     if not found.cosine >= LEAST_COSINE:
         warnings.warn(
             f"gradients through this arm have a cosine of {found.cosine:.3f} with differences of its motion, and {found.ratio:.2f} times "

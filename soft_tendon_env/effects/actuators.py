@@ -112,16 +112,16 @@ def first_change(acting, waiting, changes):
 
 @kernel
 def queue(actuators, delivery):
-    """Keep a new command until its time, and put in its place the one that has arrived.
+    """Keep a command that begins until its time, and put in its place the one that has arrived.
 
-    Where there is room, one that begins and repeats the last one is kept too: it has a derivative of its own.
+    Where there is room, one that repeats the last one is kept too: it has a derivative of its own.
     """
     tendons, state, arrival = delivery.command.size, delivery.state, delivery.time + actuators.delay
     acting, waiting = state[tendons : 2 * tendons], state[2 * tendons :].reshape(-1, 1 + tendons)
     count = 0
     while count < len(waiting) and waiting[count, 0] < NEVER:
         count += 1
-    is_new = differ(acting if count == 0 else waiting[count - 1, 1:], delivery.command)
+    is_new = delivery.begins and differ(acting if count == 0 else waiting[count - 1, 1:], delivery.command)
     if is_new and count == len(waiting):
         k = first_change(acting, waiting, False)
         if k == count:

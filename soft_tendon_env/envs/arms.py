@@ -25,7 +25,6 @@ from soft_tendon_env.model.coordinates import effects_inside
 from soft_tendon_env.model.grid import fixed_inertia
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.step_control import linear_rate, step_control, step_method
-from soft_tendon_env.tools.checks import checked_count
 from soft_tendon_env.tools.parallel import processors
 from soft_tendon_env.tools.types import Array
 
@@ -113,16 +112,19 @@ class Arms:
         """Coordinates (.., n) that give a row's material the strain that the scene's has at `shape` (.., n), as those of targets are."""
         return np.asarray(self.model.arm.strain.of_softer_rod(shape, 1.0 / self._stiffness[row]))
 
-    def step(self, command: Array, members: Indices, durations: Array | None = None, tape: Tape | None = None) -> None:
+    def step(
+        self, command: Array, members: Indices, durations: Array | None = None, tape: Tape | None = None, begins: bool = True
+    ) -> None:
         """Advance the rows `members` under commands (rows, parts, n_a), each held for its duration (rows, parts) [s], by default for an
-        integrator step. A tape of `make_tape` keeps what `adjoint` needs; the motion is the same."""
+        integrator step. A tape of `make_tape` keeps what `adjoint` needs; the motion is the same. begins: False where the first command
+        is the last one of the step before."""
         if durations is None:
             durations = np.empty(command.shape[:2])
             durations.fill(self._scheme.control.step)
         held, kept = np.ascontiguousarray(durations), self._no_tape if tape is None else tape
         if tape is not None:
             tape.material[members] = self._materials[members]
-        own, scheme = self._batch, self._scheme
+        own, scheme = self._batch, self._scheme._replace(begins=begins)
         self.share(lambda part, scratch: batch.step_rows(own, scheme, part, command, held, scratch, kept), members, HEAD_START)
 
     def make_tape(self, parts: int = 1) -> Tape:
@@ -142,12 +144,9 @@ class Arms:
                 text = "has internal states that follow the motion of the arm, through which there is no adjoint"
                 raise ValueError(f"effects.{name} {text}; Simulation.linearize has them")
 
-    def adjoint(self, tape: Tape, members: Indices, cotangents: Cotangents, pieces: int = 1) -> None:
+    def adjoint(self, tape: Tape, members: Indices, cotangents: Cotangents) -> None:
         """Derivatives of a scalar by what went into the period on the tape, of the rows `members`: given those by the state after it and by
         what was read of it, those by the state before it, in their place, and by its commands; see Cotangents.
-
-        pieces: into which every part is cut to go back, beside those that its slowest vibration or stiff tendons call for; with two it
-        takes twice as long.
 
         They are approximate, see mechanics.motion.adjoint: of the continuous motion, to second order in the length of a piece; at
         kinks of contact, of the side that the middle of the piece is on, at slack that of its end. Their errors by arm and effect:
@@ -164,11 +163,11 @@ class Arms:
             tendons = self.model.scene.effects.state_tendons(self.model.discretisation)
             rate = linear_rate(self.model)
             self._adjoint_memory = [make_adjoint_memory(self.model.arm, tendons, rate) for _ in range(self.threads)]
-        memories, scheme, count = self._adjoint_memory, self._scheme, checked_count("pieces", pieces, 1)
+        memories, scheme = self._adjoint_memory, self._scheme
 
         def go_back(part: Indices, scratch: Scratch) -> None:
             memory = memories[self._scratch.index(scratch)]
-            adjoint_rows(self._batch, scheme, tape, count, part, cotangents, scratch, memory)
+            adjoint_rows(self._batch, scheme, tape, part, cotangents, scratch, memory)
 
         self.share(go_back, members, HEAD_START)
         failed = members[cotangents.status[members] != OK]

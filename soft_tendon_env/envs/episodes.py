@@ -191,8 +191,8 @@ class Episodes:
                 getattr(rows, name)[row] = values
         command = np.ascontiguousarray(self._applied[:, None])
         self.arms.step(command, members, np.zeros((self.size, 1)))  # for no time: it reads them
-        for row, (motion, step) in motions.items():
-            rows.state[row], rows.step[row] = motion.state, step  # as they were: a reading lets commands join the queue of a delay
+        for row, (_, step) in motions.items():
+            rows.step[row] = step  # as it was
         if self._transmits:
             self.tension = self.tension.copy()
             self.tension[members] = self.arms.reading.tension[members]
@@ -202,7 +202,7 @@ class Episodes:
         members = self._all if members is None else members
         action = np.minimum(np.maximum(action, -1.0), 1.0)
         commands, durations = self.actuation.apply(action, members)
-        self.arms.step(commands, members, durations, tape)
+        self.arms.step(commands, members, durations, tape, begins=durations is None)
         change, applied = action - self._action, commands[:, -1]
         tension = self.arms.reading.tension.copy() if self._transmits else applied
         if members.size == self.size:

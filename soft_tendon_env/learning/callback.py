@@ -10,7 +10,6 @@ from stable_baselines3.common.callbacks import BaseCallback
 from soft_tendon_env.learning.checkpoints import config_record, save_checkpoint, statistics_of
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.monitor import TrainingMonitor
-from soft_tendon_env.learning.training_env import Timed
 from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.agent import NetworkPolicy
 from soft_tendon_env.policies.protocol import Policy
@@ -40,12 +39,6 @@ class TrainingCallback(TrainingMonitor, BaseCallback):
             if name not in ("steps", "seconds"):
                 self.logger.record(f"evaluation/{name}", value)
         self.logger.dump(self.num_timesteps)
-
-    def environment_seconds(self) -> float | None:
-        """Seconds of this process in steps of the environment; None where the algorithm takes them otherwise, as APG."""
-        timed = statistics_of(self.model).venv
-        assert isinstance(timed, Timed)
-        return timed.seconds or None
 
     def _on_training_start(self) -> None:
         self.begin(config_record(self.training, unwrapped(self.training_env).env.episodes))

@@ -56,8 +56,6 @@ class Midst(NamedTuple):
     def restore(self, model: BaseAlgorithm) -> None:
         """Let a model on this environment go on from there."""
         statistics_of(model).returns = self.returns
-        if not hasattr(self.env.env.episodes, "observed"):
-            return
         for name, value in self.last.items():
             setattr(model, name, value)
         torch.set_rng_state(self.torch_state)

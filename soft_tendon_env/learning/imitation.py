@@ -82,7 +82,7 @@ class Teacher:
         self.episodes, self._settling_time = episodes, settling_time
         self._copy = Arms(episodes.model, episodes.size, episodes.period, np.empty(0), np.empty(0), threads=1)
         self._laws: list[Controller | None] = [None] * episodes.size
-        self._memories: list[Any] = [None] * episodes.size
+        self.memories: list[Any] = [None] * episodes.size  # of the laws
 
     def actions(self) -> Array:
         """Actions that each row should take now, (rows, n_a). A row begins anew where its episode does."""
@@ -94,13 +94,13 @@ class Teacher:
         ahead = episodes.period * np.arange(target.tip_pose.shape[1], dtype=np.float64)
         tensions = np.empty((episodes.size, episodes.model.tendon_count))
         for row in range(episodes.size):
-            law = self._laws[row]
-            if law is None or not episodes.step_count[row]:
-                law, self._memories[row] = self._begun(row), None
+            law, begins = self._laws[row], not episodes.step_count[row]
+            if law is None or begins:
+                law = self._begun(row)
             reference, time = self._reference(row, target, ahead - late[row]), float(episodes.arms.rows.clock[row, 0]) + late[row]
             now = Situation(q[row], q_dot[row], tip_pose[row], sent[row, -1], reference, time)
-            decision = law.act(now, self._memories[row])
-            self._laws[row], self._memories[row] = law, decision.memory
+            decision = law.act(now, None if begins else self.memories[row])
+            self._laws[row], self.memories[row] = law, decision.memory
             tensions[row] = actuation.commanded(decision.tension, row)
         return actuation.actions.action(tensions, actuation.command)
 
@@ -314,12 +314,14 @@ class DAgger(BaseAlgorithm):
         return True
 
     def save_replay_buffer(self, path: str | Path) -> None:
-        """Write all that was shown so far, which a training goes on from."""
-        save_to_pkl(path, self._shown)
+        """Write all that was shown so far, with what teacher and leads remember: a training goes on from these."""
+        save_to_pkl(path, (self._shown, self._leads, self._teacher and self._teacher.memories))
 
     def load_replay_buffer(self, path: str | Path) -> None:
-        """Read all that was shown so far. Loading runs what is in the file."""
-        self._shown = load_from_pkl(path)
+        """Read what `save_replay_buffer` has written. Loading runs what is in the file."""
+        self._shown, self._leads, memories = load_from_pkl(path)
+        if self._teacher is not None:
+            self._teacher.memories = memories
 
     def _excluded_save_params(self) -> list[str]:
         return [*super()._excluded_save_params(), "_shown", "_teacher", "_leads"]

@@ -130,14 +130,13 @@ class TrainingMonitor(ABC):
             text = f"after {self.steps_done()} steps the agent's weights are no longer finite: a smaller learning_rate may help"
             raise UserError(f"{text}. The last checkpoint in {self.folder} is from before")
 
-    def report(self, environment: float | None = None, note: str = "") -> None:
-        """Print the speed of learning in this process. environment: seconds of that in the environment. note: on what it ran."""
+    def report(self, note: str = "") -> None:
+        """Print the speed of learning in this process. note: on what it ran."""
         steps = self.steps_done() - self.began
         learned = time.perf_counter() - self._started - self._untimed
         speed = f"{steps} steps in {learned:.0f} s: {steps / learned:.0f} steps/s{note}"
-        share = "" if environment is None else f", {100.0 * environment / learned:.0f} % of the time in the environment"
         beside = f"{self._untimed:.0f} s of evaluations and checkpoints beside"
-        print(f"{speed}{share}; {beside}. At the end: {format_row(self.curve.rows[-1])}")
+        print(f"{speed}; {beside}. At the end: {format_row(self.curve.rows[-1])}")
 
     def _seconds(self) -> float:
         return self._before + time.perf_counter() - self._started - self._untimed

@@ -17,6 +17,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecNormalize
 
+from soft_tendon_env.evaluation.provenance import versions
 from soft_tendon_env.learning.callback import TrainingCallback
 from soft_tendon_env.learning.checkpoints import (
     BUFFER,
@@ -25,7 +26,6 @@ from soft_tendon_env.learning.checkpoints import (
     PICKLED,
     Midst,
     find_checkpoint,
-    learned_before,
     read_checkpoint,
     read_pickle,
     unpickling,
@@ -33,7 +33,7 @@ from soft_tendon_env.learning.checkpoints import (
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.hyperparameters import learns_from_replay, training_class
 from soft_tendon_env.learning.monitor import Watch
-from soft_tendon_env.learning.training_env import Timed, make_training_env
+from soft_tendon_env.learning.training_env import make_training_env
 from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.policies.agent_files import CONFIG, find_agent
@@ -114,7 +114,7 @@ def learn(model: BaseAlgorithm, callback: TrainingCallback) -> None:
         callback.close()
     if learns_from_replay(training.algorithm) and not model._n_updates:
         say(f"{training.algorithm} has made no update: see learning_starts, gradient_steps and train_freq of its hyperparameters")
-    callback.report(callback.environment_seconds())
+    callback.report()
 
 
 def _is_of_environment(error: BaseException) -> bool:
@@ -158,18 +158,21 @@ def copy_network(name: str, task: str, model: BaseAlgorithm) -> None:
 
 def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
     """Agent of a checkpoint, with all that it needs to learn on. Raises ValueError, OSError."""
-    done, _ = learned_before(checkpoint)
+    config, package = read_checkpoint(checkpoint), "soft_tendon_env"
+    before, now = config.get("record", {}).get("versions", {}).get(package), versions()[package]
+    if before != now:
+        text = f"{checkpoint} was written by {package} {before}, this is {now}: only that version can go on with it"
+        raise ValueError(f"{text}. `start_from` begins a new training with its network")
     midst = read_pickle(checkpoint / ENVIRONMENT, Midst)
-    env = Timed(midst.env)
     statistics = read_pickle(checkpoint / PICKLED, VecNormalize)
-    if statistics.observation_space != env.observation_space:
+    if statistics.observation_space != midst.env.observation_space:
         raise ValueError(f"{checkpoint / PICKLED} is of other observations than the training has")
-    statistics.set_venv(env)
+    statistics.set_venv(midst.env)
     rate = learning_rate(training)
     kept = {"learning_rate": rate, "lr_schedule": rate}
     with unpickling(checkpoint / MODEL):
         model = training_class(training.algorithm).load(checkpoint / MODEL, device="cpu", env=statistics, custom_objects=kept)
-    if model.num_timesteps != done:
+    if model.num_timesteps != (done := config["steps_done"]):
         raise ValueError(f"{checkpoint} is of two trainings: its {MODEL} has learned {model.num_timesteps} steps, {CONFIG} says {done}")
     if hasattr(model, "load_replay_buffer"):
         with unpickling(checkpoint / BUFFER):

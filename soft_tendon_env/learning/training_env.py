@@ -1,17 +1,11 @@
-"""Vector environment of a training: many arms, domain randomisation by its options, and its time."""
-
-import time
-from typing import Any
-
-from stable_baselines3.common.vec_env import VecEnvWrapper
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
+"""Vector environment of a training: many arms, and domain randomisation by its options."""
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.learning.config import Training
-from soft_tendon_env.learning.vec_env import make_sb3_vec_env
+from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env
 
 
-def make_training_env(training: Training) -> "Timed":
+def make_training_env(training: Training) -> StableBaselinesVecEnv:
     """Vector environment of a training. Raises ConfigurationError, ValueError.
 
     The first episode of every arm ends at another time, so that every batch has beginnings, middles and ends of episodes: of arms that all
@@ -20,19 +14,4 @@ def make_training_env(training: Training) -> "Timed":
     steps = training.episode_steps
     env = make_sb3_vec_env(IDS[training.task], training.arms, max_episode_steps=steps, threads=training.threads, **training.options)
     env.set_options([{"episode_steps": 1 + steps * row // training.arms} for row in range(training.arms)])
-    return Timed(env)
-
-
-class Timed(VecEnvWrapper):
-    """Vector environment that measures the `seconds` [s] that its steps have taken."""
-
-    seconds = 0.0
-
-    def reset(self) -> Any:
-        return self.venv.reset()
-
-    def step_wait(self) -> VecEnvStepReturn:
-        started = time.perf_counter()
-        result = self.venv.step_wait()
-        self.seconds += time.perf_counter() - started
-        return result
+    return env

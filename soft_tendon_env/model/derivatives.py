@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.mechanics.motion.advance import Scheme
-from soft_tendon_env.mechanics.motion.batch import make_copies, step_copies
+from soft_tendon_env.mechanics.motion.batch import make_copies, step_rows
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.mechanics.motion.status import MESSAGES, OK
 from soft_tendon_env.mechanics.motion.tape import make_tape
@@ -70,7 +70,7 @@ def ends(model: Model, period: Period, inputs: Array, sensors: Array) -> list[Ar
     scratch, tape = make_scratch(arm, method.columns), make_tape(arm, 0, 0)
     for begins, (length, columns) in zip([True, *[False] * len(period.taken)], period.taken, strict=False):
         scheme = Scheme(method._replace(columns=int(columns), least=int(columns)), control, begins)
-        step_copies(batch, scheme, np.flatnonzero(~failed), commands[:, None].copy(), np.full((count, 1), length), scratch, tape)
+        step_rows(batch, scheme, np.flatnonzero(~failed), commands[:, None].copy(), np.full((count, 1), length), scratch, tape)
         failed |= batch.outcome.status != OK
     if failed[0]:
         raise np.linalg.LinAlgError(f"the motion has no derivative: {MESSAGES[batch.outcome.status[0]]}")

@@ -26,8 +26,9 @@ class Rollout(NamedTuple):
 
     by_state (N, 2 n, 2 n), by_tension (N, 2 n, n_a) and by_force (N, 2 n, k): derivatives of (q, q_dot) at the end of a period by those
     at its beginning, by tensions [N] added throughout it, and by generalised forces added throughout it. They are those of a linearly
-    implicit method with the matrices of the period's beginning: 3 to 15 percent of the largest entry off on most arms, near half of it on
-    light stiff wires and in water, see docs/appendix/derivatives_measured.md. `Simulation.linearize` has differences of the motion itself.
+    implicit method with the matrices of the period's beginning: 2 to 15 percent of the largest entry off on most arms, near half of it on
+    light stiff wires and in water, and all of it where an arm comes upon something, see docs/appendix/derivatives_measured.md.
+    `Simulation.linearize` has differences of the motion itself.
     """
 
     q: Array

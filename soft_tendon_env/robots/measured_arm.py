@@ -83,7 +83,7 @@ class MeasuredArm(Arms):
         if self._log is not None:
             self._log.begin(self.pacer.period, self._zeroed(held[-2:][0]), self._command)
 
-    def step(self, command: Array, members: Indices, durations: Array | None = None, tape: Tape | None = None) -> None:
+    def step(self, command: Array, members: Indices, durations: Array | None = None, tape: Tape | None = None, begins: bool = True) -> None:
         """Send the command of a period (1, parts, n_a), which becomes what was sent, and measure at its end. Raises RobotStopped."""
         asked = command[0, -1].copy()
         sent = self.robot.write(asked)
@@ -93,7 +93,7 @@ class MeasuredArm(Arms):
             except OSError as error:
                 self.robot.fail(f"the log {self._log.path} cannot be written: {describe(error)}")
         command[:], self._actuation.command[0] = sent, sent
-        super().step(command, members, durations, tape)
+        super().step(command, members, durations, tape)  # one that begins, whatever was asked
         self.outcome.status[:] = OK  # a robot does not diverge
         self.robot.look_at_lateness(self.pacer.wait())
         self._take(self.robot.read())

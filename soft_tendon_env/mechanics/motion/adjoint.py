@@ -14,7 +14,7 @@ import numpy as np
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
-from soft_tendon_env.mechanics.motion.advance import Record, advance
+from soft_tendon_env.mechanics.motion.advance import Record, Scheme, advance
 from soft_tendon_env.mechanics.motion.batch import Places
 from soft_tendon_env.mechanics.motion.force_gradient import GradientMemory, corrected, force_gradient, make_gradient_memory
 from soft_tendon_env.mechanics.motion.implicit_map import MapMemory, linearise, make_map_memory, tensions_by_command, transposed_map
@@ -73,7 +73,7 @@ class AdjointMemory(Struct):
     gradient: GradientMemory
     path: PathMemory
     tape: Tape  # of one row: a part in pieces
-    rate: float  # [1/s] of pieces that resolve the slowest vibration
+    rate: float  # [1/s] of pieces that resolve the slowest vibration of the scene's arm
     share: FloatVector  # (1) of a part, where its matrices are evaluated
     middle: FloatVector  # (n)
     rates: FloatVector  # (n)
@@ -103,31 +103,23 @@ def make_adjoint_memory(arm: Arm, state_tendons: IntVector | None, rate: float) 
 
 
 @kernel
-def adjoint_rows(batch, scheme, tape, pieces, members, cotangents, scratch, memory):
+def adjoint_rows(batch, scheme, tape, members, cotangents, scratch, memory):
     """Cotangents of the rows named in `members`, in place: from those of state and reading after a period to those of the state before it
     and of its commands. A row whose step had failed gets zeros; cotangents.status (rows) where there is no derivative."""
     for row in members:
         own = struct_at(batch.arm, batch.rows.arm, row)
         part, status = tape.duration.shape[1] - 1, OK
-        if has_failed(tape.duration[row]):
+        rate = memory.rate * own.rod.root_stiffness[0] / batch.arm.rod.root_stiffness[0]
+        if tape.duration[row].min() < 0.0:  # a step has failed
             clear_row(cotangents, row)
         else:
             status = read_adjoint(own, batch.places, tape, cotangents, row, scratch.work, memory)
             transmitted(own, tape.command[row, part], scratch.work)
             memory.share[0] = 0.5 if scratch.work.bounded.any[0] == 0.0 else 1.0
             while part >= 0 and status == OK:
-                status = part_adjoint(own, scheme, tape, (row, part), pieces, cotangents, scratch, memory)
+                status = part_adjoint(own, scheme, tape, (row, part), rate, cotangents, scratch, memory)
                 part -= 1
         cotangents.status[row] = status
-
-
-@kernel
-def has_failed(durations):
-    """Whether a step of a row has failed on its way."""
-    for duration in durations:
-        if duration < 0.0:
-            return True
-    return False
 
 
 @kernel
@@ -156,10 +148,10 @@ def motion_within(tape, row, part, memory):
 
 
 @kernel
-def part_adjoint(arm, scheme, tape, place, pieces, cotangents, scratch, memory):
+def part_adjoint(arm, scheme, tape, place, rate, cotangents, scratch, memory):
     """Cotangents from the end of a part to its beginning, and of the command that was held; place: row and part; a status.
 
-    It goes back in so many pieces, or in as many times more as its slowest vibration or stiff tendons call for.
+    It goes back in as many pieces as its slowest vibration or stiff tendons call for.
     """
     row, part = place
     duration, own, command = tape.duration[row, part], memory.map, cotangents.command[row, part]
@@ -168,9 +160,9 @@ def part_adjoint(arm, scheme, tape, place, pieces, cotangents, scratch, memory):
         return OK
     copy(cotangents.q[row], own.q)
     copy(cotangents.q_dot[row], own.v)
-    least, status = max(STIFF_PIECES if memory.share[0] == 1.0 else 1, math.ceil(duration * memory.rate)), OK
-    count, integrates = min(pieces * least, MOST_PIECES), least > 1 or memory.path.start.size > 0
-    if count == 1 or not cut_part(arm, scheme, tape, place, count, integrates, scratch, memory):
+    status, least = OK, STIFF_PIECES if memory.share[0] == 1.0 else 1
+    count = min(max(least, math.ceil(duration * rate)), MOST_PIECES)
+    if count == 1 or not cut_part(arm, scheme, tape, place, count, scratch, memory):
         status = piece_adjoint(arm, scheme.method, tape, place, cotangents.state[row], command, scratch, memory)
     else:
         for back in range(count):
@@ -183,26 +175,27 @@ def part_adjoint(arm, scheme, tape, place, pieces, cotangents, scratch, memory):
 
 
 @kernel
-def cut_part(arm, scheme, tape, place, count, integrates, scratch, memory):
-    """Cuts a part into equal pieces on memory.tape: it integrates them, or interpolates between the ends; whether it could."""
+def cut_part(arm, scheme, tape, place, count, scratch, memory):
+    """Integrates a part in equal pieces, onto memory.tape; whether it could."""
     row, part = place
-    command, own, lasting, share = tape.command[row, part : part + 1], memory.tape, memory.lasting, memory.share[0]
+    command, own, lasting = tape.command[row, part : part + 1], memory.tape, memory.lasting
     none = Record(tape.q[row, :0], tape.q_dot[row, :0], memory.poses)
     motion = Motion(memory.middle, memory.rates, memory.xi, memory.state, memory.clock)
+    copy(tape.q[row, part], motion.q)
+    copy(tape.q_dot[row, part], motion.q_dot)
+    copy(tape.xi[row, part], motion.xi)
+    copy(tape.state[row, part], motion.state)
+    motion.clock[0] = tape.clock[row, part]
     lasting[0] = tape.duration[row, part] / count
-    for border in range(count + 1):
-        if border == 0 or not integrates:
-            memory.share[0] = border / count
-            motion_within(tape, row, part, memory)
-        if border == 0:
-            copy(tape.state[row, part], motion.state)
-        tape_border(own, 0, border, motion)
-        if border < count:
-            tape_part(own, 0, border, command[0], lasting[0])
-            if integrates and advance(arm, scheme, command, lasting, motion, scheme.control.step, scratch, none).status != OK:
-                count = 0
-    memory.share[0] = share
-    return count > 0
+    tape_border(own, 0, 0, motion)
+    for piece in range(count):
+        begins = piece == 0 and tape.begins[row, part] == 1
+        tape_part(own, 0, piece, command[0], lasting[0], begins)
+        held = Scheme(scheme.method, scheme.control, begins)
+        if advance(arm, held, command, lasting, motion, scheme.control.step, scratch, none).status != OK:
+            return False
+        tape_border(own, 0, piece + 1, motion)
+    return True
 
 
 @kernel

@@ -10,7 +10,7 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import aligned
 from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
-from soft_tendon_env.mechanics.motion.advance import Record, advance
+from soft_tendon_env.mechanics.motion.advance import Record, Scheme, advance
 from soft_tendon_env.mechanics.motion.equilibrium import ROUND_OFF
 from soft_tendon_env.mechanics.motion.scratch import Motion
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
@@ -148,7 +148,8 @@ def read(arm, places, q_dot, work, row, reading):
 def step_rows(batch, scheme, members, commands, durations, scratch, tape):
     """Advance the rows named in `members` under their commands (rows, parts, n_a), each for its duration (rows, parts) [s], and read them.
 
-    A row whose step fails keeps its last good motion. The tape keeps where every part began, unless it has no rows.
+    scheme.begins: whether the command of the first part begins with it; those of the others do. A row whose step fails keeps its last
+    good motion. The tape keeps where every part began, unless it has no rows.
     """
     rows, outcome, reading = batch.rows, batch.outcome, batch.reading
     for row in members:
@@ -167,20 +168,6 @@ def step_rows(batch, scheme, members, commands, durations, scratch, tape):
 
 
 @kernel
-def step_copies(batch, scheme, members, commands, durations, scratch, tape):
-    """Advance and read rows as step_rows() does, but for tensions: their reading lets commands arrive that the next step is to find."""
-    rows = batch.rows
-    for row in members:
-        own = struct_at(batch.arm, rows.arm, row)
-        motion = Motion(rows.q[row], rows.q_dot[row], rows.xi[row], rows.state[row], rows.clock[row])
-        advance_parts(own, scheme, commands, durations, row, batch, scratch, tape)
-        copy(motion.xi, scratch.work.xi)
-        strain_from_guess(own, motion.q, STEP_TOLERANCE, scratch.work)
-        scratch.work.clock[0] = motion.clock[0]
-        read(own, batch.places, motion.q_dot, scratch.work, row, batch.reading)
-
-
-@kernel
 def advance_parts(arm, scheme, commands, durations, row, batch, scratch, tape):
     """Advance a row part by part, with its outcome, and keep on the tape where each begins."""
     rows, outcome = batch.rows, batch.outcome
@@ -190,14 +177,15 @@ def advance_parts(arm, scheme, commands, durations, row, batch, scratch, tape):
     outcome.rejected[row] = 0
     outcome.error[row] = 0.0
     for part in range(commands.shape[1]):
+        begins = scheme.begins or part > 0
         tape_border(tape, row, part, motion)
         held, lasting = commands[row, part : part + 1], durations[row, part : part + 1]
-        done = advance(arm, scheme, held, lasting, motion, rows.step[row], scratch, none)
+        done = advance(arm, Scheme(scheme.method, scheme.control, begins), held, lasting, motion, rows.step[row], scratch, none)
         rows.step[row] = done.step
         outcome.status[row] = done.status
         outcome.rejected[row] += done.rejected
         outcome.error[row] += done.error
-        tape_part(tape, row, part, commands[row, part], durations[row, part] if done.status == OK else -1.0)
+        tape_part(tape, row, part, commands[row, part], durations[row, part] if done.status == OK else -1.0, begins)
         if done.status != OK:
             break
     tape_border(tape, row, commands.shape[1], motion)

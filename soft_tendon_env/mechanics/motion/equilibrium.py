@@ -84,16 +84,6 @@ def strain_is_continuous(arm, q_from, q, work):
     if strain_from_rest(arm, q_from, ROUND_OFF, work)[0] >= 0 or strain_along(arm, q_from, q, ROUND_OFF, work)[0] >= 0:
         return False
     continued = work.xi.copy()
-    return strain_from_rest(arm, q, ROUND_OFF, work)[0] < 0 and are_alike(work.xi, continued)
-
-
-@kernel
-def are_alike(x, y):
-    """Whether two vectors differ by no more than ALIKE of the largest number of the second."""
-    largest = 0.0
-    for i in range(y.size):
-        largest = max(largest, abs(y[i]))
-    for i in range(y.size):
-        if not abs(x[i] - y[i]) <= ALIKE * largest:
-            return False
-    return True
+    if strain_from_rest(arm, q, ROUND_OFF, work)[0] >= 0:
+        return False
+    return np.abs(work.xi - continued).max() <= ALIKE * np.abs(continued).max()

@@ -29,6 +29,7 @@ class PathMemory(Struct):
 
     start: FloatVector  # (states) where it begins
     command: FloatVector  # (n_a)
+    begins: IntVector  # (1) 1 where the command begins with the part
     state: FloatVector  # (states) on the way, at the end after a run
     middle: FloatVector  # (states) after the first half, of the run in the other configuration
     end: FloatVector  # (states) of that run, with which others are compared
@@ -56,6 +57,7 @@ def make_path_memory(arm: Arm, state_tendons: IntVector | None) -> PathMemory:
         tendon=tendon,
         group=group,
         groups=1 + int(group.max()),
+        begins=np.zeros(1, dtype=np.int64),
         **zeros_of(
             ((states,), "start state middle end"),
             ((n_a,), "command"),
@@ -78,7 +80,8 @@ def run_path(arm, times, is_reference, scratch, path):
         mean[:] = 0.0
         while left > SHORTEST * half:
             work.clock[0] = times[0] + (side + 1) * half - left
-            acting = delivered(arm.effects, path.command, place == 0, work.clock[0], path.state, scratch.acting, scratch.until)
+            begins = place == 0 and path.begins[0] == 1
+            acting = delivered(arm.effects, path.command, begins, work.clock[0], path.state, scratch.acting, scratch.until)
             if is_reference:
                 step = scratch.until[0] - work.clock[0]
                 path.step[place] = step if SHORTEST * half < step < left and place < MOST - 2 else left
@@ -110,6 +113,7 @@ def begin_path(arm, tape, place, scratch, path):
     work, tendons = scratch.work, path.command.size
     copy(tape.state[row, part], path.start)
     copy(tape.command[row, part], path.command)
+    path.begins[0] = tape.begins[row, part]
     for k in range(path.start.size):
         path.start[k] += DISTINCT * (k // (tendons + 1) % 3 if path.tendon[k] >= 0 else 0.0)
     for i in range(tendons):

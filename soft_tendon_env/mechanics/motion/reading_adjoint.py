@@ -26,15 +26,6 @@ SMALL_WAY = 1e-4  # the largest strain, curvatures times the length, of differen
 
 
 @kernel
-def any_of(x):
-    """Whether any number is not zero."""
-    for i in range(x.size):
-        if x[i] != 0.0:
-            return True
-    return False
-
-
-@kernel
 def read_adjoint(arm, places, tape, cotangents, row, work, memory):
     """Adds to the cotangents of a row's coordinates and rates those of what is read at the end of the period; a status."""
     last = tape.q.shape[1] - 1
@@ -49,9 +40,7 @@ def read_adjoint(arm, places, tape, cotangents, row, work, memory):
     copy(work.xi, own.xi)
     copy(work.xi_dot, own.rate)
     twist, strain_rate = cotangents.tip_twist[row], cotangents.strain_rate[row]
-    has_rates = any_of(twist)
-    for sensor in range(strain_rate.shape[0]):
-        has_rates = has_rates or any_of(strain_rate[sensor])
+    has_rates = twist.any() or strain_rate.any()
     pull = cotangents.backbone_position[row]
     read_force(arm, places, cotangents.tip_pose[row], pull, cotangents.strain[row], work, own)
     add_tendon_stress(arm.rod, arm.tendons, cotangents.tendon_length[row], work.tangent, own.field)

@@ -19,6 +19,7 @@ class Tape(Struct):
     clock: np.ndarray  # (rows, parts + 1)
     command: np.ndarray  # (rows, parts, n_a)
     duration: np.ndarray  # (rows, parts) [s]; negative where the step has failed
+    begins: np.ndarray  # (rows, parts) int64: 1 where the command began with the part, 0 where it went on
     material: IntVector  # (rows) which of the materials that a row has had it was
 
 
@@ -34,6 +35,7 @@ def make_tape(arm: Arm, rows: int, parts: int) -> Tape:
             ((rows, parts, n_a), "command"),
             ((rows, parts), "duration"),
         ),
+        begins=np.zeros((rows, parts), dtype=np.int64),
         material=np.zeros(rows, dtype=np.int64),
     )
 
@@ -50,8 +52,9 @@ def tape_border(tape, row, border, motion):
 
 
 @kernel
-def tape_part(tape, row, part, command, duration):
-    """Keeps what was commanded in a part, and for how long, where anything is kept."""
+def tape_part(tape, row, part, command, duration, begins):
+    """Keeps what was commanded in a part, for how long, and whether it began there, where anything is kept."""
     if tape.duration.shape[0] > 0:
         copy(command, tape.command[row, part])
         tape.duration[row, part] = duration
+        tape.begins[row, part] = 1 if begins else 0

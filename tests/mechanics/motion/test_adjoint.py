@@ -214,14 +214,13 @@ def test_gradient_of_a_rollout_points_as_that_by_differences(build):
         by_tip = maps[k].tip[3:].T @ pulls[k]
         expected[k] = maps[k].command.T @ later + by_tip[later.size :]
         later = maps[k].state.T @ later + by_tip[: later.size]
-    for pieces in (1, 2):
-        cotangents, found = arms.make_cotangents(), np.empty_like(commands)
-        for k in reversed(range(len(tapes))):
-            cotangents.tip_pose[0, 3:] = pulls[k]
-            arms.adjoint(tapes[k], member, cotangents, pieces)
-            found[k] = cotangents.command[0, 0]
-        x, y = (np.cumsum(own[::-1], axis=0).ravel() for own in (found, expected))
-        assert x @ y > 0.9999 * np.linalg.norm(x) * np.linalg.norm(y)
+    cotangents, found = arms.make_cotangents(), np.empty_like(commands)
+    for k in reversed(range(len(tapes))):
+        cotangents.tip_pose[0, 3:] = pulls[k]
+        arms.adjoint(tapes[k], member, cotangents)
+        found[k] = cotangents.command[0, 0]
+    x, y = (np.cumsum(own[::-1], axis=0).ravel() for own in (found, expected))
+    assert x @ y > 0.9999 * np.linalg.norm(x) * np.linalg.norm(y)
 
 
 def test_parts_chain(build):
