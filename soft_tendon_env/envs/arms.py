@@ -74,7 +74,7 @@ class Arms:
         control, n = step_control(model, period), model.coordinate_count
         self.substeps = round(period / control.step)
         method = step_method(model)
-        self._scheme = Scheme(method, control)
+        self._scheme, self._goes_on = Scheme(method, control), Scheme(method, control, begins=False)
         self._scratch = [make_scratch(model.arm, method.columns) for _ in range(self.threads)]
         self._pool: tuple[int, ThreadPoolExecutor] | None = None  # of the process with this id
         rod, strain = model.arm.rod, model.arm.strain
@@ -124,7 +124,7 @@ class Arms:
         held, kept = np.ascontiguousarray(durations), self._no_tape if tape is None else tape
         if tape is not None:
             tape.material[members] = self._materials[members]
-        own, scheme = self._batch, self._scheme._replace(begins=begins)
+        own, scheme = self._batch, self._scheme if begins else self._goes_on
         self.share(lambda part, scratch: batch.step_rows(own, scheme, part, command, held, scratch, kept), members, HEAD_START)
 
     def make_tape(self, parts: int = 1) -> Tape:

@@ -123,16 +123,16 @@ class Episodes:
         strongest = np.abs(model.scene.effects.command_limits(self.limits)).max(axis=1)
         return Layout(groups_of(options, self.task, model.scene), sizes, units_of(model, strongest), options.history)
 
-    @property
+    @cached_property
     def _measures(self) -> list[TrackingError]:
         """The errors of the task, and those of contact where arms can touch something."""
         return [*self.task.errors, *(CONTACT_ERRORS if self._contacts else ())]
 
     def __getstate__(self) -> dict[str, Any]:
-        """All of it but the layout, whose functions have no names. Raises TypeError."""
+        """All of it but what is found again, whose functions have no names. Raises TypeError."""
         if not self._simulated:
             raise TypeError("an environment whose arm is a robot cannot be copied: there is one robot")
-        return {name: value for name, value in self.__dict__.items() if name != "layout"}
+        return {name: value for name, value in self.__dict__.items() if name not in ("layout", "_measures")}
 
     def beginnings(self, given: Mapping[int, ResetOptions], members: Indices) -> dict[int, Beginning]:
         """How those of the rows `members` begin that are given options. Raises ConfigurationError, TypeError, ValueError."""

@@ -100,7 +100,8 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any]):
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / chosen.control_period))}
         self.observation_space = observation_space(self.episodes)
         self.action_space = action_space(self.episodes)
-        self._on_divergence, self._begun, self._closed, self._most_steps = chosen.on_divergence, False, False, np.inf
+        self._on_divergence, self._begun, self._closed = chosen.on_divergence, False, False
+        self._most_steps: int | None = None
         self._renderer = make_renderer(self.episodes, render_mode)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -111,7 +112,7 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any]):
         super().reset(seed=seed)
         self._begun = False
         self.episodes.begin(ONE, [self.np_random], beginnings)
-        self._begun, self._most_steps = True, (given[0].episode_steps or np.inf) if given else np.inf
+        self._begun, self._most_steps = True, given[0].episode_steps if given else None
         if self._renderer is not None:
             self._renderer.begin(ONE)
         return self._observation(), self._info()
@@ -125,7 +126,7 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any]):
         if self._renderer is not None:
             self._renderer.step(ONE)
         info = self._info()
-        terminated, truncated = False, bool(self.episodes.step_count[0] >= self._most_steps)
+        terminated, truncated = False, self._most_steps is not None and bool(self.episodes.step_count[0] >= self._most_steps)
         if info["diverged"]:
             info["cause"] = self.episodes.cause(0)
             if self._on_divergence == "raise":
