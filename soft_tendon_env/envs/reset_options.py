@@ -3,7 +3,7 @@
 from typing import Any
 
 import numpy as np
-from pydantic import ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, InstanceOf, field_validator, model_validator
 
 from soft_tendon_env.envs.options import NamedTarget, Start
 from soft_tendon_env.envs.targets.motions import Random
@@ -30,9 +30,7 @@ class ResetOptions(Configuration):
         episode_steps: steps after which the episode is truncated, where that is sooner than otherwise.
     """
 
-    model_config = ConfigDict(arbitrary_types_allowed=True)
-
-    state: State | None = None
+    state: InstanceOf[State] | None = None
     start: Start | None = None
     goal: Hold | None = None
     target: NamedTarget | None = None
