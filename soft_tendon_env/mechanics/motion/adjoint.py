@@ -110,7 +110,7 @@ def adjoint_rows(batch, scheme, tape, members, cotangents, scratch, memory):
         own = struct_at(batch.arm, batch.rows.arm, row)
         part, status = tape.duration.shape[1] - 1, OK
         rate = memory.rate * own.rod.root_stiffness[0] / batch.arm.rod.root_stiffness[0]
-        if tape.duration[row].min() < 0.0:  # a step has failed
+        if has_failed(tape.duration[row]):
             clear_row(cotangents, row)
         else:
             status = read_adjoint(own, batch.places, tape, cotangents, row, scratch.work, memory)
@@ -120,6 +120,15 @@ def adjoint_rows(batch, scheme, tape, members, cotangents, scratch, memory):
                 status = part_adjoint(own, scheme, tape, (row, part), rate, cotangents, scratch, memory)
                 part -= 1
         cotangents.status[row] = status
+
+
+@kernel
+def has_failed(durations):
+    """Whether a step of a row has failed on its way."""
+    for duration in durations:
+        if duration < 0.0:
+            return True
+    return False
 
 
 @kernel
