@@ -257,9 +257,9 @@ class Clock:
         self.total, self._step = 0.0, arms.step
         arms.step = self
 
-    def __call__(self, *arguments: Any) -> None:
+    def __call__(self, *arguments: Any, **named: Any) -> None:
         started = time.process_time()
-        self._step(*arguments)
+        self._step(*arguments, **named)
         self.total += time.process_time() - started
 
 

@@ -87,9 +87,9 @@ class Stopwatch:
         self.total = 0.0
 
     def timed(self, function: Callable[..., None]) -> Callable[..., None]:
-        def call(*arguments: object) -> None:
+        def call(*arguments: object, **named: object) -> None:
             started = time.perf_counter()
-            function(*arguments)
+            function(*arguments, **named)
             self.total += time.perf_counter() - started
 
         return call
