@@ -41,12 +41,17 @@ TARGET_CHECKS = 100
 """Times in an episode of the usual length at which a target is checked not to lie inside of obstacles."""
 
 
+Shape = tuple[Array, Array, Array]
+"""Tensions (n_a,) [N], the command (n_a,) that holds them, and the coordinates (n,) of an arm at rest under them."""
+
+
 class Beginning(NamedTuple):
     """How an episode of a row is to begin, checked."""
 
     start: Start
     target: Target | Course  # one that is drawn, or the course of one that is not
     state: State | None = None  # in which the row begins, whatever `start` says
+    shape: Shape | None = None  # under `start`; None: it depends on what is drawn
 
 
 class Begun(NamedTuple):
@@ -104,15 +109,16 @@ class Starts:
         the arm that is drawn for its episode: that is found out when it begins."""
         start, wanted, scene = given.start or self.usual.start, given.goal or given.target, self._model.scene
         check_start(start, scene)
+        shape, target = None, self.usual.target
         if not self._options.randomize.of_arm:
             if not isinstance(start, str):
-                self._begin_shape(0, start, None, self.q)
+                shape = self._begin_shape(0, start, None, self.q)
             if given.state is not None:
                 checked_motion(self._model, given.state)
-        if wanted is None:
-            return Beginning(start, self.usual.target, given.state)
-        check_target(wanted, self._task, scene)
-        return Beginning(start, self._settled_target(wanted), given.state)
+        if wanted is not None:
+            check_target(wanted, self._task, scene)
+            target = self._settled_target(wanted)
+        return Beginning(start, target, given.state, shape)
 
     def begin(self, row: int, how: Beginning, generator: np.random.Generator) -> Begun:
         """Give a row its arm and its target, drawn from a generator. Raises ConfigurationError."""
@@ -120,7 +126,7 @@ class Starts:
         start = own_stream(generator, START) if how.start == "random" else None
         draw = drawn(self._options.randomize, self._model.tendon_count, generator)
         rest = self._begin_arm(row, draw.material, effects, how.target)
-        tension, command, q = self._begin_shape(row, how.start, start, rest)
+        tension, command, q = how.shape or self._begin_shape(row, how.start, start, rest)
         setting = self._setting
         if isinstance(how.target, Target):
             if self.redraws:
@@ -157,8 +163,8 @@ class Starts:
         text = f"put the target inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}: {inside}"
         raise _problem(("randomize", "effects"), text)
 
-    def _begin_shape(self, row: int, start: Start, stream: np.random.Generator | None, rest: Array) -> tuple[Array, Array, Array]:
-        """Tensions (n_a,) [N] under which a row begins, the command (n_a,) that holds them, and its coordinates (n,) then.
+    def _begin_shape(self, row: int, start: Start, stream: np.random.Generator | None, rest: Array) -> Shape:
+        """Shape in which a row begins.
 
         start: of a row that without tension rests at `rest` (n,); tensions drawn from `stream` are halved until the arm holds them, clear
         of obstacles. Raises ConfigurationError where the arm does not hold given ones.

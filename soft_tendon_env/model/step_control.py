@@ -65,11 +65,16 @@ def step_control(model: Model, duration: float) -> Control:
 
 
 @lru_cache(maxsize=8)
-def linear_rate(model: Model) -> float:
-    """Steps per second [1/s] in which a linearised motion resolves the slowest vibration of the bare arm about its stress-free shape."""
+def slowest_vibration(model: Model) -> float:
+    """Angular frequency [rad/s] of the slowest vibration of the bare arm about its stress-free shape."""
     still = np.zeros(model.coordinate_count)
     terms = model.terms(still, still)
-    return float(np.sqrt(np.linalg.eigvals(np.linalg.solve(terms.mass, terms.stiffness)).real.min())) / RESOLVED
+    return float(np.sqrt(np.linalg.eigvals(np.linalg.solve(terms.mass, terms.stiffness)).real.min()))
+
+
+def linear_rate(model: Model) -> float:
+    """Steps per second [1/s] in which a linearised motion resolves the slowest vibration."""
+    return slowest_vibration(model) / RESOLVED
 
 
 class CommandWarning(UserWarning):

@@ -4,6 +4,7 @@ import numpy as np
 import scipy.fft
 
 from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.step_control import slowest_vibration
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.types import Array, NotNegative, Positive
 
@@ -36,10 +37,7 @@ REST = Rest()
 
 def window_of(model: Model) -> float:
     """Time [s] over which the speed is measured: at least half the slowest natural period, since a swing stands still where it turns."""
-    zero = np.zeros(model.coordinate_count)
-    terms = model.terms(zero, zero)
-    slowest = np.linalg.eigvals(np.linalg.pinv(terms.stiffness) @ terms.mass).real.max()  # 1 / omega^2
-    return max(WINDOW, float(np.pi * np.sqrt(slowest)))
+    return max(WINDOW, np.pi / slowest_vibration(model))
 
 
 def motion_of(position: Array, period: float) -> tuple[float, float]:
