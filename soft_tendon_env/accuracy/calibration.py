@@ -4,7 +4,10 @@ The choice is deterministic: errors are those of fixed motions, and costs those 
 """
 
 import hashlib
+import inspect
 import json
+import sys
+import uuid
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -17,8 +20,7 @@ from soft_tendon_env.accuracy.proper_orthogonal_fields import fields_path, make_
 from soft_tendon_env.accuracy.reference import Level, Reference, reference_motions
 from soft_tendon_env.accuracy.settings import Setting, strain_fields
 from soft_tendon_env.accuracy.test_inputs import CALIBRATED, Motion, motion_tensions
-from soft_tendon_env.compiler.cache_folder import data_folders, new_data_folder
-from soft_tendon_env.compiler.code_digest import code_digest, sources_digest
+from soft_tendon_env.compiler.cache_folder import data_folders, files_digest, files_of_package, new_data_folder
 from soft_tendon_env.scene.passive_fields import PassiveFields, arm_of, find_fields
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.checks import checked_number, checked_type
@@ -174,12 +176,21 @@ def _finest_reference(scene: Scene) -> float:
 def calibration_digest(scene: Scene, inputs: Sequence[Array], fields: PassiveFields | None, error: float) -> str:
     """16 hex digits of all that a calibration depends on: arm, limits, loads, candidates, motions, and the code that simulates them."""
     limits = [tendon.tension_limits for tendon in scene.tendons]
-    loads = {name: (effect.model_dump(mode="json"), code_digest(type(effect))) for name, effect in scene.effects.chosen().items()}
-    made_of = [arm_of(scene), limits, loads, strain_fields(scene, fields), scene.integrator.max_halvings, error, sources_digest(*SOURCES)]
+    loads = {name: (effect.model_dump(mode="json"), _source_of(type(effect))) for name, effect in scene.effects.chosen().items()}
+    code = files_digest(files_of_package(*SOURCES))
+    made_of = [arm_of(scene), limits, loads, strain_fields(scene, fields), scene.integrator.max_halvings, error, code]
     digest = hashlib.sha256(json.dumps(made_of, sort_keys=True).encode())
     for tensions in inputs:
         digest.update(repr(tensions.shape).encode() + np.ascontiguousarray(tensions).tobytes())
     return digest.hexdigest()[:16]
+
+
+def _source_of(effect: type) -> str:
+    """The source of the module of an effect; of one that is typed into an interpreter, something new."""
+    try:
+        return inspect.getsource(sys.modules[effect.__module__])
+    except (OSError, TypeError):
+        return uuid.uuid4().hex
 
 
 def kept_calibration(name: str) -> Calibration | None:

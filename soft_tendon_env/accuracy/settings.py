@@ -4,13 +4,11 @@ The cost model states what a simulated second takes without measuring it, so tha
 """
 
 import functools
-import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from soft_tendon_env.compiler.cache_folder import PACKAGE, kernel_sources
-from soft_tendon_env.compiler.code_digest import file_digest
+from soft_tendon_env.compiler.cache_folder import KERNEL_SOURCES, files_digest, files_of_package
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.types import Loaded
 from soft_tendon_env.model.model import Model
@@ -103,7 +101,7 @@ class Setting(NamedTuple):
 @functools.cache
 def kernel_digest() -> str:
     """16 hex digits of the sources of the kernels."""
-    return hashlib.sha256("".join(map(file_digest, kernel_sources(PACKAGE))).encode()).hexdigest()[:16]
+    return files_digest(files_of_package(*KERNEL_SOURCES))
 
 
 @functools.cache

@@ -1,1 +1,1 @@
-"""Compiler of the kernels: one decorator, machine code that calls by symbols, and its cache on disk."""
+"""Compiler of the kernels: the decorators, how kernels call one another, and the folder in which numba keeps the machine code."""

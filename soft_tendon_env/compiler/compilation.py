@@ -1,88 +1,163 @@
-"""How the package compiles its kernels: one decorator.
+"""How the package compiles its kernels: two decorators over `numba.njit`, and calls from one kernel to another by address.
 
-Machine code is linked and kept by `linking` and `kernel_cache`, on versions of numba that they were tested with. On others kernels are
-compiled by `numba.njit` alone, which takes longer, and numba's own cache keeps those whose code is in the cache's digest.
+numba links a copy of a callee into its caller and optimises the two together, so that what stands at the end of a chain of calls is
+compiled once per link of the chain: two thirds of the time that the package would take to compile. Kernels of the package are therefore
+compiled by themselves. A call reads the callee's address in a word of the caller's machine code; where that is still empty, as in machine
+code that comes from the cache, `_find` compiles or loads the callee first.
 """
 
-import contextlib
+import ctypes
 import functools
 import inspect
-from collections.abc import Callable, Iterator
-from pathlib import Path
+import pickle
+from collections.abc import Callable
 from typing import Any, TypeVar, overload
 
 import numba
-from numba.core import config
+from llvmlite import binding, ir
+from numba import config, types
+from numba.core import cgutils
+from numba.extending import lower_builtin, type_callable
 
-from soft_tendon_env.compiler.cache_folder import PACKAGE, cache_folder, kernel_sources
-from soft_tendon_env.compiler.numba_internals import IS_TESTED, TESTED
-from soft_tendon_env.tools.messages import say_unless_quiet
-
-if IS_TESTED:
-    from soft_tendon_env.compiler.compilation_progress import show_progress
-    from soft_tendon_env.compiler.kernel_cache import keep_machine_code
-    from soft_tendon_env.compiler.linking import is_of_package
-    from soft_tendon_env.compiler.numba_internals import quick_options
+from soft_tendon_env.compiler.cache_folder import PACKAGE, cache_folder
+from soft_tendon_env.compiler.first_use import watch_compilations
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True, "boundscheck": None, "no_cfunc_wrapper": True}
+"""Of `numba.njit`; "contract" lets LLVM fuse multiply and add, and nothing that would hide a nan or reorder a sum."""
+FIND = f"{PACKAGE.name}.find_kernel"
+_WORD = ir.IntType(64)
 
 
 @overload
 def kernel(function: Function) -> Function: ...
 @overload
-def kernel(*, inline: bool = False, counted: bool | None = None, by_type: bool = False) -> Callable[[Function], Function]: ...
-def kernel(
-    function: Callable[..., Any] | None = None, *, inline: bool = False, counted: bool | None = None, by_type: bool = False
-) -> Any:
+def kernel(*, inline: bool = False, counted: bool | None = None) -> Callable[[Function], Function]: ...
+def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False, counted: bool | None = None) -> Any:
     """Compile a function of arrays and scalars on its first call: `@kernel`, or `@kernel(inline=True)`.
 
-    inline: have LLVM inline it wherever it is called; for helpers of a few lines inside a sweep. Other kernels are called, see linking.
+    inline: have LLVM inline it wherever it is called; for helpers of a few lines inside a sweep. Other kernels are called.
     counted: count references to arrays, without which numba refuses what makes arrays or returns parts of them, and with which there is
     a third more to compile; by default not in this package.
-    by_type: what it does depends on classes among its arguments, see `selects_code`; numba's own cache would not notice their changes.
-    With NUMBA_DISABLE_JIT=1 the function comes back as it is.
+    Machine code of the package is kept; kernels of other files are compiled by every process, since numba would not notice a change of what
+    they use from a third file. With NUMBA_DISABLE_JIT=1 the function comes back as it is.
     """
     if function is None:
-        return functools.partial(kernel, inline=inline, counted=counted, by_type=by_type)
+        return functools.partial(kernel, inline=inline, counted=counted)
     if config.DISABLE_JIT:
         return function
-    # "contract" lets LLVM fuse multiply and add, and nothing that would hide a nan or reorder a sum.
-    options: dict[str, Any] = dict(error_model="numpy", fastmath={"contract"}, nogil=True, boundscheck=None, forceinline=inline)
-    if not IS_TESTED:
-        with _numba_cache() as is_there:
-            return numba.njit(**options, cache=is_there and not by_type and _is_in_digest(function))(function)
-    dispatcher = numba.njit(**options, **quick_options(not is_of_package(function) if counted is None else counted))(function)
-    keep_machine_code(dispatcher, inline)
-    return dispatcher
+    own = is_of_package(function)
+    options = {**OPTIONS, "forceinline": inline, "_nrt": not own if counted is None else counted}
+    return Kernel(function, options) if own else numba.njit(**options)(function)
 
 
-@contextlib.contextmanager
-def _numba_cache() -> Iterator[bool]:
-    """Context in which numba keeps machine code in the folder of this version of the sources; whether there is one."""
+def phase(function: Function) -> Function:
+    """A kernel that returns nothing and that not every arm needs: compiled when it is first called, not with its callers."""
+    return function if config.DISABLE_JIT else Kernel(function, {**OPTIONS, "_nrt": False}, is_phase=True)  # type: ignore[return-value]
+
+
+def is_of_package(named: Any) -> bool:
+    """Whether a function or class is the package's own and no local one, so that every process finds it by its name."""
+    return named.__module__.partition(".")[0] == PACKAGE.name and "<locals>" not in named.__qualname__
+
+
+class Kernel:
+    """A kernel of the package: as Python calls it, and as other kernels do."""
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any], is_phase: bool = False) -> None:
+        functools.update_wrapper(self, function)
+        self.py_func, self._options, self._is_phase = function, options, is_phase
+        type_callable(self)(self._typer)
+        lower_builtin(self, types.VarArg(types.Any))(self._emit)
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.from_python(*arguments)
+
+    def __reduce__(self) -> str:
+        return self.py_func.__qualname__
+
+    @functools.cached_property
+    def from_python(self) -> Any:
+        """numba's function that Python calls."""
+        return _kept(self.py_func, "from_python", self._options)
+
+    @functools.cached_property
+    def _from_kernels(self) -> Any:
+        """The same without a way in from Python, which is a fifth of a compilation."""
+        return _kept(self.py_func, "from_kernels", {**self._options, "no_cpython_wrapper": True})
+
+    def compiled(self, kinds: tuple[types.Type, ...]) -> Any:
+        """The compiled function for arguments of these types, as kernels call it."""
+        if kinds not in self._from_kernels.overloads:
+            self._from_kernels.compile(kinds)
+        return self._from_kernels.overloads[kinds]
+
+    def _typer(self, context: Any) -> Callable[..., Any]:
+        def typer(*kinds: types.Type) -> Any:
+            return types.none(*kinds) if self._is_phase else self.compiled(kinds).signature
+
+        typer.__signature__ = inspect.signature(self.py_func)  # type: ignore[attr-defined]
+        return typer
+
+    def _emit(self, context: Any, builder: ir.IRBuilder, signature: Any, given: Any) -> Any:
+        kinds = tuple(signature.args)
+        if self._options.get("forceinline"):
+            compiled = self.compiled(kinds)
+            context.add_linking_libs([compiled.library])
+            return context.call_internal(builder, compiled.fndesc, signature, given)
+        text, void_pointer = pickle.dumps((self, kinds)), cgutils.voidptr_t
+        word = cgutils.add_global_variable(builder.module, _WORD, "address")
+        word.linkage, word.initializer = "internal", ir.Constant(_WORD, 0)
+        with cgutils.if_unlikely(builder, cgutils.is_null(builder, builder.load(word))):
+            find_type = ir.FunctionType(ir.VoidType(), [void_pointer, void_pointer, _WORD])
+            find = cgutils.get_or_insert_function(builder.module, find_type, FIND)
+            callee = cgutils.global_constant(builder, "callee", cgutils.make_bytearray(text))
+            builder.call(find, [builder.bitcast(word, void_pointer), builder.bitcast(callee, void_pointer), _WORD(len(text))])
+            with cgutils.if_unlikely(builder, cgutils.is_null(builder, builder.load(word))):
+                context.call_conv.return_user_exc(builder, RuntimeError, (f"{self.py_func.__name__} cannot be compiled, see above",))
+        return emit_call_at(context, builder, builder.load(word), signature.return_type, kinds, given)
+
+
+@ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
+def _find(word: int, callee: int, size: int) -> None:
+    """Write the address of a kernel into a caller's word. An error is printed by ctypes, and the caller finds the word empty."""
+    called, kinds = pickle.loads(ctypes.string_at(callee, size))
+    ctypes.c_int64.from_address(word).value = address_of(called.compiled(kinds))
+
+
+def emit_call_at(context: Any, builder: ir.IRBuilder, address: ir.Value, returned: types.Type, kinds: Any, given: Any) -> Any:
+    """Call the compiled function at an address, with arguments of these types; its errors are the caller's."""
+    pointer = builder.inttoptr(address, context.call_conv.get_function_type(returned, kinds).as_pointer())
+    status, result = context.call_conv.call_function(builder, pointer, returned, kinds, given)
+    with cgutils.if_unlikely(builder, status.is_error):
+        context.call_conv.return_status_propagate(builder, status)
+    return result
+
+
+def address_of(compiled: Any) -> int:
+    """Address of the machine code of a compiled function."""
+    return int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
+
+
+def compile_entry(function: Callable[..., Any], kinds: tuple[types.Type, ...], keep: bool) -> tuple[int, Any]:
+    """Address of a function compiled for arguments of these types, and what keeps it there. keep: for later processes."""
+    options = {**OPTIONS, "no_cpython_wrapper": True}
+    entry = _kept(function, "from_kernels", options) if keep else numba.njit(**options)(function)
+    entry.compile(kinds)
+    return address_of(entry.overloads[kinds]), entry
+
+
+def _kept(function: Callable[..., Any], below: str, options: dict[str, Any]) -> Any:
+    """`numba.njit` of a function, whose machine code numba keeps in a folder below the cache folder, if there is one."""
     folder, before = cache_folder(), config.CACHE_DIR
-    config.CACHE_DIR = str(folder or before)
+    config.CACHE_DIR = before if folder is None else str(folder / below)
     try:
-        yield folder is not None
+        return numba.njit(**options, cache=folder is not None)(function)
     finally:
         config.CACHE_DIR = before
 
 
-def _is_in_digest(function: Callable[..., Any]) -> bool:
-    """Whether the cache folder changes with a function and all that it calls: what is of the mechanics."""
-    return Path(inspect.getfile(function)) in _digested()
-
-
-@functools.cache
-def _digested() -> frozenset[Path]:
-    return frozenset(kernel_sources(PACKAGE))
-
-
-if config.DISABLE_JIT:
-    pass
-elif IS_TESTED:
-    show_progress()
-else:
-    say_unless_quiet(
-        f"numba {numba.__version__} is used without what was tested with numba {TESTED} alone: kernels take several times as long to "
-        "compile, and compute the same up to round-off"
-    )
+if not config.DISABLE_JIT:
+    binding.add_symbol(FIND, ctypes.cast(_find, ctypes.c_void_p).value)
+    watch_compilations()

@@ -14,14 +14,11 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.core import cgutils, config
+from numba import config, types
+from numba.core import cgutils
 from numba.extending import intrinsic, overload
 
-from soft_tendon_env.compiler.code_digest import class_name, selects_code
-from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.compiler.numba_internals import address_of, emit_call_at
+from soft_tendon_env.compiler.compilation import compile_entry, emit_call_at, is_of_package, kernel
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effect_parameters import flat, parameters_at
 
@@ -154,7 +151,6 @@ class EffectTable(Struct):
     tension: np.ndarray
     loss: np.ndarray
     follow: np.ndarray
-    late: np.ndarray  # int64, addresses of the mechanics' own kernels that these effects need, see late_kernels; of an arm's table alone
     first_value: np.ndarray  # (count + 1) int64, where in `values` the parameters of each begin
     first_state: np.ndarray  # (count + 1) int64
     values: np.ndarray  # parameters of all effects
@@ -175,7 +171,7 @@ class EffectTable(Struct):
 
     def __getstate__(self) -> dict[str, Any]:
         kinds = {hook: [_KINDS.get(int(address)) for address in getattr(self, hook)] for hook in HOOKS}
-        return {**super().__getstate__(), **kinds, "late": np.zeros(0, dtype=np.int64)}
+        return {**super().__getstate__(), **kinds}
 
     def __setstate__(self, fields: dict[str, Any]) -> None:
         own = {hook: [0 if kind is None else _address(hook, kind) for kind in fields[hook]] for hook in HOOKS}
@@ -183,7 +179,7 @@ class EffectTable(Struct):
 
 
 _KERNELS: dict[tuple[str, type], Any] = {}
-_ADDRESSES: dict[tuple[str, type], tuple[Any, int]] = {}  # with the kernel that is there
+_ADDRESSES: dict[tuple[str, type], tuple[Any, int, Any]] = {}  # with the kernel that is there, and what keeps it there
 _KINDS: dict[int, type] = {}
 _FUNCTIONS: dict[int, Callable[..., None]] = {}  # by address, where nothing is compiled
 
@@ -279,7 +275,6 @@ def follows_command(kind: type) -> Decorator:
 def _registers(hook: str, kind: type) -> Decorator:
     def register(function: Any) -> Any:
         _KERNELS[hook, kind] = function
-        selects_code(kind, hook, function)
         return function
 
     return register
@@ -292,7 +287,7 @@ def kinds_of(table: EffectTable) -> list[type]:
 
 def has_kernel(kind: type) -> bool:
     """True if any kernel is registered for parameters of this class."""
-    return class_name(kind) is not None
+    return any((hook, kind) in _KERNELS for hook in HOOKS)
 
 
 def acts_on_tendons(kind: type) -> bool:
@@ -308,7 +303,6 @@ def make_table(parameters: list[Any], states: list[np.ndarray]) -> EffectTable:
     values = [flat(own) for own in parameters]
     return EffectTable(
         count=len(parameters),
-        late=np.zeros(0, dtype=np.int64),
         first_value=np.cumsum([0, *(part.size for part in values)]),
         first_state=np.cumsum([0, *(part.size for part in states)]),
         values=np.concatenate([np.zeros(0), *values]),
@@ -322,10 +316,10 @@ def _address(hook: str, kind: type) -> int:
     function = _KERNELS.get((hook, kind))
     if function is None:
         return 0
-    known, address = _ADDRESSES.get((hook, kind), (None, 0))
+    known, address, _ = _ADDRESSES.get((hook, kind), (None, 0, None))
     if known is not function:
-        address = _bound(hook, kind)
-        _ADDRESSES[hook, kind] = function, address
+        address, kept = _entry(hook, kind, function)
+        _ADDRESSES[hook, kind] = function, address, kept
         _KINDS[address] = kind
     return address
 
@@ -347,32 +341,33 @@ def _reads_time(function: Any) -> bool:
     return "time" in own.__code__.co_names or any(_reads_time(other) for other in called if hasattr(other, "py_func"))
 
 
-def _bound(hook: str, kind: type) -> int:
+def _entry(hook: str, kind: type, function: Any) -> tuple[int, Any]:
+    """Address of what reads the parameters of a class and calls a kernel with them, and what keeps it there."""
+
+    def enter(values: np.ndarray, arguments: tuple[Any, ...]) -> None:
+        function(parameters_at(kind, values), *arguments)
+
     if config.DISABLE_JIT:
         address = len(_FUNCTIONS) + 1
-        _FUNCTIONS[address] = lambda values, *arguments: run_of_kind(hook, kind, values, arguments)
-        return address
-    signature = types.literal(hook), *(numba.typeof(value) for value in (kind, _ROW, HOOKS[hook]))
-    caller: Any = run_of_kind
-    caller.compile(signature)
-    compiled = caller.overloads[signature]
-    return address_of(compiled)
+        _FUNCTIONS[address] = enter
+        return address, enter
+    return compile_entry(enter, (numba.typeof(_ROW), numba.typeof(HOOKS[hook])), keep=is_of_package(function) and is_of_package(kind))
 
 
 def call(address, arguments):
-    """Call the kernel at an address with a tuple of arguments."""
-    _FUNCTIONS[address](*arguments)
+    """Call the kernel at an address with a tuple of arguments, the row of parameters first."""
+    values, *given = arguments
+    _FUNCTIONS[address](values, tuple(given))
 
 
 @intrinsic
 def _call(typingctx, address, arguments):
     def emit(context, builder, signature, given):
         values_type, *types_given = signature.args[1].types
-        kinds = (types.voidptr, types.voidptr, values_type, types.Tuple(types_given))  # hook and class are types alone, and empty
-        values_given, *arguments_given = cgutils.unpack_tuple(builder, given[1])
-        empty = ir.Constant(cgutils.voidptr_t, None)
-        values = [empty, empty, values_given, context.make_tuple(builder, kinds[-1], arguments_given)]
-        return emit_call_at(context, builder, given[0], kinds, values)
+        kinds = (values_type, types.Tuple(types_given))
+        values, *arguments_given = cgutils.unpack_tuple(builder, given[1])
+        packed = context.make_tuple(builder, kinds[1], arguments_given)
+        return emit_call_at(context, builder, given[0], types.none, kinds, [values, packed])
 
     return types.none(address, arguments), emit
 
@@ -380,20 +375,3 @@ def _call(typingctx, address, arguments):
 @overload(call)
 def _call_overload(address, arguments):
     return lambda address, arguments: _call(address, arguments)
-
-
-def run(hook, kind, values, arguments):
-    """The kernel of the class for a hook, with the parameters that stand in `values`."""
-    _KERNELS[hook, kind](parameters_at(kind, values), *arguments)
-
-
-@overload(run, prefer_literal=True)
-def _run_overload(hook, kind, values, arguments):
-    function = _KERNELS[hook.literal_value, kind.instance_class]
-    return lambda hook, kind, values, arguments: function(parameters_at(kind, values), *arguments)
-
-
-@kernel(by_type=True)
-def run_of_kind(hook, kind, values, arguments):
-    """Entry point of an effect's kernel, at its address: reads the parameters and calls it."""
-    run(hook, kind, values, arguments)

@@ -12,15 +12,13 @@ Psi C^1/2 with C = Sigma^-1 the scaled section stiffness (H = L D L^T), Phi the 
 [Phi_a Phi_p] the columns with G = sum Y^T Y, M D G the mass, damping and stiffness matrices.
 """
 
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
-from numba.core import config
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned, aligned_zeros
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import EffectTable
-from soft_tendon_env.mechanics.late_kernels import late_addresses
 
 FloatVector = np.ndarray
 IntVector = np.ndarray
@@ -212,13 +210,6 @@ class Arm(Struct):
     tendons: Tendons
     strain: StaticsBased | Loaded | Explicit
     effects: EffectTable
-
-    def _lay_out(self, fields: dict[str, Any]) -> None:
-        """Lays out the fields, among those of the effects the addresses of the kernels that they need for an arm of this type."""
-        super()._lay_out(fields)
-        effects = fields["effects"]
-        if effects.count and not config.DISABLE_JIT:
-            super()._lay_out({**fields, "effects": effects.replaced(late=late_addresses(self))})
 
 
 def point_field(values: np.ndarray) -> np.ndarray:

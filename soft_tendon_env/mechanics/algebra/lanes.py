@@ -13,9 +13,7 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic, lower_builtin, models, overload, register_model
-
-from soft_tendon_env.compiler.numba_internals import ConcreteTemplate, infer_global
+from numba.extending import intrinsic, lower_builtin, models, overload, register_model, type_callable
 
 LANES = 4
 WIDE = 2 * LANES
@@ -54,27 +52,33 @@ def _splat(builder, number, kind):
 
 
 def _register_operator(python_operator, instruction):
-    class PackOperator(ConcreteTemplate):
-        cases = [kind(*of) for kind in (pack, wide) for of in ((kind, kind), (kind, types.float64), (types.float64, kind))]
+    @type_callable(python_operator)
+    def type_packs(context):
+        def signature_of(one, other):
+            kinds = {of for of in (one, other) if isinstance(of, Pack)}
+            if len(kinds) == 1:  # else it is no matter of packs
+                (kind,) = kinds
+                return kind(*(of if of == kind else types.float64 for of in (one, other)))
 
-    infer_global(python_operator)(PackOperator)
+        return signature_of
 
     def emit(context, builder, sig, args):
         kind, given = sig.return_type, zip(sig.args, args, strict=True)
         packs = (value if of == kind else _splat(builder, value, kind) for of, value in given)
         return getattr(builder, instruction)(*packs, flags=_FLAGS)
 
-    for case in PackOperator.cases:
-        lower_builtin(python_operator, *case.args)(emit)
+    for kind in (pack, wide):
+        for given in ((kind, kind), (kind, types.float64), (types.float64, kind)):
+            lower_builtin(python_operator, *given)(emit)
 
 
 for _operator, _instruction in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"), (operator.truediv, "fdiv")):
     _register_operator(_operator, _instruction)
 
 
-@infer_global(operator.neg)
-class PackNegation(ConcreteTemplate):
-    cases = [pack(pack)]
+@type_callable(operator.neg)
+def _type_negation(context):
+    return lambda value: value if value == pack else None
 
 
 @lower_builtin(operator.neg, pack)

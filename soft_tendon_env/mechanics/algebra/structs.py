@@ -11,8 +11,9 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 from llvmlite import ir
-from numba import types
-from numba.core import cgutils, config
+from numba import config, types
+from numba.core import cgutils
+from numba.core.typing.templates import AttributeTemplate  # which infer_getattr asks for
 from numba.extending import (
     NativeValue,
     infer_getattr,
@@ -24,8 +25,6 @@ from numba.extending import (
     typeof_impl,
     unbox,
 )
-
-from soft_tendon_env.compiler.numba_internals import AttributeTemplate
 
 _WORD, _NUMBER = ir.IntType(64), ir.DoubleType()
 

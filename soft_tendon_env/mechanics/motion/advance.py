@@ -5,12 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.compiler.compilation import kernel, phase
 from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.effects import Before, call
-from soft_tendon_env.mechanics.late_kernels import call_late, late
 from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated, extrapolated_step
-from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE, Demand, predict_strain
 from soft_tendon_env.mechanics.motion.status import CROWDED, INACCURATE, NO_STRAIN, OK, OVERSHOT
 from soft_tendon_env.mechanics.terms.external_forces import limits_steps, nodes_of, place_base
@@ -83,19 +81,7 @@ def _limits(effects):
     return effects.limit.any() or effects.sweep.any()
 
 
-def _example(arm):
-    """Examples of a motion, of control and of scratch for an arm."""
-    return Motion(*[np.zeros(1)] * len(Motion._fields)), Control(0.0, 0.0, True, 0.0), make_scratch(arm, 1)
-
-
-def _longest(arm):
-    """Examples of the arguments of find_longest()."""
-    motion, control, scratch = _example(arm)
-    return arm, motion, scratch.v, scratch.state, 0.0, True, control, scratch
-
-
-@late(_limits, _longest)
-@kernel
+@phase
 def find_longest(arm, motion, q_dot, state, step, unforeseen, control, scratch):
     """Longest step [s] that effects allow from the strain of work.xi at rates q_dot (n), which a step has led to, and what the arm
     meets there and on its way there from the motion; into scratch.longest (1) and scratch.meeting (2)."""
@@ -126,8 +112,7 @@ def keep_pose(scratch):
     copy(scratch.work.base, scratch.base)
 
 
-@late(_limits, lambda arm: (arm, *_example(arm)))
-@kernel
+@phase
 def begin_limits(arm, motion, control, scratch):
     """Longest step [s] from a motion before any was taken, and what the arm touches, for advance()."""
     copy(motion.xi, scratch.work.xi)
@@ -144,7 +129,7 @@ def settle(arm, motion, step, touching, control, scratch):
         return NO_STRAIN
     if limits_steps(arm.effects):
         unforeseen = work.touched[0] != 0.0 and not touching
-        call_late(find_longest, arm.effects.late, (arm, motion, scratch.v, scratch.state, step, unforeseen, control, scratch))
+        find_longest(arm, motion, scratch.v, scratch.state, step, unforeseen, control, scratch)
         if scratch.meeting[0] != 0.0:
             return OVERSHOT
         keep_pose(scratch)
@@ -193,7 +178,7 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
         duration, begun, start = durations[row], 0.0, motion.clock[0]
         limited, longest, touching = limits_steps(arm.effects), math.inf, False
         if limited:
-            call_late(begin_limits, arm.effects.late, (arm, motion, control, scratch))
+            begin_limits(arm, motion, control, scratch)
             longest, touching = scratch.longest[0], scratch.meeting[1] != 0.0
         if not control.adaptive:
             step = control.step  # what a row costs another would make results depend on how an input is cut into calls

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy
-from soft_tendon_env.mechanics.late_kernels import call_late
 from soft_tendon_env.mechanics.motion.implicit_euler import implicit_euler, start_matrices
 from soft_tendon_env.mechanics.motion.stages import Attempt, advance_effects, evaluate_force, predict_strain
 from soft_tendon_env.mechanics.motion.status import INACCURATE, NOT_FINITE, OK
@@ -70,7 +69,7 @@ def take_substep(arm, method, tolerance, u, motion, step, row, substep, scratch)
     if status == OK and has_states:
         if row > 0 and substep == 0:
             restore_start(motion, scratch)
-        call_late(advance_effects, arm.effects.late, (arm, h, scratch))
+        advance_effects(arm, h, scratch)
     return status, evaluations
 
 

@@ -5,10 +5,8 @@ G is the stiffness of the drive to first order, so the substep is stable at any 
 start of the step, see extrapolation.
 """
 
-from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.compiler.compilation import kernel, phase
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix, product, row_stride, solve_positive_definite
-from soft_tendon_env.mechanics.late_kernels import call_late, late
-from soft_tendon_env.mechanics.motion.scratch import make_scratch
 from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit
 from soft_tendon_env.mechanics.terms.parametrisation import strain_matrices
@@ -26,7 +24,7 @@ def start_matrices(arm, scratch):
     if arm.effects.count > 0:
         copy_matrix(work.D, scratch.rod_damping)
         copy_matrix(work.G, scratch.rod_stiffness)
-        call_late(add_implicit, arm.effects.late, (arm, work))
+        add_implicit(arm, work)
     now, first = scratch.now, scratch.first
     copy_matrix(now.mass, first.mass)
     copy_matrix(now.damping, first.damping)
@@ -34,11 +32,10 @@ def start_matrices(arm, scratch):
     copy(now.force, first.force)
     copy(now.drift, first.drift)
     if work.bounded.any[0] != 0.0:
-        call_late(keep_bounded, arm.effects.late, (scratch,))
+        keep_bounded(scratch)
 
 
-@late(lambda effects: effects.tension.any(), lambda arm: (make_scratch(arm, 1),))
-@kernel
+@phase
 def keep_bounded(scratch):
     """Keeps the tensions with bounds at the start of the step, and their columns."""
     source, kept = scratch.now.bounded, scratch.first.bounded
@@ -60,7 +57,7 @@ def later_matrices(arm, method, scratch):
         copy_matrix(scratch.rod_damping, work.D)
         copy_matrix(scratch.rod_stiffness, work.G)
     if arm.effects.count > 0:
-        call_late(add_implicit, arm.effects.late, (arm, work))
+        add_implicit(arm, work)
 
 
 @kernel
@@ -79,14 +76,7 @@ def rate_change(with_inertia, balance, h, scratch):
     return OK if solve_positive_definite(system, n, delta) else NOT_POSITIVE
 
 
-def _held(arm):
-    """Examples of the arguments of hold_bounds()."""
-    scratch = make_scratch(arm, 1)
-    return True, 0.0, True, scratch.now, 0.0, scratch
-
-
-@late(lambda effects: effects.tension.any(), _held)
-@kernel
+@phase
 def hold_bounds(begins, near, with_inertia, balance, h, scratch):
     """Repeat rate_change() until every tension with bounds is on that part of its law on which it ends, with a status in scratch.held.
 
@@ -136,7 +126,7 @@ def implicit_euler(arm, method, tolerance, step, row, substep, scratch):
     balance = scratch.now if substep > 0 else scratch.first
     status = rate_change(with_inertia, balance, h, scratch)
     if status == OK and work.bounded.any[0] != 0.0:
-        call_late(hold_bounds, arm.effects.late, (row == 0, NEAR * tolerance, with_inertia, balance, h, scratch))
+        hold_bounds(row == 0, NEAR * tolerance, with_inertia, balance, h, scratch)
         status = int(scratch.held[0])
     if status == OK:
         move(h, scratch)

@@ -13,7 +13,6 @@ import numpy as np
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, product, row_stride, solve_factored, solve_positive_definite
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.late_kernels import call_late
 from soft_tendon_env.mechanics.motion.implicit_euler import start_matrices
 from soft_tendon_env.mechanics.motion.stages import evaluate_force
 from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK
@@ -132,6 +131,6 @@ def tensions_by_command(arm, u, work, command, out):
         copy(u, command)
         for side in (1.0, -1.0):
             command[j] = u[j] + side * small
-            call_late(transmit, arm.effects.late, (arm, command, work))
+            transmit(arm, command, work)
             for i in range(u.size):
                 out[i, j] = (work.tension[i] if side > 0.0 else out[i, j] - work.tension[i]) / (1.0 if side > 0.0 else 2.0 * small)

@@ -10,7 +10,6 @@ import numpy as np
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.late_kernels import call_late
 from soft_tendon_env.mechanics.motion.status import FOLLOWS, OK
 from soft_tendon_env.mechanics.terms.external_forces import advance_states
 from soft_tendon_env.mechanics.terms.transmission import delivered, transmitted
@@ -89,7 +88,7 @@ def run_path(arm, times, is_reference, scratch, path):
             copy(path.state, work.state)
             add_tension(0.5 * step / half, transmitted(arm, acting, work), mean)
             copy(acting, work.command)
-            call_late(advance_states, arm.effects.late, (arm, step, work))
+            advance_states(arm, step, work)
             add_tension(0.5 * step / half, transmitted(arm, acting, work), mean)
             copy(work.state, path.state)
             left, place = left - step, place + 1

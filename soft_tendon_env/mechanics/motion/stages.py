@@ -2,11 +2,9 @@
 
 from typing import NamedTuple
 
-from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.compiler.compilation import kernel, phase
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread, store
 from soft_tendon_env.mechanics.algebra.linear import copy
-from soft_tendon_env.mechanics.late_kernels import late
-from soft_tendon_env.mechanics.motion.scratch import make_scratch
 from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces
 from soft_tendon_env.mechanics.terms.external_forces import advance_states, rates_of
@@ -61,8 +59,7 @@ def sum_forces(method, scratch):
         scratch.force[i] = work.drive[i] - (work.bias[i] if method.with_inertia else 0.0) + work.load[i]
 
 
-@late(lambda effects: effects.state.size, lambda arm: (arm, 0.0, make_scratch(arm, 1)))
-@kernel
+@phase
 def advance_effects(arm, h, scratch):
     """Advance the effects' states by a substep, with the rates after it, in the configuration before it."""
     work = scratch.work

@@ -7,7 +7,6 @@ import numpy as np
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
-from soft_tendon_env.mechanics.late_kernels import call_late
 from soft_tendon_env.mechanics.terms import explicit, statics_based, strain_under_loads  # noqa: F401  (they register themselves)
 from soft_tendon_env.mechanics.terms.dynamics import bias_force, driving_force, mass_matrix
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit, external_force, place_base, rest_states
@@ -62,7 +61,7 @@ def forces_at_strain(arm, u, q, q_dot, work):
     drive_strained_rod(arm, u, q, q_dot, work)
     bias_force(arm.rod, arm.strain, work)
     if arm.effects.count > 0:  # without any, work.load stays the zero that it is
-        call_late(external_force, arm.effects.late, (arm, work))
+        external_force(arm, work)
 
 
 @kernel
@@ -109,7 +108,7 @@ def balance_at_rest(arm, u, q, tolerance, work):
     drive_strained_rod(arm, u, q, np.zeros(q.size), work)
     if arm.effects.count > 0:
         rest_states(arm, u, work)
-        call_late(external_force, arm.effects.late, (arm, work))
+        external_force(arm, work)
     return -1
 
 
@@ -144,7 +143,7 @@ def equation_of_motion(arm, u, q, q_dot, rests, tolerance, work, out):
     copy(work.load, out.external_force)
     actuation_matrix(arm.rod, arm.tendons, arm.strain, work, out.actuation)
     if arm.effects.count > 0:
-        call_late(add_implicit, arm.effects.late, (arm, work))
+        add_implicit(arm, work)
     for i in range(q.size):
         for j in range(q.size):
             out.external_stiffness[i, j] = work.G[i, j] - out.stiffness[i, j]

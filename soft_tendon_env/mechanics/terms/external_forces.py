@@ -6,13 +6,12 @@ together; where it is stiff or damps, also their derivatives, which the step nee
 
 import math
 
-from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.compiler.compilation import kernel, phase
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread
 from soft_tendon_env.mechanics.algebra.lie import Ad_inverse_apply, twist_scaled
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, store6
 from soft_tendon_env.mechanics.effects import Base, Nodes, Points, call
-from soft_tendon_env.mechanics.late_kernels import call_late, late
 from soft_tendon_env.mechanics.terms.dynamics import gram_within, node_rows, point_rows, project
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
 from soft_tendon_env.mechanics.terms.transmission import (
@@ -23,7 +22,6 @@ from soft_tendon_env.mechanics.terms.transmission import (
     state_of,
     values_of,
 )
-from soft_tendon_env.mechanics.workspace import make_workspace
 
 
 @kernel(counted=True)
@@ -51,19 +49,17 @@ def place_base(arm, work):
     """Pose, twist and acceleration of the base at the time of work.clock, as effects move it."""
     for i in range(arm.effects.count):
         if arm.effects.base[i] != 0:
-            call_late(move_base, arm.effects.late, (arm, i, work))
+            move_base(arm, i, work)
 
 
-@late(lambda effects: effects.base.any(), lambda arm: (arm, 0, make_workspace(arm)))
-@kernel
+@phase
 def move_base(arm, i, work):
     """Pose, twist and acceleration of the base as the i-th effect moves it."""
     effects, base = arm.effects, work.base
     call(effects.base[i], (values_of(effects, i), Base(work.clock[0], base[:12], base[12:18], base[18:24])))
 
 
-@late(lambda effects: True, lambda arm: (arm, make_workspace(arm)))
-@kernel
+@phase
 def external_force(arm, work):
     """Generalised force F of all effects into work.load, with the derivatives of wrenches and stresses at nodes and points."""
     rod, strain = arm.rod, arm.strain
@@ -130,8 +126,7 @@ def add_projected(columns, wrench, strain, work, out):
         out[j] += force[j]
 
 
-@late(lambda effects: True, lambda arm: (arm, make_workspace(arm)))
-@kernel
+@phase
 def add_implicit(arm, work):
     """Add the effects' share of stiffness and damping, J^T K J and Phi^T K Phi to first order, to work.G and work.D; after evaluate()."""
     effects, rod, strain = arm.effects, arm.rod, arm.strain
@@ -194,8 +189,7 @@ def add_matrix(extra, out):
             out[i, j] += extra[i, j]
 
 
-@late(lambda effects: effects.state.size, lambda arm: (arm, 0.0, make_workspace(arm)))
-@kernel
+@phase
 def advance_states(arm, step, work):
     """Advance the internal states of all effects in work.state by a time step [s]; inf: to where they rest in this configuration."""
     effects = arm.effects
@@ -225,7 +219,7 @@ def rest_states(arm, command, work):
         work.xi_dot[:] = 0.0
         copy(command, work.command)
         copy(command, work.tension)
-        call_late(advance_states, arm.effects.late, (arm, math.inf, work))
+        advance_states(arm, math.inf, work)
 
 
 @kernel

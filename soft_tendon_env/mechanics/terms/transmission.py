@@ -5,17 +5,13 @@ Without such an effect a command is the tension of every tendon, the same along 
 
 import math
 
-import numpy as np
-
-from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.compiler.compilation import kernel, phase
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, spread
 from soft_tendon_env.mechanics.algebra.lie import twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import copy, product
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store6, zero6
 from soft_tendon_env.mechanics.effects import Actuation, Delivery, call
-from soft_tendon_env.mechanics.late_kernels import call_late, late
 from soft_tendon_env.mechanics.terms.tendons import actuation_column, wrench_column
-from soft_tendon_env.mechanics.workspace import make_workspace
 
 SMOOTH = 0.05  # of the greatest tension, the change of any that extrapolation in time may make
 SAME = 1e-12  # relative difference of tensions that is rounding
@@ -56,12 +52,11 @@ def delivered(effects, u, begins, time, state, acting, until):
             if not found:
                 copy(u, acting)
                 found = True
-            call_late(deliver, effects.late, (effects, i, begins, time, state, acting, until))
+            deliver(effects, i, begins, time, state, acting, until)
     return acting if found else u
 
 
-@late(lambda effects: effects.deliver.any(), lambda arm: (arm.effects, 0, False, 0.0, *[np.zeros(1)] * 3))
-@kernel
+@phase
 def deliver(effects, i, begins, time, state, acting, until):
     """Applies the delay of the i-th effect: replaces `acting` by the command that acts at the time."""
     call(effects.deliver[i], (values_of(effects, i), Delivery(time, state_of(effects, state, i), acting, until, begins)))
@@ -82,12 +77,11 @@ def transmitted(arm, u, work):
     """Tensions (n_a) at the actuators under u, where it is a command, in the strain of work.xi; u itself where nothing is between."""
     if not makes_tensions(arm.effects, work):
         return u
-    call_late(transmit, arm.effects.late, (arm, u, work))
+    transmit(arm, u, work)
     return work.tension
 
 
-@late(lambda effects: effects.transmit, lambda arm: (arm, np.zeros(1), make_workspace(arm)))
-@kernel
+@phase
 def transmit(arm, u, work):
     """The tensions under the command u into work.tension, with their derivatives."""
     effects = arm.effects
