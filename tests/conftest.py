@@ -3,7 +3,6 @@
 import functools
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -178,63 +177,6 @@ def run(start):
         return subprocess.CompletedProcess(process.args, process.returncode, stdout, stderr or "")
 
     return run
-
-
-@pytest.fixture
-def two_kernels():
-    """A script with two kernels that prints a result, and how many times the outer one was compiled."""
-    return """
-from soft_tendon_env.compiler.compilation import kernel
-
-@kernel(inline=True)
-def square(x):
-    return x * x
-
-@kernel
-def sum_of_squares(n):
-    total = 0.0
-    for i in range(n):
-        total += square(i)
-    return total
-
-print(sum_of_squares(4), sum(sum_of_squares.stats.cache_misses.values()))
-"""
-
-
-@pytest.fixture
-def problems():
-    """problems(stderr): its lines without that kernels are compiled."""
-    return lambda text: [line for line in text.splitlines() if not re.search("compiling for first use|compiled [0-9]+ functions", line)]
-
-
-@pytest.fixture
-def slowly():
-    """slowly(script, seconds, together=1, PATIENCE=1.0): the script with compilations that take longer by so many seconds.
-
-    It begins when as many processes as should be `together` have come so far, and sees other constants in `kernel_folder`.
-    """
-
-    def changed(script: str, seconds: float, together: int = 1, **constants: float) -> str:
-        return f"""
-import os, pathlib, time
-from numba.core import event
-from soft_tendon_env.compiler import kernel_folder
-
-class Slow(event.Listener):
-    def on_start(self, _):
-        time.sleep({seconds})
-    def on_end(self, _):
-        pass
-
-event.register("numba:compile", Slow())
-vars(kernel_folder).update({constants})
-folder = pathlib.Path(__file__).parent
-(folder / f"ready-{{os.getpid()}}").touch()
-while len(list(folder.glob("ready-*"))) < {together}:
-    time.sleep(0.01)
-""" + script
-
-    return changed
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,6 @@ import platform
 import re
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -42,9 +41,7 @@ def run(arguments: Sequence[str]) -> None:
         "packages": packages,
         **{f"extra {name}": partial(extra, name) for name in EXTRAS},
         "files": files,
-        "compiler": compiler,
         "kernel cache": kernel_cache,
-        "tracking": tracking,
         **{id: partial(task, id) for id in IDS.values()},
         "second process": second_process,
     }
@@ -125,31 +122,16 @@ def files() -> Iterator[str]:
             raise Broken(f"not all {kind} are there")
 
 
-def compiler() -> Iterator[str]:
-    """Whether numba's version is one whose internals are known; nothing is broken without, but compiling takes longer."""
-    import numba
-
-    from soft_tendon_env.compiler.numba_internals import IS_TESTED, TESTED
-
-    known = "tested" if IS_TESTED else "used without what is known of the tested versions, so that compiling takes several times as long"
-    yield f"numba {numba.__version__}, {known} ({TESTED})"
-
-
 def kernel_cache() -> Iterator[str]:
     """Folder of machine code; nothing is broken without, but every process compiles again."""
-    from soft_tendon_env.compiler.cache_folder import cache_folder
+    from soft_tendon_env.compiler.cache_folder import WRITABLE, cache_folder
 
     folder = cache_folder()
     if folder is None:
-        yield "none can be written: every process compiles again; set NUMBA_CACHE_DIR to a folder that can be written"
+        yield f"none can be written: every process compiles again; {WRITABLE}"
         return
-    try:
-        tempfile.TemporaryFile(dir=folder).close()
-        state = "can be written"
-    except OSError:
-        state = "read-only: what is compiled anew is not kept"
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-    yield f"{folder}, {size / 1e6:.0f} MB, {state}"
+    yield f"{folder}, {size / 1e6:.0f} MB"
 
 
 def task(id: str) -> Iterator[str]:
@@ -169,31 +151,7 @@ def task(id: str) -> Iterator[str]:
     yield f"made and reset in {ready - started:.2f} s, one step in {1e3 * (stepped - ready):.1f} ms"
 
 
-KERNEL = """
-from soft_tendon_env.compiler.compilation import kernel
-import helper
-
-def called(x):
-    return helper.scaled(x)
-
-print(kernel(called)(1.0))
-"""
-HELPER = "from soft_tendon_env.compiler.compilation import kernel\n\n@kernel\ndef scaled(x):\n    return {factor} * x\n"
 SECOND = "from soft_tendon_env.cli.doctor import task; print(*task({id!r}))"
-
-
-def tracking() -> Iterator[str]:
-    """Whether a kernel is compiled again when one that it calls changes in another file."""
-    printed = []
-    with tempfile.TemporaryDirectory() as folder:
-        script = Path(folder, "script.py")
-        script.write_text(KERNEL)
-        for factor in (2.0, 3.0):
-            Path(folder, "helper.py").write_text(HELPER.format(factor=factor))
-            printed.append(_run_apart([str(script)], NUMBA_CACHE_DIR=folder).stdout.strip())
-    if printed != ["2.0", "3.0"]:
-        raise Broken(f"kernels gave {printed} after a change")
-    yield "what kernels call is tracked"
 
 
 def second_process() -> Iterator[str]:
@@ -202,22 +160,22 @@ def second_process() -> Iterator[str]:
 
     for _ in range(2):
         started = time.perf_counter()
-        said = _run_apart(["-c", SECOND.format(id=next(iter(IDS.values())))], SOFT_TENDON_ENV_QUIET="0").stderr
+        said = _said_apart(SECOND.format(id=next(iter(IDS.values()))))
         spent = f"{time.perf_counter() - started:.1f} s with its start"
         if "compiling for first use" not in said:
             yield f"compiled nothing, {spent}"
             return
-    folder, again = cache_folder(), f"compiled again what the one before it had compiled, {spent}"
-    if folder is not None and os.access(folder, os.W_OK):
+    again = f"compiled again what the one before it had compiled, {spent}"
+    if cache_folder() is not None:
         raise Broken(again)
     yield again
 
 
-def _run_apart(arguments: list[str], **variables: str) -> "subprocess.CompletedProcess[str]":
-    """Run Python in a process of its own, with this package. Raises Broken with the last line of what it said where it fails."""
+def _said_apart(program: str) -> str:
+    """What a program says on stderr in a process of its own, with this package. Raises Broken with its last line where it fails."""
     path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])
-    environment = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1", **variables}
-    done = subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, text=True)
+    environment = {**os.environ, "PYTHONPATH": path, "SOFT_TENDON_ENV_QUIET": "0"}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
     if done.returncode:
         raise Broken((done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1])
-    return done
+    return done.stderr

@@ -114,7 +114,5 @@ def report(scene: Scene, fields: PassiveFields, own: int) -> str:
 
 def hard_cases(scene: Scene) -> str:
     """Table of abrupt loads."""
-    rows = [
-        (found.case, "yes" if found.survived else "NO", str(found.rejected), number(found.phantom)) for found in jump_test(scene)
-    ]
+    rows = [(found.case, "yes" if found.survived else "NO", str(found.rejected), number(found.phantom)) for found in jump_test(scene)]
     return markdown_table(("abrupt load", "survived", "rejected steps", "largest |tension| of the strain / applied"), rows)

@@ -20,7 +20,7 @@ from numba.core import cgutils
 from numba.extending import lower_builtin, type_callable
 
 from soft_tendon_env.compiler.cache_folder import PACKAGE, cache_folder
-from soft_tendon_env.compiler.first_use import watch_compilations
+from soft_tendon_env.compiler.first_use import compiling, watch_compilations
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -28,6 +28,8 @@ OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True, "bou
 """Of `numba.njit`; "contract" lets LLVM fuse multiply and add, and nothing that would hide a nan or reorder a sum."""
 FIND = f"{PACKAGE.name}.find_kernel"
 _WORD = ir.IntType(64)
+_errors: list[BaseException] = []
+"""Of kernels that could not be compiled when they were called, until they are raised from the kernel that Python has called."""
 
 
 @overload
@@ -59,7 +61,7 @@ def phase(function: Function) -> Function:
 
 def is_of_package(named: Any) -> bool:
     """Whether a function or class is the package's own and no local one, so that every process finds it by its name."""
-    return named.__module__.partition(".")[0] == PACKAGE.name and "<locals>" not in named.__qualname__
+    return (named.__module__ or "").partition(".")[0] == PACKAGE.name and "<locals>" not in named.__qualname__
 
 
 class Kernel:
@@ -72,7 +74,12 @@ class Kernel:
         lower_builtin(self, types.VarArg(types.Any))(self._emit)
 
     def __call__(self, *arguments: Any) -> Any:
-        return self.from_python(*arguments)
+        try:
+            return self.from_python(*arguments)
+        except RuntimeError:
+            if not _errors:
+                raise
+            raise _errors.pop() from None
 
     def __reduce__(self) -> str:
         return self.py_func.__qualname__
@@ -83,29 +90,37 @@ class Kernel:
         return _kept(self.py_func, "from_python", self._options)
 
     @functools.cached_property
-    def _from_kernels(self) -> Any:
+    def from_kernels(self) -> Any:
         """The same without a way in from Python, which is a fifth of a compilation."""
         return _kept(self.py_func, "from_kernels", {**self._options, "no_cpython_wrapper": True})
 
     def compiled(self, kinds: tuple[types.Type, ...]) -> Any:
         """The compiled function for arguments of these types, as kernels call it."""
-        if kinds not in self._from_kernels.overloads:
-            self._from_kernels.compile(kinds)
-        return self._from_kernels.overloads[kinds]
+        if kinds not in self.from_kernels.overloads:
+            self.from_kernels.compile(kinds)
+        return self.from_kernels.overloads[kinds]
 
-    def _typer(self, context: Any) -> Callable[..., Any]:
-        def typer(*kinds: types.Type) -> Any:
-            return types.none(*kinds) if self._is_phase else self.compiled(kinds).signature
+    def _typer(self, context: Any) -> Callable[..., types.Type]:
+        signature = inspect.signature(self.py_func)
 
-        typer.__signature__ = inspect.signature(self.py_func)  # type: ignore[attr-defined]
-        return typer
+        def returned(*kinds: types.Type, **named: types.Type) -> types.Type:
+            given = signature.bind(*kinds, **named).args
+            return types.none if self._is_phase else self.compiled(self._with_defaults(given)).signature.return_type
+
+        returned.__signature__ = signature  # type: ignore[attr-defined]
+        return returned
+
+    def _with_defaults(self, kinds: tuple[types.Type, ...]) -> tuple[types.Type, ...]:
+        left_out = [*inspect.signature(self.py_func).parameters.values()][len(kinds) :]
+        return *kinds, *(types.Omitted(parameter.default) for parameter in left_out)
 
     def _emit(self, context: Any, builder: ir.IRBuilder, signature: Any, given: Any) -> Any:
-        kinds = tuple(signature.args)
+        kinds = self._with_defaults(signature.args)
+        given = [*given, *[context.get_dummy_value()] * (len(kinds) - len(given))]
         if self._options.get("forceinline"):
             compiled = self.compiled(kinds)
             context.add_linking_libs([compiled.library])
-            return context.call_internal(builder, compiled.fndesc, signature, given)
+            return context.call_internal(builder, compiled.fndesc, compiled.signature, given)
         text, void_pointer = pickle.dumps((self, kinds)), cgutils.voidptr_t
         word = cgutils.add_global_variable(builder.module, _WORD, "address")
         word.linkage, word.initializer = "internal", ir.Constant(_WORD, 0)
@@ -115,15 +130,18 @@ class Kernel:
             callee = cgutils.global_constant(builder, "callee", cgutils.make_bytearray(text))
             builder.call(find, [builder.bitcast(word, void_pointer), builder.bitcast(callee, void_pointer), _WORD(len(text))])
             with cgutils.if_unlikely(builder, cgutils.is_null(builder, builder.load(word))):
-                context.call_conv.return_user_exc(builder, RuntimeError, (f"{self.py_func.__name__} cannot be compiled, see above",))
+                context.call_conv.return_user_exc(builder, RuntimeError, (f"{self.py_func.__name__} cannot be compiled",))
         return emit_call_at(context, builder, builder.load(word), signature.return_type, kinds, given)
 
 
 @ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
 def _find(word: int, callee: int, size: int) -> None:
-    """Write the address of a kernel into a caller's word. An error is printed by ctypes, and the caller finds the word empty."""
-    called, kinds = pickle.loads(ctypes.string_at(callee, size))
-    ctypes.c_int64.from_address(word).value = address_of(called.compiled(kinds))
+    """Write the address of a kernel into a caller's word, or keep the error: the caller finds the word empty."""
+    try:
+        called, kinds = pickle.loads(ctypes.string_at(callee, size))
+        ctypes.c_int64.from_address(word).value = address_of(called.compiled(kinds))
+    except BaseException as error:  # an interrupt too
+        _errors.append(error)
 
 
 def emit_call_at(context: Any, builder: ir.IRBuilder, address: ir.Value, returned: types.Type, kinds: Any, given: Any) -> Any:
@@ -153,9 +171,23 @@ def _kept(function: Callable[..., Any], below: str, options: dict[str, Any]) -> 
     folder, before = cache_folder(), config.CACHE_DIR
     config.CACHE_DIR = before if folder is None else str(folder / below)
     try:
-        return numba.njit(**options, cache=folder is not None)(function)
+        dispatcher = numba.njit(**options, cache=folder is not None)(function)
     finally:
         config.CACHE_DIR = before
+    compile = dispatcher.compile
+
+    def compile_alone(kinds: tuple[types.Type, ...]) -> Any:
+        try:
+            with compiling():
+                entry_point = compile(kinds)
+        except (EOFError, pickle.UnpicklingError) as error:
+            raise RuntimeError(f"machine code in {folder} is damaged: delete that folder") from error
+        if kinds not in dispatcher.overloads:
+            raise RuntimeError(f"machine code in {folder} is not what its name says: delete that folder")
+        return entry_point
+
+    dispatcher.compile = compile_alone
+    return dispatcher
 
 
 if not config.DISABLE_JIT:

@@ -37,7 +37,7 @@ def cache(folder, monkeypatch):
     fields = PassiveFields(arm_of(ARM), limits, breakpoints(ARM), coefficients, ARM.effects, np.ones(3), {})
     (folder / "soft_tendon_env" / "fields").mkdir(parents=True, exist_ok=True)
     fields.save(folder / "soft_tendon_env" / "fields" / "own.fields.json")
-    monkeypatch.setattr(cache_folder, "cache_parents", lambda: [("own", lambda: folder)])
+    monkeypatch.setattr(cache_folder, "cache_parents", lambda: [folder])
     for module in (calibration, accuracy):
         monkeypatch.setattr(module, "motion_tensions", lambda scene, kind, seed: motion_tensions(scene, kind, seed, SECONDS))
         monkeypatch.setattr(module, "own_fields", lambda scene: fields)

@@ -3,7 +3,7 @@
 import pytest
 
 from soft_tendon_env.cli import compile as compiling
-from soft_tendon_env.compiler.kernel_folder import kernel_folder
+from soft_tendon_env.compiler.cache_folder import cache_folder
 
 
 def test_every_stage_of_every_scene_is_done_once_and_the_bar_ends(command, capsys, monkeypatch):
@@ -12,7 +12,7 @@ def test_every_stage_of_every_scene_is_done_once_and_the_bar_ends(command, capsy
     command("compile", "--scenes", "paper", "three_tendon")
     printed = capsys.readouterr()
     assert done == [(name, stage) for name in ("paper", "three_tendon") for stage in compiling.STAGES]
-    assert "12/12" in printed.err and f"kept in {kernel_folder().path}" in printed.out
+    assert "12/12" in printed.err and f"kept in {cache_folder()}" in printed.out
 
 
 @pytest.mark.parametrize("stage", compiling.STAGES)

@@ -1,0 +1,165 @@
+"""Kernels: how they call one another, and what becomes of their machine code in later processes and in children."""
+
+import ast
+import inspect
+import os
+import shutil
+import threading
+from collections.abc import Callable
+
+import numba
+import numpy as np
+import pytest
+from numba import config
+
+from soft_tendon_env.compiler import cache_folder as folders
+from soft_tendon_env.compiler import compilation, first_use
+from soft_tendon_env.compiler.cache_folder import PACKAGE
+from soft_tendon_env.compiler.compilation import OPTIONS, Kernel, kernel
+
+jitted = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is compiled")
+PUBLIC = {"numba", "numba.extending", "numba.core.cgutils", "numba.core.event", "numba.core.typing.templates.AttributeTemplate"}
+"""What the package may import of numba: what its manual describes."""
+
+
+def own(function: Callable, **options) -> Kernel:
+    """A kernel such as those of the package."""
+    return Kernel(function, {**OPTIONS, **options})
+
+
+def scale(x, factor=2.0):
+    return factor * x
+
+
+def fail(out):
+    out[0] = "text"
+
+
+scale, fail = own(scale), Kernel(fail, OPTIONS, is_phase=True)
+
+
+@pytest.mark.no_jit
+def test_only_public_names_of_numba_are_imported():
+    for source in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(source.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "numba":
+                names = {f"{node.module}.{alias.name}" for alias in node.names}
+                assert node.module in PUBLIC or names <= PUBLIC, f"{source}: {names}"
+
+
+@jitted
+@pytest.mark.parametrize("written, expected", [("scale(x)", 6.0), ("scale(x, 5.0)", 15.0), ("scale(x, factor=4.0)", 12.0)])
+def test_arguments_of_a_call_from_a_kernel(written, expected):
+    called = {}
+    exec(f"def caller(x): return {written}", {"scale": scale}, called)
+    assert kernel(called["caller"])(3.0) == expected
+
+
+@jitted
+def test_a_phase_is_compiled_when_it_is_first_called():
+    def caller(calls, out):
+        if calls:
+            fail(out)
+        out[0] += 1.0
+
+    out = np.zeros(1)
+    for called, error, reason in ((own(caller), numba.TypingError, "str"), (kernel(caller), RuntimeError, "fail cannot be compiled")):
+        called(False, out)
+        with pytest.raises(error, match=reason):
+            called(True, out)
+    assert out[0] == 2.0
+
+
+@jitted
+def test_an_inlined_kernel_leaves_no_call():
+    inlined = own(inspect.unwrap(scale), forceinline=True)
+
+    @numba.njit
+    def caller(x):
+        return inlined(x)
+
+    assert caller(1.5) == inlined(1.5) == 3.0
+    assert compilation.FIND not in next(iter(caller.inspect_llvm().values()))
+
+
+INNER = "from soft_tendon_env.compiler.compilation import kernel\n\n\n@kernel{}\ndef inner(x):\n    return {} * x\n"
+OUTER = """
+from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.mechanics.inner import inner
+
+@kernel
+def outer(x):
+    return inner(x) + inner(2.0 * x)
+"""
+MAIN = "from soft_tendon_env.mechanics.outer import outer\nprint(outer(1.0))"
+
+
+def test_a_second_process_compiles_nothing_until_a_kernel_in_another_file_changes(run, tmp_path):
+    mechanics = tmp_path / "soft_tendon_env" / "mechanics"
+    for name in ("compiler", "tools"):
+        shutil.copytree(PACKAGE / name, mechanics.parent / name)
+    mechanics.mkdir()
+    for folder in (mechanics.parent, mechanics):
+        (folder / "__init__.py").touch()
+    (mechanics / "outer.py").write_text(OUTER)
+    results = []
+    for options in (("", 2.0), ("", 2.0), ("", 3.0), ("(inline=True)", 5.0)):
+        (mechanics / "inner.py").write_text(INNER.format(*options))
+        process = run(MAIN, PYTHONPATH=str(tmp_path))
+        results.append((float(process.stdout), process.stderr.count("compiling for first use (cached in")))
+    assert results == [(6.0, 1), (6.0, 0), (9.0, 1), (15.0, 1)]
+
+
+@jitted
+def test_machine_code_for_other_arguments_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(compilation, "cache_folder", lambda: tmp_path)
+    for x in (1.0, 1):
+        own(inspect.unwrap(scale)).from_python(x, 2.0)
+    one, other = sorted(tmp_path.rglob("*.nbc"))
+    for content, reason in ((one.read_bytes(), "not what its name says"), (b"", "is damaged")):
+        other.write_bytes(content)
+        with pytest.raises(RuntimeError, match=f"{reason}: delete that folder"):
+            own(inspect.unwrap(scale)).from_python(1, 2.0)
+
+
+def test_the_first_folder_that_can_be_written_is_taken_with_what_is_in_the_others(tmp_path, monkeypatch, capsys):
+    blocked, writable = tmp_path / "file", tmp_path / "writable"
+    blocked.touch()
+    monkeypatch.setattr(folders, "cache_parents", lambda: [blocked, writable])
+    found = folders.cache_folder.__wrapped__()
+    assert found.parent == writable / "soft_tendon_env"
+    printed = capsys.readouterr().err
+    assert f"{blocked} cannot be used (Not a directory)" in printed and "set NUMBA_CACHE_DIR" in printed
+    (found / "code.nbc").touch()
+    monkeypatch.setattr(folders, "cache_parents", lambda: [tmp_path / "new", writable])
+    assert (folders.cache_folder.__wrapped__() / "code.nbc").exists()
+    monkeypatch.setattr(folders, "cache_parents", lambda: [blocked])
+    assert folders.cache_folder.__wrapped__() is None and "every process compiles again" in capsys.readouterr().err
+
+
+def test_only_the_newest_versions_are_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(folders, "cache_parents", lambda: [tmp_path])
+    for i in range(5):
+        folder = tmp_path / "soft_tendon_env" / f"{i:016x}"
+        folder.mkdir(parents=True)
+        os.utime(folder, (i, i))
+    kept = {folders.cache_folder.__wrapped__().name, f"{3:016x}", f"{4:016x}"}
+    assert {path.name for path in (tmp_path / "soft_tendon_env").iterdir()} == kept
+
+
+@jitted
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")
+@pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
+def test_a_process_is_forked_between_compilations(monkeypatch):
+    """Its child would wait forever for a thread that it does not have."""
+    begun, twice = threading.Event(), own(inspect.unwrap(scale))
+    monkeypatch.setattr(first_use, "cache_folder", lambda: begun.set())
+    monkeypatch.setattr(compilation, "cache_folder", lambda: None)
+    thread = threading.Thread(target=twice, args=(1.0, 2.0))
+    thread.start()
+    assert begun.wait(60.0)
+    child = os.fork()
+    if child == 0:
+        os._exit(int(twice(1.0, 3.0)))
+    thread.join()
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 3
