@@ -30,8 +30,8 @@ from _results import markdown_table, write_csv, write_page, write_picture
 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.test_inputs import HOLD, motion_tensions
-from soft_tendon_env.compiler.cache_folder import cache_folder
 from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.compiler.kernel_cache import cache_folder
 from soft_tendon_env.mechanics.motion.scratch import make_scratch
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
@@ -166,7 +166,7 @@ def compile_times(arms: dict[str, dict[str, Any]]) -> dict[str, float]:
             command = [sys.executable, "-c", FIRST_STEP, json.dumps(changes)]
             return float(subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout)
 
-        shutil.copytree(folder, cache, ignore=unfinished)
+        shutil.copytree(folder, cache)
         first_step({})
         for name, changes in arms.items():
             forget_effects(cache)
@@ -174,15 +174,9 @@ def compile_times(arms: dict[str, dict[str, Any]]) -> dict[str, float]:
     return found
 
 
-def unfinished(folder: str, names: list[str]) -> list[str]:
-    """Files that other processes write there just now, and their locks."""
-    return [name for name in names if not name.endswith(".nbc") and not Path(folder, name).is_dir()]
-
-
 def forget_effects(cache: Path) -> None:
     """Delete the machine code of all effects."""
-    shutil.rmtree(cache / "effects", ignore_errors=True)
-    for file in cache.glob("mechanics/effects.*_of_kind-*"):
+    for file in (*cache.glob("*/effects_*/*"), *cache.glob("*/contact_*/*"), *cache.glob("*/mechanics_*/effects._entry*")):
         file.unlink()
 
 

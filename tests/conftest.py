@@ -12,7 +12,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.compiler.cache_folder import PACKAGE
 from soft_tendon_env.control import CONTROLLERS, Decision
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.envs import IDS, TARGETS, TASKS
@@ -23,6 +22,7 @@ from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.model import Model, build_model
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of
 from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.tools.files import PACKAGE
 
 DATA = Path(__file__).parent / "data"
 STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]

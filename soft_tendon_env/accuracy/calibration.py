@@ -20,14 +20,14 @@ from soft_tendon_env.accuracy.proper_orthogonal_fields import fields_path, make_
 from soft_tendon_env.accuracy.reference import Level, Reference, reference_motions
 from soft_tendon_env.accuracy.settings import Setting, strain_fields
 from soft_tendon_env.accuracy.test_inputs import CALIBRATED, Motion, motion_tensions
-from soft_tendon_env.compiler.cache_folder import data_folders, files_digest, files_of_package, new_data_folder
 from soft_tendon_env.scene.passive_fields import PassiveFields, arm_of, find_fields
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.checks import checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.files import parse_json, read_arrays, replacing
+from soft_tendon_env.tools.files import parse_json, read_arrays, replacing, sources_digest
 from soft_tendon_env.tools.messages import say_unless_quiet
 from soft_tendon_env.tools.types import Array, length_text
+from soft_tendon_env.tools.user_cache import data_folders, new_data_folder
 
 FIRST_SEED, RUNS = 500, {"noisy": 6, "pulses": 4}
 """Seeds of the motions that a scene is calibrated on begin with it; how many of a kind, of others than these FEWEST."""
@@ -177,8 +177,7 @@ def calibration_digest(scene: Scene, inputs: Sequence[Array], fields: PassiveFie
     """16 hex digits of all that a calibration depends on: arm, limits, loads, candidates, motions, and the code that simulates them."""
     limits = [tendon.tension_limits for tendon in scene.tendons]
     loads = {name: (effect.model_dump(mode="json"), _source_of(type(effect))) for name, effect in scene.effects.chosen().items()}
-    code = files_digest(files_of_package(*SOURCES))
-    made_of = [arm_of(scene), limits, loads, strain_fields(scene, fields), scene.integrator.max_halvings, error, code]
+    made_of = [arm_of(scene), limits, loads, strain_fields(scene, fields), scene.integrator.max_halvings, error, sources_digest(*SOURCES)]
     digest = hashlib.sha256(json.dumps(made_of, sort_keys=True).encode())
     for tensions in inputs:
         digest.update(repr(tensions.shape).encode() + np.ascontiguousarray(tensions).tobytes())

@@ -18,7 +18,6 @@ from numpy.polynomial import legendre
 
 from soft_tendon_env.accuracy.reference import LEVELS, Level, errors, full_physics, motion, reference_motions
 from soft_tendon_env.accuracy.test_inputs import MOTIONS, USUAL, Motion, motion_tensions
-from soft_tendon_env.compiler.cache_folder import new_data_folder
 from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.model.coordinates import actuation_columns
 from soft_tendon_env.model.grid import Grid, screw_matrices, tendon_geometry
@@ -31,6 +30,7 @@ from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS, SNAPSHOT_ORDER, S
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.parallel import processors, run_all
 from soft_tendon_env.tools.types import Array
+from soft_tendon_env.tools.user_cache import new_data_folder
 
 RUNS = 10
 """Motions of each kind that snapshots are taken of."""

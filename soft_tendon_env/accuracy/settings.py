@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from soft_tendon_env.compiler.cache_folder import KERNEL_SOURCES, files_digest, files_of_package
+from soft_tendon_env.compiler.kernel_cache import KERNEL_SOURCES
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.types import Loaded
 from soft_tendon_env.model.model import Model
@@ -16,6 +16,7 @@ from soft_tendon_env.scene.passive_fields import PassiveFields
 from soft_tendon_env.scene.scene import TIP_TOLERANCE, Scene, breakpoints, extrapolation_columns, rod_length
 from soft_tendon_env.scene.strain import ExplicitStrain
 from soft_tendon_env.tools.configuration import Configuration, read_toml
+from soft_tendon_env.tools.files import sources_digest
 from soft_tendon_env.tools.types import Positive
 
 OWN_FIELDS = (3, 6, 9, 12, 18, 24)
@@ -101,7 +102,7 @@ class Setting(NamedTuple):
 @functools.cache
 def kernel_digest() -> str:
     """16 hex digits of the sources of the kernels."""
-    return files_digest(files_of_package(*KERNEL_SOURCES))
+    return sources_digest(*KERNEL_SOURCES)
 
 
 @functools.cache

@@ -2,16 +2,18 @@
 
 numba links a copy of a callee into its caller and optimises the two together, so that what stands at the end of a chain of calls is
 compiled once per link of the chain: two thirds of the time that the package would take to compile. Kernels of the package are therefore
-compiled by themselves. A call reads the callee's address in a word of the caller's machine code; where that is still empty, as in machine
-code that comes from the cache, `_find` compiles or loads the callee first.
+compiled by themselves. A call reads the callee's address in a word of the caller's machine code; while that is empty, as in machine code
+that comes from the cache, `_find` loads or compiles the callee first.
 """
 
+import contextlib
 import ctypes
 import functools
 import inspect
 import pickle
+import threading
 from collections.abc import Callable
-from typing import Any, TypeVar, overload
+from typing import Any
 
 import numba
 from llvmlite import binding, ir
@@ -19,31 +21,26 @@ from numba import config, types
 from numba.core import cgutils
 from numba.extending import lower_builtin, type_callable
 
-from soft_tendon_env.compiler.cache_folder import PACKAGE, cache_folder
-from soft_tendon_env.compiler.first_use import compiling, watch_compilations
-
-Function = TypeVar("Function", bound=Callable[..., Any])
+from soft_tendon_env.compiler.kernel_cache import cache_folder, compiling
+from soft_tendon_env.tools.files import PACKAGE
 
 OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True, "boundscheck": None, "no_cfunc_wrapper": True}
 """Of `numba.njit`; "contract" lets LLVM fuse multiply and add, and nothing that would hide a nan or reorder a sum."""
 FIND = f"{PACKAGE.name}.find_kernel"
 _WORD = ir.IntType(64)
+_setting = threading.Lock()
 _errors: list[BaseException] = []
-"""Of kernels that could not be compiled when they were called, until they are raised from the kernel that Python has called."""
+"""Why kernels could not be compiled when machine code called them, for the kernel that Python has called to raise."""
 
 
-@overload
-def kernel(function: Function) -> Function: ...
-@overload
-def kernel(*, inline: bool = False, counted: bool | None = None) -> Callable[[Function], Function]: ...
-def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False, counted: bool | None = None) -> Any:
+def kernel(function: Any = None, *, inline: bool = False, counted: bool | None = None) -> Any:
     """Compile a function of arrays and scalars on its first call: `@kernel`, or `@kernel(inline=True)`.
 
     inline: have LLVM inline it wherever it is called; for helpers of a few lines inside a sweep. Other kernels are called.
     counted: count references to arrays, without which numba refuses what makes arrays or returns parts of them, and with which there is
     a third more to compile; by default not in this package.
-    Machine code of the package is kept; kernels of other files are compiled by every process, since numba would not notice a change of what
-    they use from a third file. With NUMBA_DISABLE_JIT=1 the function comes back as it is.
+    Machine code of the package is kept. Kernels of other files are compiled by every process: numba would not notice that something they
+    use from a third file has changed. With NUMBA_DISABLE_JIT=1 the function comes back as it is.
     """
     if function is None:
         return functools.partial(kernel, inline=inline, counted=counted)
@@ -54,9 +51,9 @@ def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False, 
     return Kernel(function, options) if own else numba.njit(**options)(function)
 
 
-def phase(function: Function) -> Function:
+def phase(function: Any) -> Any:
     """A kernel that returns nothing and that not every arm needs: compiled when it is first called, not with its callers."""
-    return function if config.DISABLE_JIT else Kernel(function, {**OPTIONS, "_nrt": False}, is_phase=True)  # type: ignore[return-value]
+    return function if config.DISABLE_JIT else Kernel(function, {**OPTIONS, "_nrt": False}, is_phase=True)
 
 
 def is_of_package(named: Any) -> bool:
@@ -64,21 +61,24 @@ def is_of_package(named: Any) -> bool:
     return (named.__module__ or "").partition(".")[0] == PACKAGE.name and "<locals>" not in named.__qualname__
 
 
+class NotCompiledError(RuntimeError):
+    """Raised by machine code that calls a kernel which cannot be compiled."""
+
+
 class Kernel:
     """A kernel of the package: as Python calls it, and as other kernels do."""
 
-    def __init__(self, function: Callable[..., Any], options: dict[str, Any], is_phase: bool = False) -> None:
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any], is_phase: bool = False, keep: bool = True) -> None:
+        """keep: whether its machine code is kept for later processes."""
         functools.update_wrapper(self, function)
-        self.py_func, self._options, self._is_phase = function, options, is_phase
+        self.py_func, self._options, self._is_phase, self._keep = function, options, is_phase, keep
         type_callable(self)(self._typer)
         lower_builtin(self, types.VarArg(types.Any))(self._emit)
 
     def __call__(self, *arguments: Any) -> Any:
         try:
             return self.from_python(*arguments)
-        except RuntimeError:
-            if not _errors:
-                raise
+        except NotCompiledError:
             raise _errors.pop() from None
 
     def __reduce__(self) -> str:
@@ -87,18 +87,41 @@ class Kernel:
     @functools.cached_property
     def from_python(self) -> Any:
         """numba's function that Python calls."""
-        return _kept(self.py_func, "from_python", self._options)
+        return self._jitted("from_python")
 
     @functools.cached_property
     def from_kernels(self) -> Any:
         """The same without a way in from Python, which is a fifth of a compilation."""
-        return _kept(self.py_func, "from_kernels", {**self._options, "no_cpython_wrapper": True})
+        return self._jitted("from_kernels", no_cpython_wrapper=True)
+
+    def _jitted(self, below: str, **options: bool) -> Any:
+        """numba's function, whose machine code numba keeps in a folder below the cache folder, if there is one."""
+        folder = cache_folder() if self._keep else None
+        with _setting, contextlib.ExitStack() as after:
+            after.callback(setattr, config, "CACHE_DIR", config.CACHE_DIR)
+            config.CACHE_DIR = str(folder / below) if folder else ""
+            dispatcher = numba.njit(**self._options, **options, cache=folder is not None)(self.py_func)
+        compile = dispatcher.compile
+
+        def compile_alone(kinds: tuple[types.Type, ...]) -> Any:
+            with compiling():
+                entry_point = compile(kinds)
+            if kinds not in dispatcher.overloads:
+                raise RuntimeError(f"machine code in {folder} is not what its name says: delete that folder")
+            return entry_point
+
+        dispatcher.compile = compile_alone
+        return dispatcher
 
     def compiled(self, kinds: tuple[types.Type, ...]) -> Any:
         """The compiled function for arguments of these types, as kernels call it."""
         if kinds not in self.from_kernels.overloads:
             self.from_kernels.compile(kinds)
         return self.from_kernels.overloads[kinds]
+
+    def _with_defaults(self, kinds: tuple[types.Type, ...]) -> tuple[types.Type, ...]:
+        left_out = [*inspect.signature(self.py_func).parameters.values()][len(kinds) :]
+        return *kinds, *(types.Omitted(parameter.default) for parameter in left_out)
 
     def _typer(self, context: Any) -> Callable[..., types.Type]:
         signature = inspect.signature(self.py_func)
@@ -110,11 +133,8 @@ class Kernel:
         returned.__signature__ = signature  # type: ignore[attr-defined]
         return returned
 
-    def _with_defaults(self, kinds: tuple[types.Type, ...]) -> tuple[types.Type, ...]:
-        left_out = [*inspect.signature(self.py_func).parameters.values()][len(kinds) :]
-        return *kinds, *(types.Omitted(parameter.default) for parameter in left_out)
-
     def _emit(self, context: Any, builder: ir.IRBuilder, signature: Any, given: Any) -> Any:
+        """Code of a call from a kernel: of a copy that is inlined, or at the address, which is found at the first call."""
         kinds = self._with_defaults(signature.args)
         given = [*given, *[context.get_dummy_value()] * (len(kinds) - len(given))]
         if self._options.get("forceinline"):
@@ -130,7 +150,7 @@ class Kernel:
             callee = cgutils.global_constant(builder, "callee", cgutils.make_bytearray(text))
             builder.call(find, [builder.bitcast(word, void_pointer), builder.bitcast(callee, void_pointer), _WORD(len(text))])
             with cgutils.if_unlikely(builder, cgutils.is_null(builder, builder.load(word))):
-                context.call_conv.return_user_exc(builder, RuntimeError, (f"{self.py_func.__name__} cannot be compiled",))
+                context.call_conv.return_user_exc(builder, NotCompiledError, (f"{self.py_func.__name__} cannot be compiled",))
         return emit_call_at(context, builder, builder.load(word), signature.return_type, kinds, given)
 
 
@@ -158,38 +178,5 @@ def address_of(compiled: Any) -> int:
     return int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
 
 
-def compile_entry(function: Callable[..., Any], kinds: tuple[types.Type, ...], keep: bool) -> tuple[int, Any]:
-    """Address of a function compiled for arguments of these types, and what keeps it there. keep: for later processes."""
-    options = {**OPTIONS, "no_cpython_wrapper": True}
-    entry = _kept(function, "from_kernels", options) if keep else numba.njit(**options)(function)
-    entry.compile(kinds)
-    return address_of(entry.overloads[kinds]), entry
-
-
-def _kept(function: Callable[..., Any], below: str, options: dict[str, Any]) -> Any:
-    """`numba.njit` of a function, whose machine code numba keeps in a folder below the cache folder, if there is one."""
-    folder, before = cache_folder(), config.CACHE_DIR
-    config.CACHE_DIR = before if folder is None else str(folder / below)
-    try:
-        dispatcher = numba.njit(**options, cache=folder is not None)(function)
-    finally:
-        config.CACHE_DIR = before
-    compile = dispatcher.compile
-
-    def compile_alone(kinds: tuple[types.Type, ...]) -> Any:
-        try:
-            with compiling():
-                entry_point = compile(kinds)
-        except (EOFError, pickle.UnpicklingError) as error:
-            raise RuntimeError(f"machine code in {folder} is damaged: delete that folder") from error
-        if kinds not in dispatcher.overloads:
-            raise RuntimeError(f"machine code in {folder} is not what its name says: delete that folder")
-        return entry_point
-
-    dispatcher.compile = compile_alone
-    return dispatcher
-
-
 if not config.DISABLE_JIT:
     binding.add_symbol(FIND, ctypes.cast(_find, ctypes.c_void_p).value)
-    watch_compilations()

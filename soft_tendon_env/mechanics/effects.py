@@ -18,7 +18,7 @@ from numba import config, types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload
 
-from soft_tendon_env.compiler.compilation import compile_entry, emit_call_at, is_of_package, kernel
+from soft_tendon_env.compiler.compilation import OPTIONS, Kernel, address_of, emit_call_at, is_of_package, kernel
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effect_parameters import flat, parameters_at
 
@@ -351,7 +351,8 @@ def _entry(hook: str, kind: type, function: Any) -> tuple[int, Any]:
         address = len(_FUNCTIONS) + 1
         _FUNCTIONS[address] = enter
         return address, enter
-    return compile_entry(enter, (numba.typeof(_ROW), numba.typeof(HOOKS[hook])), keep=is_of_package(function) and is_of_package(kind))
+    entry = Kernel(enter, OPTIONS, keep=is_of_package(function) and is_of_package(kind))
+    return address_of(entry.compiled((numba.typeof(_ROW), numba.typeof(HOOKS[hook])))), entry
 
 
 def call(address, arguments):

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import legendre
 
-from soft_tendon_env.compiler.cache_folder import data_folders
 from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.scene.file import SHIPPED
 from soft_tendon_env.scene.scene import Scene, breakpoints, tendon_ends
@@ -25,6 +24,7 @@ from soft_tendon_env.scene.strain import SNAPSHOT_ORDER, STRAINS, ExplicitStrain
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.files import read_json, replacing
 from soft_tendon_env.tools.types import Array
+from soft_tendon_env.tools.user_cache import data_folders
 
 ALIKE = 2.0
 """Factor up to which the material may differ from that which fields were made for."""

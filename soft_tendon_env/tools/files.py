@@ -191,6 +191,12 @@ def digest(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def sources_digest(*patterns: str) -> str:
+    """16 hex digits that change with the files of the package that match one of the patterns. Raises OSError."""
+    files = sorted(file for pattern in patterns for file in PACKAGE.glob(pattern))
+    return hashlib.sha256("".join(f"{file.relative_to(PACKAGE)} {digest(file)}\n" for file in files).encode()).hexdigest()[:16]
+
+
 def digests(folder: Path) -> dict[str, str]:
     """SHA-256 of every file of a folder and those in it, by its name from there on. Raises OSError."""
     return {path.relative_to(folder).as_posix(): digest(path) for path in sorted(folder.rglob("*")) if path.is_file()}

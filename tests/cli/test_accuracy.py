@@ -11,11 +11,11 @@ from soft_tendon_env.accuracy.pareto import Point
 from soft_tendon_env.accuracy.settings import Setting, strain_fields
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.cli import accuracy
-from soft_tendon_env.compiler import cache_folder
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.passive_fields import PassiveFields, arm_of
 from soft_tendon_env.scene.scene import breakpoints
+from soft_tendon_env.tools import user_cache
 
 ARM = load_scene("three_tendon")
 SECONDS = 0.2
@@ -37,7 +37,7 @@ def cache(folder, monkeypatch):
     fields = PassiveFields(arm_of(ARM), limits, breakpoints(ARM), coefficients, ARM.effects, np.ones(3), {})
     (folder / "soft_tendon_env" / "fields").mkdir(parents=True, exist_ok=True)
     fields.save(folder / "soft_tendon_env" / "fields" / "own.fields.json")
-    monkeypatch.setattr(cache_folder, "cache_parents", lambda: [folder])
+    monkeypatch.setattr(user_cache, "cache_parents", lambda: [folder])
     for module in (calibration, accuracy):
         monkeypatch.setattr(module, "motion_tensions", lambda scene, kind, seed: motion_tensions(scene, kind, seed, SECONDS))
         monkeypatch.setattr(module, "own_fields", lambda scene: fields)

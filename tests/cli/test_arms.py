@@ -13,7 +13,7 @@ OWN = ("fields", "three_tendon", "--set", "segments.0.radius=0.009")
 @pytest.fixture
 def few(monkeypatch, tmp_path):
     """Few and short motions, few tests, and a cache of its own."""
-    monkeypatch.setattr("soft_tendon_env.compiler.cache_folder.cache_parents", lambda: [tmp_path / "cache"])
+    monkeypatch.setattr("soft_tendon_env.tools.user_cache.cache_parents", lambda: [tmp_path / "cache"])
     monkeypatch.setattr(proper_orthogonal_fields, "RUNS", 1)
     monkeypatch.setattr(proper_orthogonal_fields, "TESTS", 1)
     monkeypatch.setattr(proper_orthogonal_fields, "COUNTS", (0, 3, 6))

@@ -13,9 +13,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from soft_tendon_env.compiler.cache_folder import PACKAGE
 from soft_tendon_env.learning import sweep as learning
 from soft_tendon_env.tools.configuration import read_toml
+from soft_tendon_env.tools.files import PACKAGE
 
 TRAINING = '''
 """Stands in for `soft-tendon train`: notes how it was called and leaves a run. Seeds among `fails` of the configuration fail."""
