@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from soft_tendon_env.compiler.kernel_cache import KERNEL_SOURCES
+from soft_tendon_env.compiler.compilation import KERNEL_SOURCES
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.types import Loaded
 from soft_tendon_env.model.model import Model

@@ -8,7 +8,7 @@ import numpy as np
 from tqdm import tqdm
 
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.compiler.kernel_cache import cache_folder
+from soft_tendon_env.compiler.compilation import cache_folder
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.targets.statics import nearest_to_zero
 from soft_tendon_env.model.model import build_model

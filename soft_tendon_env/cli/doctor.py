@@ -124,7 +124,7 @@ def files() -> Iterator[str]:
 
 def kernel_cache() -> Iterator[str]:
     """Folder of machine code; nothing is broken without, but every process compiles again."""
-    from soft_tendon_env.compiler.kernel_cache import cache_folder
+    from soft_tendon_env.compiler.compilation import cache_folder
     from soft_tendon_env.tools.user_cache import WRITABLE
 
     folder = cache_folder()
@@ -157,7 +157,7 @@ SECOND = "from soft_tendon_env.cli.doctor import task; print(*task({id!r}))"
 
 def second_process() -> Iterator[str]:
     """Whether a process finds all that a task needs in the cache, at the latest after one that left it there."""
-    from soft_tendon_env.compiler.kernel_cache import cache_folder
+    from soft_tendon_env.compiler.compilation import cache_folder
 
     for _ in range(2):
         started = time.perf_counter()

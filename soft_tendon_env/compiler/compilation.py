@@ -1,34 +1,49 @@
-"""How the package compiles its kernels: two decorators over `numba.njit`, and calls from one kernel to another by address.
+"""How the package compiles its kernels: two decorators over `numba.njit`, calls from kernel to kernel by address, and numba's own cache.
 
 numba links a copy of a callee into its caller and optimises the two together, so that what stands at the end of a chain of calls is
 compiled once per link of the chain: two thirds of the time that the package would take to compile. Kernels of the package are therefore
 compiled by themselves. A call reads the callee's address in a word of the caller's machine code; while that is empty, as in machine code
 that comes from the cache, `_find` loads or compiles the callee first.
+
+numba's cache compares only the file that a function stands in, so that it keeps a stale kernel when a kernel in *another* file changes
+(numba issue 1833): the package has a folder of it for every version of the kernels' sources. And of two processes that save machine code
+for different arguments of a function at once, it can keep the one's for the other's: one process at a time compiles.
 """
 
 import contextlib
 import ctypes
 import functools
+import hashlib
 import inspect
+import os
 import pickle
+import re
+import shutil
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numba
+from filelock import FileLock, Timeout
 from llvmlite import binding, ir
 from numba import config, types
-from numba.core import cgutils
+from numba.core import cgutils, event
 from numba.extending import lower_builtin, type_callable
 
-from soft_tendon_env.compiler.kernel_cache import cache_folder, compiling
-from soft_tendon_env.tools.files import PACKAGE
+from soft_tendon_env.tools.files import PACKAGE, sources_digest
+from soft_tendon_env.tools.messages import QUIET, say, say_once
+from soft_tendon_env.tools.user_cache import data_folders, new_data_folder
 
 OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True, "boundscheck": None, "no_cfunc_wrapper": True}
 """Of `numba.njit`; "contract" lets LLVM fuse multiply and add, and nothing that would hide a nan or reorder a sum."""
+KERNEL_SOURCES = ("compiler/*.py", "mechanics/**/*.py", "effects/**/*.py", "envs/kernels.py")
+FOLDERS_KEPT = 3
+PATIENCE = 600.0  # [s] for another process; who compiles for longer has been stopped
 FIND = f"{PACKAGE.name}.find_kernel"
-_WORD = ir.IntType(64)
-_setting = threading.Lock()
+_WORD, _ADDRESS = ir.IntType(64), ir.IntType(8).as_pointer()
+
+_setting, _compiling, _thread = threading.Lock(), threading.RLock(), threading.local()
 _errors: list[BaseException] = []
 """Why kernels could not be compiled when machine code called them, for the kernel that Python has called to raise."""
 
@@ -66,10 +81,9 @@ class NotCompiledError(RuntimeError):
 
 
 class Kernel:
-    """A kernel of the package: as Python calls it, and as other kernels do."""
+    """A kernel of the package: as Python calls it, and as other kernels do. keep: its machine code, for later processes."""
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any], is_phase: bool = False, keep: bool = True) -> None:
-        """keep: whether its machine code is kept for later processes."""
         functools.update_wrapper(self, function)
         self.py_func, self._options, self._is_phase, self._keep = function, options, is_phase, keep
         type_callable(self)(self._typer)
@@ -104,7 +118,7 @@ class Kernel:
         compile = dispatcher.compile
 
         def compile_alone(kinds: tuple[types.Type, ...]) -> Any:
-            with compiling():
+            with _first_use():
                 entry_point = compile(kinds)
             if kinds not in dispatcher.overloads:
                 raise RuntimeError(f"machine code in {folder} is not what its name says: delete that folder")
@@ -120,17 +134,15 @@ class Kernel:
         return self.from_kernels.overloads[kinds]
 
     def _with_defaults(self, kinds: tuple[types.Type, ...]) -> tuple[types.Type, ...]:
-        left_out = [*inspect.signature(self.py_func).parameters.values()][len(kinds) :]
+        left_out = [*inspect.signature(self).parameters.values()][len(kinds) :]
         return *kinds, *(types.Omitted(parameter.default) for parameter in left_out)
 
     def _typer(self, context: Any) -> Callable[..., types.Type]:
-        signature = inspect.signature(self.py_func)
-
         def returned(*kinds: types.Type, **named: types.Type) -> types.Type:
-            given = signature.bind(*kinds, **named).args
+            given = inspect.signature(self).bind(*kinds, **named).args
             return types.none if self._is_phase else self.compiled(self._with_defaults(given)).signature.return_type
 
-        returned.__signature__ = signature  # type: ignore[attr-defined]
+        returned.__signature__ = inspect.signature(self)  # type: ignore[attr-defined]
         return returned
 
     def _emit(self, context: Any, builder: ir.IRBuilder, signature: Any, given: Any) -> Any:
@@ -141,14 +153,13 @@ class Kernel:
             compiled = self.compiled(kinds)
             context.add_linking_libs([compiled.library])
             return context.call_internal(builder, compiled.fndesc, compiled.signature, given)
-        text, void_pointer = pickle.dumps((self, kinds)), cgutils.voidptr_t
         word = cgutils.add_global_variable(builder.module, _WORD, "address")
-        word.linkage, word.initializer = "internal", ir.Constant(_WORD, 0)
+        word.linkage, word.initializer = "internal", _WORD(0)
         with cgutils.if_unlikely(builder, cgutils.is_null(builder, builder.load(word))):
-            find_type = ir.FunctionType(ir.VoidType(), [void_pointer, void_pointer, _WORD])
-            find = cgutils.get_or_insert_function(builder.module, find_type, FIND)
-            callee = cgutils.global_constant(builder, "callee", cgutils.make_bytearray(text))
-            builder.call(find, [builder.bitcast(word, void_pointer), builder.bitcast(callee, void_pointer), _WORD(len(text))])
+            find = cgutils.get_or_insert_function(builder.module, ir.FunctionType(ir.VoidType(), [_ADDRESS, _ADDRESS, _WORD]), FIND)
+            callee = cgutils.make_bytearray(pickle.dumps((self, kinds)))
+            places = (word, cgutils.global_constant(builder, "callee", callee))
+            builder.call(find, [*(builder.bitcast(place, _ADDRESS) for place in places), _WORD(callee.type.count)])
             with cgutils.if_unlikely(builder, cgutils.is_null(builder, builder.load(word))):
                 context.call_conv.return_user_exc(builder, NotCompiledError, (f"{self.py_func.__name__} cannot be compiled",))
         return emit_call_at(context, builder, builder.load(word), signature.return_type, kinds, given)
@@ -178,5 +189,61 @@ def address_of(compiled: Any) -> int:
     return int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
 
 
+@functools.cache
+def cache_folder() -> Path | None:
+    """The folder of this version's machine code: `<user's cache>/soft_tendon_env/<digest>`, created when missing; None: there is none."""
+    made_from = sources_digest(*KERNEL_SOURCES), numba.__version__, config.OPT, config.BOUNDSCHECK
+    name = hashlib.sha256(repr(made_from).encode()).hexdigest()[:16]
+    known = data_folders(name)
+    try:
+        folder = new_data_folder(name)
+    except OSError as error:
+        say(f"{error.strerror}: every process compiles again")
+        return None
+    for read_only in known[: 0 if folder in known else 1]:
+        shutil.copytree(read_only, folder, dirs_exist_ok=True)  # numba loads from folders alone that it can write
+    os.utime(folder)
+    versions = [path for path in folder.parent.iterdir() if re.fullmatch("[0-9a-f]{16}", path.name)]
+    for outdated in sorted(versions, key=os.path.getmtime, reverse=True)[FOLDERS_KEPT:]:
+        shutil.rmtree(outdated, ignore_errors=True)
+    return folder
+
+
+@contextlib.contextmanager
+def _first_use() -> Iterator[None]:
+    """Context in which a kernel is loaded, or compiled and saved; `_thread.outermost` ends with the outermost of a thread."""
+    if hasattr(_thread, "outermost"):
+        yield
+        return
+    with contextlib.ExitStack() as _thread.outermost:
+        try:
+            yield
+        finally:
+            del _thread.outermost
+
+
+class FirstUse(event.Listener):
+    """Told by numba where its cache does not have a function: has other processes and forks wait, and says so on stderr."""
+
+    def on_start(self, event: Any) -> None:
+        """Wait for other processes, once; who has waited finds in the cache what the function calls."""
+        outermost = getattr(_thread, "outermost", None)
+        if outermost is None:
+            return
+        _thread.outermost, folder = None, cache_folder()
+        outermost.enter_context(_compiling)
+        if not QUIET:
+            say_once(f"compiling for first use ({'not cached' if folder is None else f'cached in {folder}; once per version'})")
+        if folder is not None:
+            with contextlib.suppress(Timeout, OSError, NotImplementedError):  # it was stopped, or the file system has no locks
+                outermost.enter_context(FileLock(folder / "compiling.lock", timeout=PATIENCE, thread_local=False))
+
+    def on_end(self, event: Any) -> None:
+        """What was compiled is still to be saved."""
+
+
 if not config.DISABLE_JIT:
     binding.add_symbol(FIND, ctypes.cast(_find, ctypes.c_void_p).value)
+    event.register("numba:compile", FirstUse())
+    if hasattr(os, "register_at_fork"):  # a child would wait forever for a thread that compiled when it was forked
+        os.register_at_fork(before=_compiling.acquire, after_in_parent=_compiling.release, after_in_child=_compiling.release)

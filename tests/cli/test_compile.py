@@ -3,7 +3,7 @@
 import pytest
 
 from soft_tendon_env.cli import compile as compiling
-from soft_tendon_env.compiler.kernel_cache import cache_folder
+from soft_tendon_env.compiler.compilation import cache_folder
 
 
 def test_every_stage_of_every_scene_is_done_once_and_the_bar_ends(command, capsys, monkeypatch):

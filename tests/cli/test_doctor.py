@@ -75,7 +75,7 @@ def test_a_second_process_finds_what_the_first_has_compiled(monkeypatch, tmp_pat
 def test_a_second_process_that_compiles_again_is_told(capsys, monkeypatch, tmp_path, is_kept):
     """It is broken where there is a folder that keeps machine code."""
     monkeypatch.setattr(doctor, "SECOND", "import sys\nsys.exit(print('compiling for first use', file=sys.stderr))  # {id}")
-    monkeypatch.setattr("soft_tendon_env.compiler.kernel_cache.cache_folder", lambda: tmp_path if is_kept else None)
+    monkeypatch.setattr("soft_tendon_env.compiler.compilation.cache_folder", lambda: tmp_path if is_kept else None)
     assert doctor.holds("second process", doctor.second_process) is not is_kept
     printed = capsys.readouterr().out
     assert "compiled again what the one before it had compiled" in printed and ("BROKEN" in printed) == is_kept
