@@ -118,7 +118,7 @@ class Kernel:
         compile = dispatcher.compile
 
         def compile_alone(kinds: tuple[types.Type, ...]) -> Any:
-            with _first_use():
+            with _first_use() if folder else contextlib.nullcontext():
                 entry_point = compile(kinds)
             if kinds not in dispatcher.overloads:
                 raise RuntimeError(f"machine code in {folder} is not what its name says: delete that folder")
@@ -233,7 +233,7 @@ class FirstUse(event.Listener):
         _thread.outermost, folder = None, cache_folder()
         outermost.enter_context(_compiling)
         if not QUIET:
-            say_once(f"compiling for first use ({'not cached' if folder is None else f'cached in {folder}; once per version'})")
+            say_once(f"compiling for first use (cached in {folder}; once per version)")
         if folder is not None:
             with contextlib.suppress(Timeout, OSError, NotImplementedError):  # it was stopped, or the file system has no locks
                 outermost.enter_context(FileLock(folder / "compiling.lock", timeout=PATIENCE, thread_local=False))

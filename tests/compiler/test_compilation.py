@@ -150,10 +150,12 @@ def test_only_the_newest_versions_are_kept(tmp_path, monkeypatch):
 @jitted
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")
 @pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
-def test_a_process_is_forked_between_compilations(monkeypatch):
+def test_a_process_is_forked_between_compilations(monkeypatch, tmp_path):
     """Its child would wait forever for a thread that it does not have."""
     begun, twice = threading.Event(), own(inspect.unwrap(scale))
-    monkeypatch.setattr(compilation, "cache_folder", lambda: begun.set())
+    monkeypatch.setattr(compilation, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(compilation, "say_once", lambda line: begun.set())
+    monkeypatch.setattr(compilation, "QUIET", False)
     thread = threading.Thread(target=twice, args=(1.0, 2.0))
     thread.start()
     assert begun.wait(60.0)
