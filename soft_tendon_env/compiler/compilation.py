@@ -48,21 +48,21 @@ _errors: list[BaseException] = []
 """Why kernels could not be compiled when machine code called them, for the kernel that Python has called to raise."""
 
 
-def kernel(function: Any = None, *, inline: bool = False, counted: bool | None = None) -> Any:
+def kernel(function: Any = None, *, inline: bool = False, refcount: bool | None = None) -> Any:
     """Compile a function of arrays and scalars on its first call: `@kernel`, or `@kernel(inline=True)`.
 
     inline: have LLVM inline it wherever it is called; for helpers of a few lines inside a sweep. Other kernels are called.
-    counted: count references to arrays, without which numba refuses what makes arrays or returns parts of them, and with which there is
+    refcount: count references to arrays, without which numba refuses what makes arrays or returns parts of them, and with which there is
     a third more to compile; by default not in this package.
     Machine code of the package is kept. Kernels of other files are compiled by every process: numba would not notice that something they
     use from a third file has changed. With NUMBA_DISABLE_JIT=1 the function comes back as it is.
     """
     if function is None:
-        return functools.partial(kernel, inline=inline, counted=counted)
+        return functools.partial(kernel, inline=inline, refcount=refcount)
     if config.DISABLE_JIT:
         return function
     own = is_of_package(function)
-    options = {**OPTIONS, "forceinline": inline, "_nrt": not own if counted is None else counted}
+    options = {**OPTIONS, "forceinline": inline, "_nrt": not own if refcount is None else refcount}
     return Kernel(function, options) if own else numba.njit(**options)(function)
 
 

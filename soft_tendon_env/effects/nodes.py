@@ -54,7 +54,7 @@ def add_wrench(nodes, node, moment, force, share=1.0):
         nodes.wrench[at + (3 + i) * LANES] += share * force[i]
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def nodes_with(pose, twist, base, state, time):
     """Nodes at poses and with twists in the kernels' layout, for what reads no more of them than that, their base, state and time."""
     none = np.zeros(0)

@@ -80,7 +80,7 @@ class ElasticityParameters(NamedTuple):
 
 
 @makes_tension(ElasticityParameters)
-@kernel(counted=True)
+@kernel(refcount=True)
 def spring_tension(springs, actuation):
     """k times the stretch of every tendon, between slack and what its actuator can hold."""
     length = np.empty(actuation.tension.size)

@@ -107,7 +107,7 @@ def reward_terms(table, errors, command, action_change, terms, reward):
         reward[row] = total
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def read_wrench_rows(arm, rows, members, number, work, wrench, pose):
     """Wrenches (rows, nodes x 6) of the effect of that `number` on the nodes of the rows named in `members`, and the nodes' poses
     (rows, nodes x 12), in the kernels' layout."""

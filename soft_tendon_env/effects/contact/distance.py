@@ -39,7 +39,7 @@ def rotation_by(angle):
     return rodrigues(math.sin(size) / size, 2.0 * (math.sin(0.5 * size) / size) ** 2, angle)
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def body_at(obstacles, i, time):
     """The obstacle of a row, see `Obstacle.row`, at a time [s]."""
     position, v, w = triple(obstacles, i, 4), triple(obstacles, i, 16), triple(obstacles, i, 19)
@@ -108,7 +108,7 @@ def distance(body, x):
     return c, (0.0, 0.0, sign_c)
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def read_distances(obstacles, positions, time, out):
     """Signed distance out (obstacles, m) of positions (m, 3) at a time."""
     for j in range(obstacles.shape[0]):

@@ -73,7 +73,7 @@ def landing_energy(nodes, intervals, count):
     return LANDED * (energy + 0.5 * mass * idle * idle)
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def sweep_interval(contact, i, way, longest, meeting):
     """`contact_sweep` for the samples of one interval and one obstacle."""
     samples, body, ends, ends_before = contact.samples, way.body, ends_of(way.nodes, i), ends_of(way.before, i)
@@ -100,7 +100,7 @@ def sweep_interval(contact, i, way, longest, meeting):
 
 
 @sweeps_motion(ContactParameters)
-@kernel(counted=True)
+@kernel(refcount=True)
 def contact_sweep(contact, before, nodes, longest, meeting):
     """The next step ends where something is met; the last one was too long if a sample went through something on its way, or came to be
     so deep in it that it stores more than a share of the arm's energy. Samples go straight ahead, as seen by the obstacle."""

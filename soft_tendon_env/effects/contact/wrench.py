@@ -84,7 +84,7 @@ def add_to_node(nodes, node, R, own, radius, touch, traction):
 
 
 @adds_wrench(ContactParameters)
-@kernel(counted=True)
+@kernel(refcount=True)
 def contact_wrench(contact, nodes):
     """Wrenches of all contacts, with their stiffness and damping."""
     intervals, samples = contact.intervals, contact.samples
@@ -115,7 +115,7 @@ def contact_wrench(contact, nodes):
 
 
 @advances_state(ContactParameters)
-@kernel(counted=True)
+@kernel(refcount=True)
 def contact_advance(contact, step, nodes, points):
     """Bristles follow the slip, up to the limit of friction; those of samples that touch nothing, and of an arm at rest, are slack."""
     intervals, samples = contact.intervals, contact.samples
@@ -140,7 +140,7 @@ def contact_advance(contact, step, nodes, points):
                 nodes.state[at], nodes.state[at + 1], nodes.state[at + 2] = s
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def contact_energy(contact, nodes, energy):
     """Potential energy [J] of the normal forces without damping, added to energy (1,)."""
     intervals, samples = contact.intervals, contact.samples
@@ -170,7 +170,7 @@ def contact_parameters(effects: EffectTable, number: int) -> ContactParameters:
     return own
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def read_contacts(contact, nodes, gap, position, force):
     """Position of every sample (samples, 3) [m]; for every obstacle its gap (obstacles, samples) [m] and its force
     (obstacles, samples, 3) [N] in the world frame."""
@@ -191,7 +191,7 @@ def read_contacts(contact, nodes, gap, position, force):
                     position[m, k], force[j, m, k] = x[k], total[k]
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def read_contact_rows(arm, rows, members, number, section, work, reading):
     """Contact of the rows named in `members` into `reading`; contact is the effect of that `number`, sample m lies in section[m]."""
     effects = arm.effects

@@ -23,7 +23,7 @@ class Linearisation(NamedTuple):
     slopes: np.ndarray  # -df/dq times each of m directions (n, m)
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
     """f = part (B u + F) - K at q into `out`, where asked for df/dpart too, and -df/dq along `directions` (m, n).
 
@@ -67,7 +67,7 @@ class Samples(NamedTuple):
     directions: np.ndarray  # (samples, m, n)
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def linearise_balances(arm, samples, part, with_rate, members, work, out, found):
     """linearise_balance() of the samples named in `members`, into `out` (samples, ..); found (samples): whether there is a strain."""
     tension, q, directions = samples
@@ -76,7 +76,7 @@ def linearise_balances(arm, samples, part, with_rate, members, work, out, found)
         found[i] = linearise_balance(arm, tension[i], q[i], part, with_rate, directions[i], work, own)[0] < 0
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def strain_is_continuous(arm, q_from, q, work):
     """Whether the strain from rest at q_from becomes that at q on the way between them; tendons that push can part them."""
     if strain_is_unique(arm, q, work):

@@ -85,7 +85,7 @@ def evaluate(arm, u, q, q_dot, tolerance, work):
     return failed
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def evaluate_at_rest(arm, u, q, tolerance, work):
     """All terms of (23) at (q, 0, u), u the tensions; the base and the states of the effects at rest there too; as evaluate_forces()."""
     failed = balance_at_rest(arm, u, q, tolerance, work)
@@ -96,7 +96,7 @@ def evaluate_at_rest(arm, u, q, tolerance, work):
     return failed
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def balance_at_rest(arm, u, q, tolerance, work):
     """Drive and load of (23) at (q, 0, u) alone, else as evaluate_at_rest(): all that the balance of forces takes."""
     work.driven[0] = 0.0

@@ -24,7 +24,7 @@ from soft_tendon_env.mechanics.terms.transmission import (
 )
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def nodes_of(arm, work, i):
     """View of the nodes that the i-th effect gets."""
     rod = arm.rod
@@ -34,7 +34,7 @@ def nodes_of(arm, work, i):
     )  # fmt: skip
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def points_of(arm, work, i):
     """View of the quadrature points that the i-th effect gets."""
     rod = arm.rod

@@ -129,7 +129,7 @@ def all_pull(tau):
     return True
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def statics_along(arm, strain, q_from, q, tolerance, work):
     """The strain at q on the branch of that at q_from, which is in work.xi: by continuation in growing or halved parts of the way.
 
@@ -165,7 +165,7 @@ def statics_from_guess(arm, strain, q, tolerance, work):
     return solve_strain(arm.rod, arm.tendons, strain, q, tolerance, ANY, work)
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def statics_from_rest(arm, strain, q, tolerance, work):
     """The strain at q on the branch of the stress-free rod: from there at once where there is but one strain, else by continuation."""
     copy(arm.rod.reference_strain, work.xi)
@@ -175,14 +175,14 @@ def statics_from_rest(arm, strain, q, tolerance, work):
     return statics_along(arm, strain, np.zeros(q.size), q, tolerance, work)
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def statics_is_unique(arm, strain, q, work):
     """Whether at most one strain belongs to q: no tendon pushes."""
     strain_tension(strain, q, work.tau)
     return all_pull(work.tau)
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def statics_is_firm(arm, strain, q, tolerance, work):
     """Whether there is a strain at q and, where tendons push, FIRM_PARTS even parts of q lead to it with pivots that stay above SOFT."""
     rod = arm.rod

@@ -110,7 +110,7 @@ def solve_strain_under_loads(rod, tendons, strain, q, part, tolerance, work):
     return 2 * rod.packs
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def follow_loads(arm, q_from, part_from, q, tolerance, most, work):
     """The strain at q (n,) under all loads, continued from that at q_from under a part of them, in parts of at most `most` of the way.
 
@@ -221,7 +221,7 @@ def loaded_from_guess(arm, strain, q, tolerance, work):
     return solve_strain_under_loads(arm.rod, arm.tendons, strain, q, 1.0, tolerance, work)
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def loaded_from_rest(arm, strain, q, tolerance, work):
     """The strain at q on the branch on which coordinates and loads grow together from the stress-free rod."""
     copy(arm.rod.reference_strain, work.xi)
@@ -236,13 +236,13 @@ def loaded_along(arm, strain, q_from, q, tolerance, work):
     return failed, reached
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def loaded_is_unique(arm, strain, q, work):
     """False, since that is never known: loads make the energy non-convex."""
     return False
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def loaded_is_firm(arm, strain, q, tolerance, work):
     """Whether coordinates and loads grow together to q in FIRM_PARTS parts or more with pivots of the Hessian that stay above SOFT."""
     copy(arm.rod.reference_strain, work.xi)

@@ -18,19 +18,19 @@ SAME = 1e-12  # relative difference of tensions that is rounding
 ON_PARTS = 2.0  # work.driven, where every tension stays on its part of the law: for derivatives beside a kink
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def values_of(effects, i):
     """Parameters of the i-th effect, as numbers."""
     return effects.values[effects.first_value[i] : effects.first_value[i + 1]]
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def state_of(effects, state, i):
     """Internal state of the i-th effect, in those of all."""
     return state[effects.first_state[i] : effects.first_state[i + 1]]
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def actuation_of(arm, work, i):
     """View of the tendons that the i-th effect gets."""
     tendons = arm.tendons
@@ -41,7 +41,7 @@ def actuation_of(arm, work, i):
     )  # fmt: skip
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def delivered(effects, u, begins, time, state, acting, until):
     """The command that acts at a time [s] where u (n_a) is commanded, from then on if it `begins`, `acting` or u itself, and up to
     when [s]; -infinity where none can."""
@@ -72,7 +72,7 @@ def makes_tensions(effects, work):
     return between
 
 
-@kernel(counted=True)
+@kernel(refcount=True)
 def transmitted(arm, u, work):
     """Tensions (n_a) at the actuators under u, where it is a command, in the strain of work.xi; u itself where nothing is between."""
     if not makes_tensions(arm.effects, work):
