@@ -40,39 +40,19 @@ def zeros_of(*shapes: tuple[tuple[int, ...], str]) -> dict[str, np.ndarray]:
 
 
 class LoadMemory(Struct):
-    """Eliminated Hessian of the strain under dead loads, see load_hessian; all but empty for other strains.
-
-    An interval has 12 unknowns, the scaled strains e of its two points.
-    """
+    """Eliminated Hessian of the strain under dead loads, see load_hessian; all but empty for other strains."""
 
     e: FloatVector  # points x 6, the scaled strain
     step: FloatVector  # points x 6, residual of the balance and its correction
-    inverse: np.ndarray  # (nodes, 12, 12) of the blocks on the diagonal
+    inverse: np.ndarray  # (nodes, 12, 12) of the blocks on the diagonal: the two points of an interval have 12 unknowns
     turn: np.ndarray  # (nodes, 12, 3) turn of what is beyond by the unknowns, over the weight
     columns: np.ndarray  # (nodes, 12, 3) y of the unknowns
-    answer: np.ndarray  # (nodes, 12, 3) strains by a turn of the interval's start
-    rows: np.ndarray  # (12, 3) y of one interval's equations, over the weight
-    W: np.ndarray  # (12, 6) twists by one interval's unknowns, over the weight: in the base frame
-    Z: np.ndarray  # (12, 6) the same as derivatives of Omega
-    bent: FloatVector  # (6)
-    y: FloatVector  # (12)
-    Q: np.ndarray  # (3, 3)
-    rows_Q: np.ndarray  # (3, 3)
+    answer: np.ndarray  # (nodes, 12, 3) unknowns by a turn of the interval's start
 
 
 def make_load_memory(nodes: int) -> LoadMemory:
     """Zeroed LoadMemory for so many nodes."""
-    arrays = zeros_of(
-        ((12 * nodes,), "e step"),
-        ((nodes, 12, 12), "inverse"),
-        ((nodes, 12, 3), "turn columns answer"),
-        ((12, 3), "rows"),
-        ((12, 6), "W Z"),
-        ((6,), "bent"),
-        ((12,), "y"),
-        ((3, 3), "Q rows_Q"),
-    )
-    return LoadMemory(**arrays)
+    return LoadMemory(**zeros_of(((12 * nodes,), "e step"), ((nodes, 12, 12), "inverse"), ((nodes, 12, 3), "turn columns answer")))
 
 
 class Workspace(Struct):

@@ -1,15 +1,16 @@
 """Hessian of the rod's energy under dead loads: assembly, block elimination from tip to base, and solution for further right-hand sides.
 
-In the base frame a strain a of interval i displaces all nodes beyond by the twist W_a (Appendix C), so that the loads do the work
-F . v + sum r_n x f_n . k + moment . k, (k, v) = W_a, with F the sum of the dead forces f_n on the nodes beyond, at r_n. A strain b nearer
-to the base turns all of that, and the work changes by k_b . y_a with
+A strain of an interval moves all nodes beyond by a twist W = (k, v), in the base frame (Appendix C), so that the loads do the work
+F . v + (sum r_n x f_n + moment) . k, with F the sum of the dead forces f_n on the nodes beyond, at r_n. Strains nearer to the base turn all
+of that, which changes the generalised force by -y times their k, where
 
-    y_a = v x F + Q k,    Q = sum (r_n f_n^T - r_n . f_n I).
+    y = F x v + Q k,    Q = sum (r_n . f_n I - r_n f_n^T).
 
-So all blocks of the Hessian between two intervals are products of rank 3, and eliminating the intervals from the tip on only adds to Q:
-their compliance lets the loads give way. A dead moment has no potential: it adds k x moment to y_a as equations have it (`rows`), and
-nothing to y_a as unknowns have it (`columns`).
+So the blocks of the Hessian between intervals have rank 3, turn times y, and eliminating intervals from the tip on only adds to Q: they
+give way. A dead moment has no potential: it adds moment x k to the y of equations (`rows`), and nothing to that of unknowns (`columns`).
 """
+
+import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
@@ -25,26 +26,22 @@ from soft_tendon_env.mechanics.algebra.lie import (
     twist_scaled,
     twist_sum,
 )
-from soft_tendon_env.mechanics.terms.kinematics import KAPPA, interval_operators, magnus, start_of
-from soft_tendon_env.mechanics.terms.transposed_kinematics import transposed_dexp, wrench_at_start, zanna_transposed
+from soft_tendon_env.mechanics.algebra.linear import add_product
+from soft_tendon_env.mechanics.terms.kinematics import KAPPA, interval_operators, magnus, pose_at, start_of, twist_at
+from soft_tendon_env.mechanics.terms.transposed_kinematics import add_at, transposed_dexp, wrench_at_start, zanna_transposed
 
 SIZE = 12  # unknowns of an interval: the scaled strains e at its two points
 
 
 @kernel(inline=True)
 def place(node):
-    """Index in a field over points, or of poses, at which the interval that ends at a node begins."""
+    """Index in a field over points at which the unknowns of the interval begin that ends at a node, LANES apart."""
     return (node // LANES * SIZE) * LANES + node % LANES
 
 
 @kernel(inline=True)
-def _vector(field, at):
-    return field[at], field[at + LANES], field[at + 2 * LANES]
-
-
-@kernel(inline=True)
-def _twist(field, at):
-    return _vector(field, at), _vector(field, at + 3 * LANES)
+def _row(field, a):
+    return (field[a, 0], field[a, 1], field[a, 2]), (field[a, 3], field[a, 4], field[a, 5])
 
 
 @kernel(inline=True)
@@ -53,67 +50,69 @@ def _work(wrench, twist):
 
 
 @kernel(inline=True)
-def _unit(i, size):
-    """The twist whose component i has this size, and all others are 0."""
-    a, b, c = size * (i == 0), size * (i == 1), size * (i == 2)
-    return (a, b, c), (size * (i == 3), size * (i == 4), size * (i == 5))
+def _unit(a, size):
+    """Strain of this size of the unknown a, as a twist."""
+    i = a % 6
+    return (size * (i == 0), size * (i == 1), size * (i == 2)), (size * (i == 3), size * (i == 4), size * (i == 5))
 
 
 @kernel(inline=True)
-def _node_load(rod, loads, part, node, work):
-    """Position of a node and the dead force on it, in the base frame."""
-    force = times(part * rod.node_mass[node], loads.acceleration)
+def _strains(node, work):
+    """Strains at the two points of the interval that ends at a node."""
+    block, own = node // LANES * 2, node % LANES
+    return twist_at(work.xi, block, own), twist_at(work.xi, block + 1, own)
+
+
+@kernel(inline=True)
+def _node_load(rod, strain, part, node, work):
+    """Position of a node, and `part` of the dead force on it."""
+    force = times(part * rod.node_mass[node], strain.acceleration)
     if node == rod.node_mass.size - 1:
-        force = plus(force, times(part, loads.force))
-    return _vector(work.pose, place(node) + 9 * LANES), force
+        force = plus(force, times(part, strain.force))
+    return pose_at(work.pose, node)[1], force
 
 
 @kernel
-def load_stress(rod, loads, part, work, out):
+def load_stress(rod, strain, part, work, out):
     """Generalised force of `part` of the loads on the strains over their weight, out (points x 6); after poses()."""
-    moment, force = times(part, loads.moment), (0.0, 0.0, 0.0)
+    moment, force = times(part, strain.moment), (0.0, 0.0, 0.0)
+    out[:] = 0.0
     for node in range(rod.length.size - 1, -1, -1):
-        position, own = _node_load(rod, loads, part, node, work)
+        position, own = _node_load(rod, strain, part, node, work)
         moment, force = plus(moment, cross(position, own)), plus(force, own)
-        at, mu, (R, r) = place(node), 2.0 * KAPPA * rod.length[node], start_of(node, work)
-        xi_1, xi_2 = _twist(work.xi, at), _twist(work.xi, at + 6 * LANES)
+        (R, r), (xi_1, xi_2), mu = start_of(node, work), _strains(node, work), 2.0 * KAPPA * rod.length[node]
         Omega = magnus(rod.length[node], xi_1, xi_2)
         t = transposed_dexp(Omega, coefficients(dot(Omega[0], Omega[0])), wrench_at_start(R, r, (moment, force)))
-        first, second = zanna_transposed(-mu, xi_2, t), zanna_transposed(mu, xi_1, t)
-        for i in range(3):
-            out[at + i * LANES], out[at + (3 + i) * LANES] = first[0][i], first[1][i]
-            out[at + (6 + i) * LANES], out[at + (9 + i) * LANES] = second[0][i], second[1][i]
+        add_at(out, place(node), zanna_transposed(-mu, xi_2, t))
+        add_at(out, place(node) + 6 * LANES, zanna_transposed(mu, xi_1, t))
 
 
 @kernel
-def _assemble_interval(rod, node, wrench, work):
-    """The block of the Hessian of an interval, over the weight, but for y; and W of its unknowns, over the weight."""
-    memory, at, h = work.under_loads, place(node), rod.length[node]
-    D, W, Z = memory.inverse[node], memory.W, memory.Z
-    (R, r), xi_1, xi_2 = start_of(node, work), _twist(work.xi, at), _twist(work.xi, at + 6 * LANES)
+def _assemble_interval(rod, node, wrench, work, D, Z, W):
+    """Hessian D (12, 12) of an interval over the weight, but for what y makes of it; Z (12, 6) of its unknowns, and W (12, 6), likewise."""
+    at, h, (R, r), (xi_1, xi_2) = place(node), rod.length[node], start_of(node, work), _strains(node, work)
     mu, psi = 2.0 * KAPPA * h, wrench_at_start(R, r, wrench)
-    W_1, W_2, A, C, Omega, c = interval_operators(h, 1.0, mu, xi_1, xi_2, R, r)
+    _, _, A, C, Omega, c = interval_operators(h, 1.0, mu, xi_1, xi_2, R, r)
     t = transposed_dexp(Omega, c, psi)
     for a in range(SIZE):
-        e = _unit(a % 6, rod.root_compliance[at + a * LANES])
-        zanna = twist_sum(e, ad_apply(twist_scaled(mu, xi_1), e) if a >= 6 else ad_apply(twist_scaled(-mu, xi_2), e))
-        moved = operator_apply(W_2[0], W_2[1], e) if a >= 6 else operator_apply(W_1[0], W_1[1], e)
+        e = _unit(a, rod.root_compliance[at + a * LANES])
+        x = twist_sum(e, ad_apply(twist_scaled(mu, xi_1), e) if a >= 6 else ad_apply(twist_scaled(-mu, xi_2), e))
         for i in range(3):
-            Z[a, i], Z[a, 3 + i], W[a, i], W[a, 3 + i] = zanna[0][i], zanna[1][i], moved[0][i], moved[1][i]
+            Z[a, i], Z[a, 3 + i] = x[0][i], x[1][i]
+        x = operator_apply(A, C, x)
+        for i in range(3):
+            W[a, i], W[a, 3 + i] = x[0][i], x[1][i]
     for a in range(SIZE):
-        zanna = (Z[a, 0], Z[a, 1], Z[a, 2]), (Z[a, 3], Z[a, 4], Z[a, 5])
-        for i in range(6):
-            memory.bent[i] = 0.5 * h * _work(psi, dexp_dot_apply(Omega, zanna, c, _unit(i, 1.0)))
-        e_a = _unit(a % 6, mu * rod.root_compliance[at + a * LANES])
         for b in range(SIZE):
-            i, j = max(a % 6, b % 6), min(a % 6, b % 6)
-            if a // 6 == b // 6:
-                D[b, a] = work.factor[((2 * (node // LANES) + a // 6) * 21 + i * (i + 1) // 2 + j) * LANES + node % LANES]
-            else:
-                turn = _work(t, ad_apply(e_a, _unit(b % 6, rod.root_compliance[at + b * LANES])))
-                D[b, a] = turn if a > b else -turn
-            for i in range(6):
-                D[b, a] -= memory.bent[i] * Z[b, i]
+            D[b, a] = -0.5 * h * _work(psi, dexp_dot_apply(Omega, _row(Z, a), c, _row(Z, b)))
+            first, second = min(a, b), max(a, b)
+            if first // 6 == second // 6:
+                i, j = second % 6, first % 6
+                entry = (2 * (node // LANES) + a // 6) * 21 + i * (i + 1) // 2 + j
+                D[b, a] += work.factor[entry * LANES + node % LANES]
+            else:  # Z_2 = 1 + mu ad_xi1 depends on the other strain
+                e_1, e_2 = _unit(first, rod.root_compliance[at + first * LANES]), _unit(second, rod.root_compliance[at + second * LANES])
+                D[b, a] -= mu * _work(t, ad_apply(e_1, e_2))
 
 
 @kernel
@@ -135,61 +134,50 @@ def _invert(D):
     return least
 
 
-@kernel
-def factorise_hessian(rod, loads, part, work):
+@kernel(counted=True)
+def factorise_hessian(rod, strain, part, work):
     """Eliminates the intervals from tip to base; the least pivot. After poses(), with the scaled section stiffness in work.factor."""
-    memory, least = work.under_loads, 1e300
-    Q, rows_Q, W = memory.Q, memory.rows_Q, memory.W
-    moment, force = times(part, loads.moment), (0.0, 0.0, 0.0)
-    Q[:], rows_Q[:] = 0.0, 0.0
-    for i in range(3):  # rows_Q = -moment~
+    memory, least, Z, W = work.under_loads, 1e300, np.empty((SIZE, 6)), np.empty((SIZE, 6))
+    rows, Q, rows_Q = np.empty((SIZE, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+    moment, force = times(part, strain.moment), (0.0, 0.0, 0.0)
+    for i in range(3):  # rows_Q = moment~
         j, k = (i + 1) % 3, (i + 2) % 3
-        rows_Q[j, k], rows_Q[k, j] = moment[i], -moment[i]
+        rows_Q[k, j], rows_Q[j, k] = moment[i], -moment[i]
     for node in range(rod.length.size - 1, -1, -1):
-        position, own = _node_load(rod, loads, part, node, work)
+        position, own = _node_load(rod, strain, part, node, work)
         moment, force = plus(moment, cross(position, own)), plus(force, own)
         for i in range(3):
             for j in range(3):
-                change = position[i] * own[j] - (dot(position, own) if i == j else 0.0)
-                Q[i, j] += change
-                rows_Q[i, j] += change
-        _assemble_interval(rod, node, (moment, force), work)
+                change = (dot(position, own) if i == j else 0.0) - position[i] * own[j]
+                Q[i, j], rows_Q[i, j] = Q[i, j] + change, rows_Q[i, j] + change
         D, turn, columns, answer = memory.inverse[node], memory.turn[node], memory.columns[node], memory.answer[node]
+        _assemble_interval(rod, node, (moment, force), work, D, Z, W)
         for a in range(SIZE):
-            side = cross((W[a, 3], W[a, 4], W[a, 5]), force)
+            k, v = _row(W, a)
             for i in range(3):
-                column, row = side[i], side[i]
-                for j in range(3):
-                    column += Q[i, j] * W[a, j]
-                    row += rows_Q[i, j] * W[a, j]
-                turn[a, i], columns[a, i], memory.rows[a, i] = W[a, i], 0.5 * rod.length[node] * column, row
-        for a in range(SIZE):
-            for b in range(SIZE):
-                D[b, a] -= turn[b, 0] * columns[a, 0] + turn[b, 1] * columns[a, 1] + turn[b, 2] * columns[a, 2]
+                turn[a, i], answer[a, i] = k[i], 0.0
+                side = cross(force, v)[i]
+                columns[a, i] = 0.5 * rod.length[node] * (side + Q[i, 0] * k[0] + Q[i, 1] * k[1] + Q[i, 2] * k[2])
+                rows[a, i] = -(side + rows_Q[i, 0] * k[0] + rows_Q[i, 1] * k[1] + rows_Q[i, 2] * k[2])
+        add_product(turn, columns.T, D)
         pivot = _invert(D)
         if not pivot >= least:
             least = pivot
-        for i in range(3):
-            for a in range(SIZE):
-                answer[a, i] = 0.0
-                for b in range(SIZE):
-                    answer[a, i] += D[a, b] * memory.rows[b, i]
-            for j in range(3):
-                for a in range(SIZE):
-                    Q[j, i] += columns[a, j] * answer[a, i]
-                    rows_Q[i, j] += columns[a, j] * answer[a, i]
+        add_product(D, rows, answer)
+        add_product(columns.T, answer, Q)
+        add_product(answer.T, columns, rows_Q)
     return least
 
 
-@kernel
+@kernel(counted=True)
 def solve_hessian(rod, memory, x, start):
     """Solves H x = b in place of b, a field over points from x[start] on."""
-    nodes = rod.length.size
+    nodes, y = rod.length.size, np.empty(SIZE)
     p, q, r = 0.0, 0.0, 0.0
     for node in range(nodes - 1, -1, -1):
-        at, D, turn, columns, y = start + place(node), memory.inverse[node], memory.turn[node], memory.columns[node], memory.y
+        at, D, turn, columns = start + place(node), memory.inverse[node], memory.turn[node], memory.columns[node]
         for a in range(SIZE):
-            y[a] = x[at + a * LANES] + turn[a, 0] * p + turn[a, 1] * q + turn[a, 2] * r
+            y[a] = x[at + a * LANES] - turn[a, 0] * p - turn[a, 1] * q - turn[a, 2] * r
         for a in range(SIZE):
             own = 0.0
             for b in range(SIZE):

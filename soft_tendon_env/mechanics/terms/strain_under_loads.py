@@ -14,12 +14,10 @@ from nothing, or along a motion; where the Hessian loses its positive pivots the
 
 import math
 
-import numpy as np
-
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, largest, load, sqrt
-from soft_tendon_env.mechanics.algebra.lie import dot, twist_scaled, twist_sum
-from soft_tendon_env.mechanics.algebra.linear import copy
+from soft_tendon_env.mechanics.algebra.lanes import LANES, largest
+from soft_tendon_env.mechanics.algebra.lie import twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.linear import copy, product
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
     is_positive,
@@ -35,18 +33,7 @@ from soft_tendon_env.mechanics.terms.kinematics import poses
 from soft_tendon_env.mechanics.terms.load_hessian import factorise_hessian, load_stress, solve_hessian
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
 from soft_tendon_env.mechanics.terms.statics_based import coordinate_mismatch, coordinate_wrenches, rate_wrench, turning_wrench
-from soft_tendon_env.mechanics.terms.statics_newton import (
-    CONTRACTION,
-    FIRM_PARTS,
-    LEAST_PART,
-    MAX_NEWTON,
-    SMALLEST_PART,
-    SOFT,
-    all_pull,
-    chords_stay,
-    passive_wrench,
-    strain_tension,
-)
+from soft_tendon_env.mechanics.terms.statics_newton import CONTRACTION, MAX_NEWTON, passive_wrench, strain_tension
 from soft_tendon_env.mechanics.terms.tendons import pull
 from soft_tendon_env.mechanics.types import Loaded
 
@@ -56,25 +43,7 @@ ROUND_OFF = 1e-12  # relative size of corrections that rounding leaves
 STENCIL = (-2.0, -1.0 / 12.0), (-1.0, 4.0 / 3.0), (0.0, -2.5), (1.0, 4.0 / 3.0), (2.0, -1.0 / 12.0)
 """Steps and their shares in the second derivative, of fourth order."""
 ALONG = 0.01  # [rad] of the differences, of the turn of the whole rod: errors of 1e-10 by truncation, less by rounding
-POWER_STEPS = 8  # of the inverse iteration for the least eigenvalue
-
-
-@kernel
-def rounding(rod, loads, part, tau):
-    """Scaled strain that rounding leaves in the balance of tensions and loads."""
-    force, moment = 0.0, 0.0
-    for tension in tau:
-        force += abs(tension)
-    for i in range(3):
-        force += part * (abs(loads.force[i]) + rod.mass[0] * abs(loads.acceleration[i]))
-        moment += part * abs(loads.moment[i])
-    length, bend, stretch = 0.0, 0.0, 0.0
-    for i in range(rod.length.size):
-        length += rod.length[i]
-    for block in range(2 * rod.packs):
-        c = load6(rod.root_compliance, block * 6 * LANES)
-        bend, stretch = max(bend, largest(c[0][1])), max(stretch, largest(c[1][0]))
-    return 1e-15 * (force * stretch + (moment + force * length) * bend)
+ITERATIONS = 8  # of the inverse iteration for the least eigenvalue
 
 
 @kernel
@@ -83,7 +52,7 @@ def linearise_loaded(arm, strain, q, part, work):
     2 packs where the arm buckles."""
     rod, memory, blocks = arm.rod, work.under_loads, 2 * arm.rod.packs
     poses(rod, work)
-    load_stress(rod, strain.loads, part, work, memory.step)
+    load_stress(rod, strain, part, work, memory.step)
     for block in range(blocks):
         at = block * 6 * LANES
         c = load6(rod.root_compliance, at)
@@ -95,7 +64,7 @@ def linearise_loaded(arm, strain, q, part, work):
         wrench = twist_sum(load6(memory.step, at), passive_wrench(strain.law, blocks, block, q))
         wrench = scaled(c, twist_sum(wrench, twist_scaled(-1.0, pulled)))
         store6(memory.step, at, twist_sum(wrench, twist_scaled(-1.0, load6(memory.e, at))))
-    return -1 if factorise_hessian(rod, strain.loads, part, work) > 0.0 else blocks
+    return -1 if factorise_hessian(rod, strain, part, work) > 0.0 else blocks
 
 
 @kernel
@@ -116,10 +85,27 @@ def apply_correction(rod, xi, memory):
 
 
 @kernel
-def solve_strain_under_loads(arm, strain, q, part, tolerance, work):
+def rounding(rod, strain, part, tau):
+    """Scaled strain that rounding leaves in the balance of tensions and loads, at most."""
+    force, moment, length, compliance = 0.0, 0.0, 0.0, 0.0
+    for tension in tau:
+        force += abs(tension)
+    for i in range(3):
+        force += part * (abs(strain.force[i]) + rod.mass[0] * abs(strain.acceleration[i]))
+        moment += part * abs(strain.moment[i])
+    for h in rod.length:
+        length += h
+    for c in rod.root_compliance:
+        compliance = max(compliance, c)
+    return 1e-15 * (force * length + moment) * compliance
+
+
+@kernel
+def solve_loaded(arm, strain, q, part, tolerance, contraction, work):
     """Newton iteration for the strain under `part` of the loads, from the guess in work.xi; leaves xi, tangents and factors.
 
-    It stays on the branch that it began on: see CONTRACTION. Returns -1, or the block that stopped it, see linearise_loaded().
+    It stays on the branch that it began on, see CONTRACTION, whatever `contraction` is. Returns -1, or the block that stopped it, see
+    linearise_loaded().
     """
     rod, memory, xi = arm.rod, work.under_loads, work.xi
     for block in range(2 * rod.packs):
@@ -127,8 +113,7 @@ def solve_strain_under_loads(arm, strain, q, part, tolerance, work):
         strained = twist_sum(load6(xi, at), twist_scaled(-1.0, load6(rod.reference_strain, at)))
         store6(memory.e, at, scaled(load6(rod.root_stiffness, at), strained))
     strain_tension(strain.law, q, work.tau)
-    tolerance = max(SHARPER * tolerance, ROUND_OFF)
-    resolution, last = rounding(rod, strain.loads, part, work.tau), 0.0
+    tolerance, resolution, last = max(SHARPER * tolerance, ROUND_OFF), rounding(rod, strain, part, work.tau), 0.0
     for iteration in range(MAX_NEWTON):
         failed = linearise_loaded(arm, strain, q, part, work)
         if failed >= 0:
@@ -144,30 +129,6 @@ def solve_strain_under_loads(arm, strain, q, part, tolerance, work):
     return 2 * rod.packs
 
 
-@kernel(counted=True)
-def follow_loads(arm, strain, path, tolerance, work):
-    """The strain at the end of a path, continued from that at its beginning, in growing or halved parts as statics_along().
-
-    path: coordinates (n,) and part of the loads at the beginning, and at the end. Returns (-1, 1.0), or (the block that stopped it, the
-    part of the way reached, whose strain is in work.xi).
-    """
-    q_from, part_from, q, part = path
-    reached, step, way, last_good = 0.0, 1.0, q - q_from, work.xi.copy()
-    while reached < 1.0:
-        step = min(step, 1.0 - reached)
-        ahead = reached + step if step < 1.0 - reached else 1.0
-        copy(last_good, work.xi)
-        failed = solve_strain_under_loads(arm, strain, q_from + ahead * way, part_from + ahead * (part - part_from), tolerance, work)
-        if failed < 0 and (all_pull(work.tau) or chords_stay(arm.rod, arm.tendons, last_good, work.xi)):
-            reached, step, last_good = ahead, 2.0 * step, work.xi.copy()
-        else:
-            step *= 0.5
-            if step < max(SMALLEST_PART * reached, LEAST_PART):
-                copy(last_good, work.xi)
-                return max(failed, 0), reached
-    return -1, 1.0
-
-
 @kernel
 def solve_wrenches(rod, memory, field, start):
     """Strains C^1/2 H^-1 C^1/2 of wrenches, in place of these, a field over points from field[start] on."""
@@ -179,14 +140,11 @@ def solve_wrenches(rod, memory, field, start):
 
 
 @kernel
-def load_acceleration(rod, loads, work, out):
+def load_acceleration(rod, strain, work, out):
     """Second derivative of load_stress() along the motion xi_dot with xi_ddot = 0, out (points x 6), by differences; moves the poses."""
-    memory, length, turn = work.under_loads, 0.0, 0.0
-    for node in range(rod.length.size):
-        length += rod.length[node]
-    for block in range(2 * rod.packs):
-        k, p = load6(work.xi_dot, block * 6 * LANES)
-        turn += lane_sum(load(rod.weight, block * LANES) * sqrt(dot(k, k) + (1.0 / length**2) * dot(p, p)))
+    memory, turn = work.under_loads, 0.0
+    for m in range(out.size):
+        turn += rod.weight[m // (6 * LANES) * LANES + m % LANES] * abs(work.xi_dot[m])
     step = ALONG / (turn + 1e-100)
     copy(work.xi, memory.e)
     out[:] = 0.0
@@ -194,7 +152,7 @@ def load_acceleration(rod, loads, work, out):
         for m in range(out.size):
             work.xi[m] = memory.e[m] + steps * step * work.xi_dot[m]
         poses(rod, work)
-        load_stress(rod, loads, 1.0, work, memory.step)
+        load_stress(rod, strain, 1.0, work, memory.step)
         for m in range(out.size):
             out[m] += share / (step * step) * memory.step[m]
     copy(memory.e, work.xi)
@@ -214,7 +172,7 @@ def loaded_columns(arm, strain, u, q, q_dot, work):
     for j in range(law.size):
         solve_wrenches(rod, memory, work.Phi, j * size)
     combined_columns(work.Phi, q_dot, work.xi_dot)
-    load_acceleration(rod, strain.loads, work, work.xi_bias)
+    load_acceleration(rod, strain, work, work.xi_bias)
     for block in range(2 * rod.packs):
         at = block * 6 * LANES
         turning = turning_wrench(tendons, 2 * rod.packs, block, load6(work.xi_dot, at), work)
@@ -233,58 +191,23 @@ def loaded_matrices(arm, strain, work):
 
 
 @kernel
-def loaded_from_guess(arm, strain, q, tolerance, work):
-    """The strain at q from the guess in work.xi, on its branch."""
-    return solve_strain_under_loads(arm, strain, q, 1.0, tolerance, work)
-
-
-@kernel(counted=True)
-def loaded_from_rest(arm, strain, q, tolerance, work):
-    """The strain at q on the branch on which coordinates and loads grow together from the stress-free rod."""
-    copy(arm.rod.reference_strain, work.xi)
-    return follow_loads(arm, strain, (np.zeros(q.size), 0.0, q, 1.0), tolerance, work)
-
-
-@kernel
-def loaded_along(arm, strain, q_from, q, tolerance, work):
-    """The strain at q on the branch of that at q_from."""
-    return follow_loads(arm, strain, (q_from, 1.0, q, 1.0), tolerance, work)
-
-
-@kernel(counted=True)
 def loaded_is_unique(arm, strain, q, work):
     """False, since that is never known: loads make the energy non-convex."""
     return False
 
 
 @kernel
-def least_eigenvalue(rod, memory):
+def least_eigenvalue(arm, strain, work):
     """Least eigenvalue of the Hessian, 1 without loads and tensions, by inverse iteration with the factors."""
-    x, norm = memory.step, 1.0
+    x, norm = work.under_loads.step, 1.0
     for m in range(x.size):
         x[m] = math.cos(1.0 * m)
-    for _ in range(POWER_STEPS):
-        solve_hessian(rod, memory, x, 0)
-        norm = 0.0
-        for m in range(x.size):
-            norm += x[m] * x[m]
-        norm = math.sqrt(norm)
+    for _ in range(ITERATIONS):
+        solve_hessian(arm.rod, work.under_loads, x, 0)
+        norm = math.sqrt(product(x, x))
         for m in range(x.size):
             x[m] /= norm
     return 1.0 / norm
-
-
-@kernel(counted=True)
-def loaded_is_firm(arm, strain, q, tolerance, work):
-    """Whether coordinates and loads grow together to q with eigenvalues of the Hessian that stay above SOFT in FIRM_PARTS parts."""
-    copy(arm.rod.reference_strain, work.xi)
-    for k in range(FIRM_PARTS):
-        begin, end = k / FIRM_PARTS, (k + 1) / FIRM_PARTS
-        if follow_loads(arm, strain, (begin * q, begin, end * q, end), tolerance, work)[0] >= 0:
-            return False
-        if not least_eigenvalue(arm.rod, work.under_loads) > SOFT:
-            return False
-    return True
 
 
 @kernel
@@ -297,16 +220,4 @@ def loaded_rate(arm, strain, q_dot, work):
     solve_wrenches(arm.rod, work.under_loads, work.xi_dot, 0)
 
 
-parametrises(
-    Loaded,
-    Parametrisation(
-        loaded_from_guess,
-        loaded_columns,
-        loaded_matrices,
-        loaded_from_rest,
-        loaded_along,
-        loaded_is_unique,
-        loaded_is_firm,
-        loaded_rate,
-    ),
-)
+parametrises(Loaded, Parametrisation(solve_loaded, loaded_columns, loaded_matrices, loaded_is_unique, least_eigenvalue, loaded_rate))
