@@ -88,8 +88,9 @@ def load_stress(rod, strain, part, work, out):
 
 
 @kernel
-def _assemble_interval(rod, node, wrench, work, D, Z, W):
-    """Hessian D (12, 12) of an interval over the weight, but for what y makes of it; Z (12, 6) of its unknowns, and W (12, 6), likewise."""
+def _assemble_interval(rod, node, wrench, work, D, Z):
+    """Hessian D (12, 12) of an interval over the weight, but for what y makes of it; its unknowns as derivatives of Omega, Z (12, 6), over
+    the weight too. Returns the operator from these to W."""
     at, h, (R, r), (xi_1, xi_2) = place(node), rod.length[node], start_of(node, work), _strains(node, work)
     mu, psi = 2.0 * KAPPA * h, wrench_at_start(R, r, wrench)
     _, _, A, C, Omega, c = interval_operators(h, 1.0, mu, xi_1, xi_2, R, r)
@@ -99,9 +100,6 @@ def _assemble_interval(rod, node, wrench, work, D, Z, W):
         x = twist_sum(e, ad_apply(twist_scaled(mu, xi_1), e) if a >= 6 else ad_apply(twist_scaled(-mu, xi_2), e))
         for i in range(3):
             Z[a, i], Z[a, 3 + i] = x[0][i], x[1][i]
-        x = operator_apply(A, C, x)
-        for i in range(3):
-            W[a, i], W[a, 3 + i] = x[0][i], x[1][i]
     for a in range(SIZE):
         for b in range(SIZE):
             D[b, a] = -0.5 * h * _work(psi, dexp_dot_apply(Omega, _row(Z, a), c, _row(Z, b)))
@@ -113,6 +111,7 @@ def _assemble_interval(rod, node, wrench, work, D, Z, W):
             else:  # Z_2 = 1 + mu ad_xi1 depends on the other strain
                 e_1, e_2 = _unit(first, rod.root_compliance[at + first * LANES]), _unit(second, rod.root_compliance[at + second * LANES])
                 D[b, a] -= mu * _work(t, ad_apply(e_1, e_2))
+    return A, C
 
 
 @kernel
@@ -137,8 +136,8 @@ def _invert(D):
 @kernel(counted=True)
 def factorise_hessian(rod, strain, part, work):
     """Eliminates the intervals from tip to base; the least pivot. After poses(), with the scaled section stiffness in work.factor."""
-    memory, least, Z, W = work.under_loads, 1e300, np.empty((SIZE, 6)), np.empty((SIZE, 6))
-    rows, Q, rows_Q = np.empty((SIZE, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+    memory, least, Z, rows = work.under_loads, 1e300, np.empty((SIZE, 6)), np.empty((SIZE, 3))
+    Q, rows_Q = np.zeros((3, 3)), np.zeros((3, 3))
     moment, force = times(part, strain.moment), (0.0, 0.0, 0.0)
     for i in range(3):  # rows_Q = moment~
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -151,12 +150,11 @@ def factorise_hessian(rod, strain, part, work):
                 change = (dot(position, own) if i == j else 0.0) - position[i] * own[j]
                 Q[i, j], rows_Q[i, j] = Q[i, j] + change, rows_Q[i, j] + change
         D, turn, columns, answer = memory.inverse[node], memory.turn[node], memory.columns[node], memory.answer[node]
-        _assemble_interval(rod, node, (moment, force), work, D, Z, W)
+        A, C = _assemble_interval(rod, node, (moment, force), work, D, Z)
         for a in range(SIZE):
-            k, v = _row(W, a)
+            k, v = operator_apply(A, C, _row(Z, a))
             for i in range(3):
-                turn[a, i], answer[a, i] = k[i], 0.0
-                side = cross(force, v)[i]
+                turn[a, i], answer[a, i], side = k[i], 0.0, cross(force, v)[i]
                 columns[a, i] = 0.5 * rod.length[node] * (side + Q[i, 0] * k[0] + Q[i, 1] * k[1] + Q[i, 2] * k[2])
                 rows[a, i] = -(side + rows_Q[i, 0] * k[0] + rows_Q[i, 1] * k[1] + rows_Q[i, 2] * k[2])
         add_product(turn, columns.T, D)
@@ -171,13 +169,13 @@ def factorise_hessian(rod, strain, part, work):
 
 @kernel(counted=True)
 def solve_hessian(rod, memory, x, start):
-    """Solves H x = b in place of b, a field over points from x[start] on."""
-    nodes, y = rod.length.size, np.empty(SIZE)
+    """Strains C^1/2 H^-1 C^1/2 of wrenches, in place of these, a field over points from x[start] on."""
+    nodes, y, c = rod.length.size, np.empty(SIZE), rod.root_compliance
     p, q, r = 0.0, 0.0, 0.0
     for node in range(nodes - 1, -1, -1):
         at, D, turn, columns = start + place(node), memory.inverse[node], memory.turn[node], memory.columns[node]
         for a in range(SIZE):
-            y[a] = x[at + a * LANES] - turn[a, 0] * p - turn[a, 1] * q - turn[a, 2] * r
+            y[a] = c[at - start + a * LANES] * x[at + a * LANES] - turn[a, 0] * p - turn[a, 1] * q - turn[a, 2] * r
         for a in range(SIZE):
             own = 0.0
             for b in range(SIZE):
@@ -190,5 +188,5 @@ def solve_hessian(rod, memory, x, start):
         s, t, u = p, q, r
         for a in range(SIZE):
             own = x[at + a * LANES] + answer[a, 0] * s + answer[a, 1] * t + answer[a, 2] * u
-            x[at + a * LANES] = own
+            x[at + a * LANES] = c[at - start + a * LANES] * own
             p, q, r = p + half * turn[a, 0] * own, q + half * turn[a, 1] * own, r + half * turn[a, 2] * own

@@ -17,7 +17,7 @@ import math
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, largest
 from soft_tendon_env.mechanics.algebra.lie import twist_scaled, twist_sum
-from soft_tendon_env.mechanics.algebra.linear import copy, product
+from soft_tendon_env.mechanics.algebra.linear import copy, product, total
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
     is_positive,
@@ -37,12 +37,10 @@ from soft_tendon_env.mechanics.terms.statics_newton import CONTRACTION, MAX_NEWT
 from soft_tendon_env.mechanics.terms.tendons import pull
 from soft_tendon_env.mechanics.types import Loaded
 
-SHARPER = 1e-3
-"""Part of the tolerance that the last correction may have: the factors are of the iterate before it, and columns are as far off as that."""
+SHARPER = 1e-3  # part of the tolerance that the last correction may have: columns are as far off as the iterate before it
 ROUND_OFF = 1e-12  # relative size of corrections that rounding leaves
-STENCIL = (-2.0, -1.0 / 12.0), (-1.0, 4.0 / 3.0), (0.0, -2.5), (1.0, 4.0 / 3.0), (2.0, -1.0 / 12.0)
-"""Steps and their shares in the second derivative, of fourth order."""
-ALONG = 0.01  # [rad] of the differences, of the turn of the whole rod: errors of 1e-10 by truncation, less by rounding
+STENCIL = (-2.0, -1.0 / 12.0), (-1.0, 4.0 / 3.0), (0.0, -2.5), (1.0, 4.0 / 3.0), (2.0, -1.0 / 12.0)  # steps, shares: second derivative
+ALONG = 0.01  # [rad] of a step, of the turn of the whole rod: errors of 1e-10 by truncation, less by rounding
 ITERATIONS = 8  # of the inverse iteration for the least eigenvalue
 
 
@@ -62,8 +60,8 @@ def linearise_loaded(arm, strain, q, part, work):
             return block
         store_factor(work.factor, block, h)
         wrench = twist_sum(load6(memory.step, at), passive_wrench(strain.law, blocks, block, q))
-        wrench = scaled(c, twist_sum(wrench, twist_scaled(-1.0, pulled)))
-        store6(memory.step, at, twist_sum(wrench, twist_scaled(-1.0, load6(memory.e, at))))
+        wrench = twist_sum(wrench, twist_scaled(-1.0, twist_sum(pulled, scaled(load6(rod.root_stiffness, at), load6(memory.e, at)))))
+        store6(memory.step, at, wrench)
     return -1 if factorise_hessian(rod, strain, part, work) > 0.0 else blocks
 
 
@@ -73,7 +71,7 @@ def apply_correction(rod, xi, memory):
     size, norm = 0.0, 0.0
     for block in range(2 * rod.packs):
         at = block * 6 * LANES
-        step = load6(memory.step, at)
+        step = scaled(load6(rod.root_stiffness, at), load6(memory.step, at))
         e = twist_sum(load6(memory.e, at), step)
         store6(memory.e, at, e)
         store6(xi, at, twist_sum(load6(rod.reference_strain, at), scaled(load6(rod.root_compliance, at), e)))
@@ -87,17 +85,15 @@ def apply_correction(rod, xi, memory):
 @kernel
 def rounding(rod, strain, part, tau):
     """Scaled strain that rounding leaves in the balance of tensions and loads, at most."""
-    force, moment, length, compliance = 0.0, 0.0, 0.0, 0.0
+    force, moment, compliance = 0.0, 0.0, 0.0
     for tension in tau:
         force += abs(tension)
     for i in range(3):
         force += part * (abs(strain.force[i]) + rod.mass[0] * abs(strain.acceleration[i]))
         moment += part * abs(strain.moment[i])
-    for h in rod.length:
-        length += h
     for c in rod.root_compliance:
         compliance = max(compliance, c)
-    return 1e-15 * (force * length + moment) * compliance
+    return 1e-15 * (force * total(rod.length) + moment) * compliance
 
 
 @kernel
@@ -130,24 +126,16 @@ def solve_loaded(arm, strain, q, part, tolerance, contraction, work):
 
 
 @kernel
-def solve_wrenches(rod, memory, field, start):
-    """Strains C^1/2 H^-1 C^1/2 of wrenches, in place of these, a field over points from field[start] on."""
-    for m in range(rod.root_compliance.size):
-        field[start + m] *= rod.root_compliance[m]
-    solve_hessian(rod, memory, field, start)
-    for m in range(rod.root_compliance.size):
-        field[start + m] *= rod.root_compliance[m]
-
-
-@kernel
 def load_acceleration(rod, strain, work, out):
     """Second derivative of load_stress() along the motion xi_dot with xi_ddot = 0, out (points x 6), by differences; moves the poses."""
     memory, turn = work.under_loads, 0.0
     for m in range(out.size):
         turn += rod.weight[m // (6 * LANES) * LANES + m % LANES] * abs(work.xi_dot[m])
-    step = ALONG / (turn + 1e-100)
-    copy(work.xi, memory.e)
     out[:] = 0.0
+    if turn < 1e-100:  # at rest
+        return
+    step = ALONG / turn
+    copy(work.xi, memory.e)
     for steps, share in STENCIL:
         for m in range(out.size):
             work.xi[m] = memory.e[m] + steps * step * work.xi_dot[m]
@@ -170,14 +158,14 @@ def loaded_columns(arm, strain, u, q, q_dot, work):
     work.Phi[:] = 0.0
     coordinate_wrenches(rod, tendons, law, work.unit, work, work.Phi)
     for j in range(law.size):
-        solve_wrenches(rod, memory, work.Phi, j * size)
+        solve_hessian(rod, memory, work.Phi, j * size)
     combined_columns(work.Phi, q_dot, work.xi_dot)
     load_acceleration(rod, strain, work, work.xi_bias)
     for block in range(2 * rod.packs):
         at = block * 6 * LANES
         turning = turning_wrench(tendons, 2 * rod.packs, block, load6(work.xi_dot, at), work)
         store6(work.xi_bias, at, twist_sum(load6(work.xi_bias, at), turning))
-    solve_wrenches(rod, memory, work.xi_bias, 0)
+    solve_hessian(rod, memory, work.xi_bias, 0)
 
 
 @kernel
@@ -203,21 +191,21 @@ def least_eigenvalue(arm, strain, work):
     for m in range(x.size):
         x[m] = math.cos(1.0 * m)
     for _ in range(ITERATIONS):
+        for m in range(x.size):
+            x[m] *= arm.rod.root_stiffness[m] ** 2 / norm
         solve_hessian(arm.rod, work.under_loads, x, 0)
         norm = math.sqrt(product(x, x))
-        for m in range(x.size):
-            x[m] /= norm
     return 1.0 / norm
 
 
 @kernel
 def loaded_rate(arm, strain, q_dot, work):
-    """Strain rate xi_dot = H^-1 Phi_w q_dot, from the tangents and factors that solve_strain_under_loads() left."""
+    """Strain rate xi_dot = H^-1 Phi_w q_dot, from the tangents and factors that solve_loaded() left."""
     blocks = 2 * arm.rod.packs
     strain_tension(strain.law, q_dot, work.tau_dot)
     for block in range(blocks):
         store6(work.xi_dot, block * 6 * LANES, rate_wrench(arm.tendons, strain.law, blocks, block, q_dot, work))
-    solve_wrenches(arm.rod, work.under_loads, work.xi_dot, 0)
+    solve_hessian(arm.rod, work.under_loads, work.xi_dot, 0)
 
 
 parametrises(Loaded, Parametrisation(solve_loaded, loaded_columns, loaded_matrices, loaded_is_unique, least_eigenvalue, loaded_rate))
