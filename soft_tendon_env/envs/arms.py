@@ -20,7 +20,7 @@ from soft_tendon_env.mechanics.motion.advance import Scheme
 from soft_tendon_env.mechanics.motion.scratch import Scratch, make_scratch
 from soft_tendon_env.mechanics.motion.status import MESSAGES, OK
 from soft_tendon_env.mechanics.motion.tape import Tape, make_tape
-from soft_tendon_env.mechanics.types import Arm, Loaded, Loads, node_field
+from soft_tendon_env.mechanics.types import Arm, Loaded, node_field
 from soft_tendon_env.model.coordinates import effects_inside
 from soft_tendon_env.model.grid import fixed_inertia
 from soft_tendon_env.model.model import Model
@@ -276,7 +276,7 @@ class Arms:
         if own is None:
             return arm
         if isinstance(arm.strain, Loaded):
-            arm = arm.replaced(strain=arm.strain.replaced(loads=Loads(**own.effects.dead_loads()._asdict())))
+            arm = arm.replaced(strain=arm.strain.replaced(**own.effects.dead_loads()._asdict()))
         state, begins = arm.effects.state.copy(), own.table.first_state
         for first, start, end in zip(arm.effects.first_state[:-1], begins[:-1], begins[1:], strict=True):
             state[first : first + end - start] = own.table.state[start:end]  # none, where the effect then needs none

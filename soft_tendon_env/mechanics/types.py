@@ -131,26 +131,17 @@ class StaticsBased(Implicit):
         return tau
 
 
-class Loads(Struct):
-    """Dead loads, components in the world frame."""
-
-    acceleration: tuple[float, float, float]  # of gravity [m/s^2], on all mass
-    force: tuple[float, float, float]  # at the tip [N]
-    moment: tuple[float, float, float]  # at the tip [N m]
-
-
 class Loaded(Implicit):
-    """Statics-based strain with dead loads inside (35): it answers to tensions, passive wrenches and these loads together.
-
-    Loads couple the points, so that every tension strains the whole rod.
-    """
+    """Statics-based strain with dead loads inside (35), which have every tension strain the whole rod."""
 
     size: int  # n, coordinates
     first: IntVector  # (n) 0: see StaticsBased
     last: IntVector  # (n) the number of packs
     tip: IntVector  # (n) the number of packs
     law: StaticsBased  # of the tensions and passive wrenches
-    loads: Loads
+    acceleration: tuple[float, float, float]  # of gravity [m/s^2], on all mass; as the next in the world frame
+    force: tuple[float, float, float]  # at the tip [N]
+    moment: tuple[float, float, float]  # at the tip [N m]
 
     @property
     def is_tensions(self) -> bool:
@@ -160,7 +151,7 @@ class Loaded(Implicit):
     @property
     def has_potential(self) -> bool:
         """True without a dead moment, which has no potential."""
-        return not any(self.loads.moment)
+        return not any(self.moment)
 
     def rest_coordinates(self, tension: FloatVector) -> FloatVector:
         """Coordinates (n,) at which tensions (n_a,) and these loads are in balance, [u; 0] of (34)."""

@@ -4,15 +4,11 @@ import math
 
 import numpy as np
 
-from soft_tendon_env.mechanics.algebra.lanes import LANES, LINE, aligned, aligned_zeros
-from soft_tendon_env.mechanics.algebra.linear import row_stride
-from soft_tendon_env.mechanics.algebra.packed_ldl import SIX
+from soft_tendon_env.mechanics.algebra.lanes import LINE, aligned, aligned_zeros
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.types import Arm, FloatVector, Loaded
 
 PER_LINE = LINE // 8  # numbers of a cache line
-ROW = 8  # numbers of a row of 6, padded to whole packs
-MATRIX = 6 * ROW
 
 
 class Bounded(Struct):
@@ -44,60 +40,19 @@ def zeros_of(*shapes: tuple[tuple[int, ...], str]) -> dict[str, np.ndarray]:
 
 
 class LoadMemory(Struct):
-    """Factors and solutions of the strain under dead loads, see strain_under_loads; all but empty for other strains.
-
-    The two points of an interval, and their free strains one after the other, make its up to 12 unknowns. A 6 x 6 matrix of a node has rows
-    that are padded to 8. Fields of columns are node x 6 x columns, padded to whole packs.
-    """
+    """Eliminated Hessian of the strain under dead loads, see load_hessian; all but empty for other strains."""
 
     e: FloatVector  # points x 6, the scaled strain
-    rhs: np.ndarray  # (packs, 12 x LANES) right-hand sides of the intervals, and their solutions
-    W: np.ndarray  # (packs, 12 x 6 x LANES) of the interval, see kinematics, times C^1/2 over the weight
-    R: np.ndarray  # (packs, 78 x LANES) lower triangle of the interval's Hessian over the weight, then its factor
-    A: np.ndarray  # (packs, 6, 12 x LANES) R^-1 W^T
-    Lambda: np.ndarray  # (nodes, 48) the intervals' compliance
-    total: FloatVector  # nodes x 6, wrench in the base frame of all loads from this node to the tip, and its derivatives along a motion
-    total_dot: FloatVector
-    total_ddot: FloatVector
-    eta: FloatVector  # nodes x 6, twist in the base frame, and its derivative at xi_ddot = 0
-    eta_dot: FloatVector
-    start: FloatVector  # nodes x 6, the same at the starts of the intervals
-    start_dot: FloatVector
-    S: FloatVector  # (48) the loads' stiffness seen from a node
-    K: FloatVector  # (48) the root of Lambda
-    SK: FloatVector  # (48)
-    B: FloatVector  # (48) the derivative of the wrench by the turn of the base
-    rows: FloatVector  # 6 x 16, one matrix and another
-    E: np.ndarray  # (nodes, 48) as the next: see factorise_riccati()
-    ES: np.ndarray
-    Pi: np.ndarray
-    N: np.ndarray
-    growth: FloatVector  # columns, the displacement over an interval without the loads' answer
-    answer: FloatVector  # columns, the wrench that answers
-    sums: FloatVector  # 6 x LANES, running sums
-    six: np.ndarray  # (6, 12 x LANES) six right-hand sides and their solutions
-    softest: FloatVector  # (1) the least pivot of the Hessian: 1 without loads and tensions
+    step: FloatVector  # points x 6, residual of the balance and its correction
+    inverse: np.ndarray  # (nodes, 12, 12) of the blocks on the diagonal: the two points of an interval have 12 unknowns
+    turn: np.ndarray  # (nodes, 12, 3) turn of what is beyond by the unknowns, over the weight
+    columns: np.ndarray  # (nodes, 12, 3) y of the unknowns
+    answer: np.ndarray  # (nodes, 12, 3) unknowns by a turn of the interval's start
 
 
-def make_load_memory(coordinates: int, nodes: int) -> LoadMemory:
-    """Zeroed LoadMemory for so many coordinates and nodes."""
-    packs = nodes // LANES
-    arrays = zeros_of(
-        ((12 * nodes,), "e"),
-        ((packs, 12 * LANES), "rhs"),
-        ((packs, 72 * LANES), "W"),
-        ((packs, 78 * LANES), "R"),
-        ((packs, SIX, 12 * LANES), "A"),
-        ((nodes, MATRIX), "Lambda E ES Pi N"),
-        ((6 * nodes,), "total total_dot total_ddot eta eta_dot start start_dot"),
-        ((MATRIX,), "S K SK B"),
-        ((2 * MATRIX,), "rows"),
-        ((6 * nodes * row_stride(max(coordinates, 1)),), "growth answer"),
-        ((6 * LANES,), "sums"),
-        ((SIX, 12 * LANES), "six"),
-        ((1,), "softest"),
-    )
-    return LoadMemory(**arrays)
+def make_load_memory(nodes: int) -> LoadMemory:
+    """Zeroed LoadMemory for so many nodes."""
+    return LoadMemory(**zeros_of(((12 * nodes,), "e step"), ((nodes, 12, 12), "inverse"), ((nodes, 12, 3), "turn columns answer")))
 
 
 class Workspace(Struct):
@@ -185,5 +140,5 @@ def make_workspace(arm: Arm) -> Workspace:
         unit=aligned(np.ones(points * 6)),
         share=aligned(np.ones(n_a * points)),
         bounded=make_bounded(n_a),
-        under_loads=make_load_memory(*((n, nodes) if isinstance(strain, Loaded) else (0, 0))),
+        under_loads=make_load_memory(nodes if isinstance(strain, Loaded) else 0),
     )

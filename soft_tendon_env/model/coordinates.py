@@ -7,7 +7,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from soft_tendon_env.effects.base import Effects
-from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, Loaded, Loads, StaticsBased, point_field
+from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, Loaded, StaticsBased, point_field
 from soft_tendon_env.model.grid import STRAIGHT, AtPoints, Grid, at_points, chords, discretisation, make_rod, make_tendons, pack_range
 from soft_tendon_env.scene.passive_fields import fields_of
 from soft_tendon_env.scene.scene import Scene
@@ -104,7 +104,9 @@ def explicit_strain(strain: ExplicitStrain, grid: Grid, here: AtPoints) -> Expli
 def _under_loads(scene: Scene, law: StaticsBased, grid: Grid) -> StaticsBased | Loaded:
     """The strain of a law with the scene's dead loads inside, if it is to answer to any."""
     dead = scene.effects.dead_loads()
-    return _loaded(law, Loads(**dead._asdict()), grid.packs) if effects_inside(scene) and dead.exist else law
+    if not (effects_inside(scene) and dead.exist):
+        return law
+    return Loaded(size=law.size, first=np.zeros_like(law.first), last=law.tip, tip=law.tip, law=law, **dead._asdict())
 
 
 def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid, here: AtPoints) -> StaticsBased:
@@ -144,7 +146,7 @@ def with_every_tension(arm: Arm) -> Arm:
     strain, tendons = arm.strain, arm.tendons
     if isinstance(strain, Explicit):
         return arm
-    law = strain if isinstance(strain, StaticsBased) else strain.law
+    law = strain.law
     size, packs = tendons.size + law.size - law.active, arm.rod.packs
     every = law.replaced(
         size=size,
@@ -157,12 +159,9 @@ def with_every_tension(arm: Arm) -> Arm:
         mixed=0,
         active=tendons.size,
     )
-    return arm.replaced(strain=every if isinstance(strain, StaticsBased) else _loaded(every, strain.loads, packs))
-
-
-def _loaded(law: StaticsBased, loads: Loads, packs: int) -> Loaded:
-    size, last = law.size, np.full(law.size, packs)
-    return Loaded(size=size, first=np.zeros(size, dtype=np.int64), last=last, tip=last, law=law, loads=loads)
+    if isinstance(strain, Loaded):
+        return arm.replaced(strain=strain.replaced(size=size, first=np.zeros_like(every.first), last=every.tip, tip=every.tip, law=every))
+    return arm.replaced(strain=every)
 
 
 def actuation_fields(here: AtPoints) -> Array:

@@ -35,19 +35,19 @@ class Coefficients(NamedTuple):
 
 
 def _taylor_table():
-    """Rows a, b, a1, b1, a2, b2, a3, b3: coefficients of theta^(2m), highest m first."""
-    terms = range(SERIES_TERMS + 3)
+    """Rows a, b, a1, b1, a2, b2: coefficients of theta^(2m), highest m first."""
+    terms = range(SERIES_TERMS + 2)
     a = [(-1) ** m / math.factorial(2 * m + 2) for m in terms]
     b = [(-1) ** m / math.factorial(2 * m + 3) for m in terms]
     rows = [a, b]
-    for _ in range(3):
+    for _ in range(2):
         a, b = ([2 * (m + 1) * f[m + 1] for m in range(len(f) - 1)] for f in (a, b))
         rows += [a, b]
     return tuple(tuple(reversed(row[:SERIES_TERMS])) for row in rows)
 
 
 _TAYLOR = _taylor_table()
-_A, _B, _A1, _B1, _A2, _B2, _A3, _B3 = _TAYLOR
+_A, _B, _A1, _B1, _A2, _B2 = _TAYLOR
 
 
 @kernel(inline=True)
@@ -107,44 +107,6 @@ def _coefficients_overload(x):
     if isinstance(x, Pack):
         return lambda x: _coefficients_pack(x)
     return lambda x: _coefficients_number(x)
-
-
-@kernel(inline=True)
-def _third_closed(x, c):
-    return (c.b1 - c.a1 - 6.0 * c.a2) / x, (c.a2 - 7.0 * c.b2) / x
-
-
-def third_coefficients(x, c):
-    """Coefficients a3 and b3 at x = theta^2, of c = coefficients(x): the next of the family, f3 = 2 df2/d(theta^2)."""
-    if np.max(x) < SERIES_LIMIT:
-        return _horner(_A3, x), _horner(_B3, x)
-    if np.ndim(x):
-        rows = [third_coefficients(number, Coefficients(*own)) for number, own in zip(x, np.transpose(c), strict=True)]
-        return tuple(np.transpose(rows))
-    return _third_closed(x, c)
-
-
-@kernel
-def _third_number(x, c):
-    return (_horner(_A3, x), _horner(_B3, x)) if x < SERIES_LIMIT else _third_closed(x, c)
-
-
-@kernel
-def _third_pack(x, c):
-    a3, b3 = _horner(_A3, x), _horner(_B3, x)
-    for i in range(LANES):
-        if not lane(x, i) < SERIES_LIMIT:
-            own = Coefficients(lane(c.a, i), lane(c.b, i), lane(c.a1, i), lane(c.b1, i), lane(c.a2, i), lane(c.b2, i))
-            a, b = _third_closed(lane(x, i), own)
-            a3, b3 = with_lane(a3, i, a), with_lane(b3, i, b)
-    return a3, b3
-
-
-@overload(third_coefficients)
-def _third_coefficients_overload(x, c):
-    if isinstance(x, Pack):
-        return lambda x, c: _third_pack(x, c)
-    return lambda x, c: _third_number(x, c)
 
 
 # 3-vectors ------------------------------------------------------------------------------------------------------------

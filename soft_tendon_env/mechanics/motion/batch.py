@@ -18,7 +18,7 @@ from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
 from soft_tendon_env.mechanics.motion.tape import tape_border, tape_part
 from soft_tendon_env.mechanics.terms.external_forces import place_base, rest_states
 from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses, poses_inside, strains_inside, tip_pose_of, tip_twist, write_pose
-from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_is_firm, strain_rate
+from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_has_margin, strain_rate
 from soft_tendon_env.mechanics.terms.tendons import tendon_lengths
 from soft_tendon_env.mechanics.terms.transmission import delivered, transmitted
 from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector
@@ -239,7 +239,7 @@ def read_samples(arm, places, q, q_dot, members, work, reading, good):
 def are_firm(arm, q, members, work, firm):
     """Whether coordinates have a firm strain, see parametrisation: firm (samples) of q (samples, n), for the samples named in `members`."""
     for i in members:
-        firm[i] = strain_is_firm(arm, q[i], STEP_TOLERANCE, work)
+        firm[i] = strain_has_margin(arm, q[i], STEP_TOLERANCE, work)
 
 
 @kernel

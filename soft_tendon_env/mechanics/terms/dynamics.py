@@ -146,17 +146,13 @@ def project(columns, field, rows, first, last, out):
 
 
 @kernel
-def cross_gram(columns, other, rows, first, last, out):
-    """Products of columns: out_ij = sum over the rows of columns_i other_j; column j of `other` lives in the packs first[j]..last[j]."""
-    n, per_column = first.size, columns.size // first.size
-    for tile in range((n + TILE - 1) // TILE):
-        at = _tile_starts(tile, n, per_column)
-        for j in range(n):
-            total = _zero_tile()
-            for group in range(first[j] * rows.groups, last[j] * rows.groups):
-                for m in range(group * rows.size, group * rows.size + rows.used, LANES):
-                    total = _add_products(total, load(other, j * per_column + m), _load_tile(columns, at, m))
-            _write_sums(lane_sums(total), tile, out[:, j])
+def combined_columns(Phi, q_dot, xi_dot):
+    """Strain rate xi_dot = Phi q_dot."""
+    for m in range(0, xi_dot.size, LANES):
+        total = spread(0.0)
+        for j in range(q_dot.size):
+            total = total + q_dot[j] * load(Phi, j * xi_dot.size + m)
+        store(xi_dot, m, total)
 
 
 @kernel(inline=True)

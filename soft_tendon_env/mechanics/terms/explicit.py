@@ -97,7 +97,7 @@ def explicit_matrices(arm, strain, work):
 
 
 @kernel
-def explicit_from_guess(arm, strain, q, tolerance, work):
+def solve_explicit(arm, strain, q, part, tolerance, contraction, work):
     """Strain xi = xi* + Phi q, which needs no guess."""
     rod, blocks = arm.rod, 2 * arm.rod.packs
     for block in range(blocks):
@@ -107,27 +107,15 @@ def explicit_from_guess(arm, strain, q, tolerance, work):
 
 
 @kernel
-def explicit_from_rest(arm, strain, q, tolerance, work):
-    """The strain at q, as from anywhere."""
-    return explicit_from_guess(arm, strain, q, tolerance, work), 1.0
-
-
-@kernel
-def explicit_along(arm, strain, q_from, q, tolerance, work):
-    """The strain at q, wherever it comes from."""
-    return explicit_from_guess(arm, strain, q, tolerance, work), 1.0
-
-
-@kernel
 def explicit_is_unique(arm, strain, q, work):
     """True, since there is one strain at all coordinates."""
     return True
 
 
 @kernel
-def explicit_is_firm(arm, strain, q, tolerance, work):
-    """True, since every strain exists and is the only one."""
-    return True
+def explicit_softest(arm, strain, work):
+    """1, since every strain exists and is the only one."""
+    return 1.0
 
 
 @kernel
@@ -139,15 +127,5 @@ def explicit_rate(arm, strain, q_dot, work):
 
 
 parametrises(
-    Explicit,
-    Parametrisation(
-        explicit_from_guess,
-        explicit_columns,
-        explicit_matrices,
-        explicit_from_rest,
-        explicit_along,
-        explicit_is_unique,
-        explicit_is_firm,
-        explicit_rate,
-    ),
+    Explicit, Parametrisation(solve_explicit, explicit_columns, explicit_matrices, explicit_is_unique, explicit_softest, explicit_rate)
 )

@@ -121,7 +121,8 @@ def chain(packs, work):
 
 
 @kernel(inline=True)
-def _twist_at(field, block, lane_index):
+def twist_at(field, block, lane_index):
+    """Twist-shaped numbers of one lane of a field over points or nodes."""
     at = block * 6 * LANES + lane_index
     k = field[at], field[at + LANES], field[at + 2 * LANES]
     return k, (field[at + 3 * LANES], field[at + 4 * LANES], field[at + 5 * LANES])
@@ -131,7 +132,7 @@ def _twist_at(field, block, lane_index):
 def strains_of_part(h, interval, part, work):
     """Strains at the two points of the first `part` of an interval of length h, linear between its own two."""
     pack, lane_index = interval // LANES, interval % LANES
-    xi_1, xi_2 = _twist_at(work.xi, 2 * pack, lane_index), _twist_at(work.xi, 2 * pack + 1, lane_index)
+    xi_1, xi_2 = twist_at(work.xi, 2 * pack, lane_index), twist_at(work.xi, 2 * pack + 1, lane_index)
     slope = twist_scaled(math.sqrt(3.0) / h, twist_sum(xi_2, twist_scaled(-1.0, xi_1)))
     middle = twist_sum(twist_scaled(0.5, twist_sum(xi_1, xi_2)), twist_scaled(0.5 * (part - h), slope))
     reach = twist_scaled(part * math.sqrt(3.0) / 6.0, slope)
@@ -139,9 +140,15 @@ def strains_of_part(h, interval, part, work):
 
 
 @kernel(inline=True)
+def pose_at(field, node):
+    """Pose (R, r) of one node, or of the start of its interval, as numbers."""
+    return _gather(field, node // LANES * 12 * LANES + node % LANES)
+
+
+@kernel(inline=True)
 def start_of(interval, work):
     """Pose of the start of an interval as numbers; after poses()."""
-    return _gather(work.start, interval // LANES * 12 * LANES + interval % LANES)
+    return pose_at(work.start, interval)
 
 
 @kernel
@@ -165,7 +172,7 @@ def strains_inside(length, interval, distance, field, out):
         i = interval[m]
         pack, lane_index = i // LANES, i % LANES
         share = math.sqrt(3.0) * (distance[m] / length[i] - 0.5) + 0.5
-        xi_1, xi_2 = _twist_at(field, 2 * pack, lane_index), _twist_at(field, 2 * pack + 1, lane_index)
+        xi_1, xi_2 = twist_at(field, 2 * pack, lane_index), twist_at(field, 2 * pack + 1, lane_index)
         k, p = twist_sum(twist_scaled(1.0 - share, xi_1), twist_scaled(share, xi_2))
         for i in range(3):
             out[m, i] = k[i]

@@ -1,36 +1,43 @@
-"""Strain parametrisations: registry of the compiled functions from coordinates to strains, columns, bias and stiffness.
+"""Strain parametrisations: registry of their compiled functions, and the continuation that finds a strain without a guess.
 
-A parametrisation is a struct of arrays (types.py), the arm's `strain`, and eight compiled functions. Its class is part of
+A parametrisation is a struct of arrays (types.py), the arm's `strain`, and six compiled functions. Its class is part of
 the compiled type, so it selects their code. Each takes the arm and its strain first, and the workspace last:
 
-    from_guess(arm, strain, q, tolerance, work)     the strain at q into work.xi, from the guess there; -1, or the block at which it
-                                                    could not be found
-    columns(arm, strain, u, q, q_dot, work)         under tensions u, where from_guess has just left the strain: xi_dot, xi_bias, the
+    solve(arm, strain, q, part, tolerance, contraction, work)
+                                                    the strain at q under `part` of the loads inside it, into work.xi, from the guess there;
+                                                    -1, or the block at which it could not be found; contraction: see CONTRACTION
+    columns(arm, strain, u, q, q_dot, work)         under tensions u, where solve has just left the strain: xi_dot, xi_bias, the
                                                     columns Phi and the mismatch, of which B u - K is made
     matrices(arm, strain, work)                     D and G, of what columns has left
-    from_rest(arm, strain, q, tolerance, work)      the strain at q on the branch of the stress-free rod, with no guess: as along
-    along(arm, strain, q_from, q, tolerance, work)  the same, continued from the strain at q_from there: (-1, 1.0), or (block, part reached)
     is_unique(arm, strain, q, work)                 whether at most one strain belongs to q
-    is_firm(arm, strain, q, tolerance, work)        whether q has a strain, and the way there from rest keeps clear of where others begin
-    rate(arm, strain, q_dot, work)                  xi_dot alone, where from_guess has just left the strain
+    softest(arm, strain, work)                      how stiff the rod still is where solve has just left the strain, 1 with nothing acting
+    rate(arm, strain, q_dot, work)                  xi_dot alone, where solve has just left the strain
 """
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
 from numba.extending import overload
+
+from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.mechanics.algebra.linear import copy
+from soft_tendon_env.mechanics.terms.statics_newton import ANY, CONTRACTION, all_pull, chords_stay
+
+SMALLEST_PART = 1e-5  # of what was reached, in a continuation
+LEAST_PART = 1e-9  # of the way
+MARGIN_PARTS = 16
+SOFT = 0.05  # of the stiffness: less is left where the strain is about to give way
 
 
 class Parametrisation(NamedTuple):
     """The functions of one parametrisation."""
 
-    from_guess: Callable[..., Any]
+    solve: Callable[..., Any]
     columns: Callable[..., Any]
     matrices: Callable[..., Any]
-    from_rest: Callable[..., Any]
-    along: Callable[..., Any]
     is_unique: Callable[..., Any]
-    is_firm: Callable[..., Any]
+    softest: Callable[..., Any]
     rate: Callable[..., Any]
 
 
@@ -56,6 +63,65 @@ def _of_the_arm(name):
     return call
 
 
-strain_from_guess, strain_columns, strain_matrices = _of_the_arm("from_guess"), _of_the_arm("columns"), _of_the_arm("matrices")
-strain_from_rest, strain_along, strain_rate = _of_the_arm("from_rest"), _of_the_arm("along"), _of_the_arm("rate")
-strain_is_unique, strain_is_firm = _of_the_arm("is_unique"), _of_the_arm("is_firm")
+solve_strain_at, strain_is_unique, strain_softest = _of_the_arm("solve"), _of_the_arm("is_unique"), _of_the_arm("softest")
+strain_columns, strain_matrices, strain_rate = _of_the_arm("columns"), _of_the_arm("matrices"), _of_the_arm("rate")
+
+
+@kernel
+def strain_from_guess(arm, q, tolerance, work):
+    """The strain at q into work.xi, from the guess there; -1, or the block at which it could not be found."""
+    return solve_strain_at(arm, q, 1.0, tolerance, ANY, work)
+
+
+@kernel(refcount=True)
+def continue_strain(arm, begin, end, tolerance, work):
+    """The strain at the end of a way on the branch of that at its beginning, which is in work.xi: in growing or halved parts of the way.
+
+    begin, end: coordinates (n,) and the part of the loads inside. Where the strain need not be the only one, parts are so small that
+    Newton contracts at once and, with tendons that push, no chord moves far. Returns (-1, 1.0), or (the block that stopped it, the part
+    of the way that was reached, whose strain is left in work.xi).
+    """
+    (q_from, part_from), (q, part) = begin, end
+    reached, step, last_good = 0.0, 1.0, work.xi.copy()
+    while reached < 1.0:
+        ahead = reached + step if step < 1.0 - reached else 1.0
+        q_ahead = q_from + ahead * (q - q_from)
+        unique = strain_is_unique(arm, q_ahead, work)
+        copy(last_good, work.xi)
+        failed = solve_strain_at(arm, q_ahead, part_from + ahead * (part - part_from), tolerance, ANY if unique else CONTRACTION, work)
+        if failed < 0 and (unique or all_pull(work.tau) or chords_stay(arm.rod, arm.tendons, last_good, work.xi)):
+            reached, step = ahead, 2.0 * (ahead - reached)
+            copy(work.xi, last_good)
+        else:
+            step = 0.5 * (ahead - reached)
+            if step < max(SMALLEST_PART * reached, LEAST_PART):
+                copy(last_good, work.xi)
+                return max(failed, 0), reached
+    return -1, 1.0
+
+
+@kernel(refcount=True)
+def strain_from_rest(arm, q, tolerance, work):
+    """The strain at q on the branch on which coordinates and loads inside grow together from the stress-free rod; as continue_strain()."""
+    copy(arm.rod.reference_strain, work.xi)
+    return continue_strain(arm, (np.zeros(q.size), 0.0), (q, 1.0), tolerance, work)
+
+
+@kernel
+def strain_along(arm, q_from, q, tolerance, work):
+    """The strain at q on the branch of that at q_from, which is in work.xi; as continue_strain()."""
+    return continue_strain(arm, (q_from, 1.0), (q, 1.0), tolerance, work)
+
+
+@kernel(refcount=True)
+def strain_has_margin(arm, q, tolerance, work):
+    """Whether there is a strain at q and, where it need not be the only one, Newton contracts at once in each of MARGIN_PARTS even parts of
+    the way from rest, to strains stiffer than SOFT."""
+    if strain_is_unique(arm, q, work):
+        return strain_from_rest(arm, q, tolerance, work)[0] < 0
+    copy(arm.rod.reference_strain, work.xi)
+    for k in range(MARGIN_PARTS):
+        part = (k + 1.0) / MARGIN_PARTS
+        if solve_strain_at(arm, part * q, part, tolerance, CONTRACTION, work) >= 0 or not strain_softest(arm, work) > SOFT:
+            return False
+    return True

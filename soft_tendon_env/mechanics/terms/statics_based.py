@@ -10,15 +10,7 @@ from soft_tendon_env.mechanics.algebra.lie import plus, times, twist_scaled, twi
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, load_factor, scaled, solve, store6, zero6
 from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, stiffness_matrix
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
-from soft_tendon_env.mechanics.terms.statics_newton import (
-    passive_wrench,
-    statics_along,
-    statics_from_guess,
-    statics_from_rest,
-    statics_is_firm,
-    statics_is_unique,
-    strain_tension,
-)
+from soft_tendon_env.mechanics.terms.statics_newton import least_pivot, passive_wrench, solve_statics, statics_is_unique, strain_tension
 from soft_tendon_env.mechanics.terms.tendons import tangent_rate, wrench_column
 from soft_tendon_env.mechanics.types import StaticsBased
 
@@ -176,16 +168,4 @@ def statics_rate(arm, strain, q_dot, work):
         store6(work.xi_dot, block * 6 * LANES, solve_column(load_factor(work.factor, block), c, total, rod.free))
 
 
-parametrises(
-    StaticsBased,
-    Parametrisation(
-        statics_from_guess,
-        statics_columns,
-        statics_matrices,
-        statics_from_rest,
-        statics_along,
-        statics_is_unique,
-        statics_is_firm,
-        statics_rate,
-    ),
-)
+parametrises(StaticsBased, Parametrisation(solve_statics, statics_columns, statics_matrices, statics_is_unique, least_pivot, statics_rate))

@@ -1,16 +1,13 @@
-"""Newton iteration for the statics-based strain (30), with the exact Jacobian (31)-(32), and its continuation in the coordinates.
+"""Newton iteration for the statics-based strain (30), with the exact Jacobian (31)-(32).
 
 In scaled form, with C = Sigma^-1 (0 for rigid strains) and e = Sigma^1/2 (xi - xi*), the strain solves
 e + C^1/2 (sum tau s - Phi_p q_p) = 0. Its Jacobian H is symmetric, and positive definite as long as every tendon pulls: e then
 minimises a convex energy.
 """
 
-import numpy as np
-
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load
 from soft_tendon_env.mechanics.algebra.lie import minus, twist_scaled, twist_sum
-from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
     inverse_diagonal,
@@ -28,16 +25,12 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
 from soft_tendon_env.mechanics.terms.tendons import chord, pull, squared_length
 
 MAX_NEWTON = 20
-SMALLEST_PART = 1e-5  # of what was reached, in the continuation from rest
-LEAST_PART = 1e-9  # of the load
 CONTRACTION = 0.25
 """Largest part of a correction that the next one may be where Newton is to stay on the branch it began on (Deuflhard, Newton Methods for
 Nonlinear Problems, 2004, chapter 5): with tendons that push, the strain that balances them need not be the only one."""
 ANY = 1e300  # contraction that is not watched
 MOST_TURN = 0.3
 """Largest part of its length that a tendon's chord may move in a part of a push: it alone makes the balance nonlinear."""
-FIRM_PARTS = 16
-SOFT = 0.05  # of a section's stiffness: less is left where pushes are about to have it give way
 
 
 @kernel
@@ -129,77 +122,25 @@ def all_pull(tau):
     return True
 
 
-@kernel(refcount=True)
-def statics_along(arm, strain, q_from, q, tolerance, work):
-    """The strain at q on the branch of that at q_from, which is in work.xi: by continuation in growing or halved parts of the way.
-
-    Where tendons pull there is one branch alone. Where they push, parts are so small that Newton contracts at once and no chord moves
-    far. Returns (-1, 1.0), or (the block that stopped it, the part of the way that was reached, whose strain is left in work.xi).
-    """
-    rod, tendons = arm.rod, arm.tendons
-    reached, part, scaled_q, last_good = 0.0, 1.0, np.empty(q.size), np.empty(work.xi.size)
-    copy(work.xi, last_good)
-    while reached < 1.0:
-        part = min(part, 1.0 - reached)
-        for i in range(q.size):
-            scaled_q[i] = q_from[i] + (reached + part) * (q[i] - q_from[i])
-        strain_tension(strain, scaled_q, work.tau)
-        pulled = all_pull(work.tau)
-        copy(last_good, work.xi)
-        failed = solve_strain(rod, tendons, strain, scaled_q, tolerance, ANY if pulled else CONTRACTION, work)
-        if failed < 0 and (pulled or chords_stay(rod, tendons, last_good, work.xi)):
-            reached, part = reached + part, 2.0 * part
-            copy(work.xi, last_good)
-        else:
-            part *= 0.5
-            if part < max(SMALLEST_PART * reached, LEAST_PART):
-                copy(last_good, work.xi)
-                return max(failed, 0), reached
-    return -1, 1.0
+@kernel
+def solve_statics(arm, strain, q, part, tolerance, contraction, work):
+    """The strain at q from the guess in work.xi; there are no loads inside, of which `part` would tell."""
+    strain_tension(strain, q, work.tau)
+    return solve_strain(arm.rod, arm.tendons, strain, q, tolerance, contraction, work)
 
 
 @kernel
-def statics_from_guess(arm, strain, q, tolerance, work):
-    """The strain at q from the guess in work.xi."""
-    strain_tension(strain, q, work.tau)
-    return solve_strain(arm.rod, arm.tendons, strain, q, tolerance, ANY, work)
-
-
-@kernel(refcount=True)
-def statics_from_rest(arm, strain, q, tolerance, work):
-    """The strain at q on the branch of the stress-free rod: from there at once where there is but one strain, else by continuation."""
-    copy(arm.rod.reference_strain, work.xi)
-    if statics_is_unique(arm, strain, q, work) and statics_from_guess(arm, strain, q, tolerance, work) < 0:
-        return -1, 1.0
-    copy(arm.rod.reference_strain, work.xi)
-    return statics_along(arm, strain, np.zeros(q.size), q, tolerance, work)
-
-
-@kernel(refcount=True)
 def statics_is_unique(arm, strain, q, work):
     """Whether at most one strain belongs to q: no tendon pushes."""
     strain_tension(strain, q, work.tau)
     return all_pull(work.tau)
 
 
-@kernel(refcount=True)
-def statics_is_firm(arm, strain, q, tolerance, work):
-    """Whether there is a strain at q and, where tendons push, FIRM_PARTS even parts of q lead to it with pivots that stay above SOFT."""
-    rod = arm.rod
-    copy(rod.reference_strain, work.xi)
-    if statics_is_unique(arm, strain, q, work):
-        if statics_from_guess(arm, strain, q, tolerance, work) < 0:
-            return True
-        copy(rod.reference_strain, work.xi)
-        return statics_along(arm, strain, np.zeros(q.size), q, tolerance, work)[0] < 0
-    for k in range(FIRM_PARTS):
-        part = (k + 1.0) / FIRM_PARTS * q
-        strain_tension(strain, part, work.tau)
-        if solve_strain(rod, arm.tendons, strain, part, tolerance, CONTRACTION, work) >= 0:
-            return False
-        for block in range(2 * rod.packs):
-            i0, i1 = inverse_diagonal(load_factor(work.factor, block))
-            softest = max(largest(i0[0]), largest(i0[1]), largest(i0[2]), largest(i1[0]), largest(i1[1]), largest(i1[2]))
-            if not softest <= 1.0 / SOFT:
-                return False
-    return True
+@kernel
+def least_pivot(arm, strain, work):
+    """Least pivot of the section stiffness at the strain that solve_strain() left."""
+    softest = 0.0
+    for block in range(2 * arm.rod.packs):
+        i0, i1 = inverse_diagonal(load_factor(work.factor, block))
+        softest = max(softest, largest(i0[0]), largest(i0[1]), largest(i0[2]), largest(i1[0]), largest(i1[1]), largest(i1[2]))
+    return 1.0 / softest

@@ -5,7 +5,7 @@ import pytest
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import configure
-from soft_tendon_env.mechanics.terms.parametrisation import strain_from_rest, strain_is_firm
+from soft_tendon_env.mechanics.terms.parametrisation import strain_from_rest, strain_has_margin
 from soft_tendon_env.mechanics.terms.statics_newton import ANY, solve_strain, strain_tension
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.grid import screw_matrices
@@ -199,7 +199,7 @@ def test_strains_of_pushing_tendons_are_the_ends_of_slow_loadings(scene, build):
 
 
 def is_firm(model, tension):
-    return bool(strain_is_firm(model.arm, model.rest_coordinates(tension), 1e-6, make_workspace(model.arm)))
+    return bool(strain_has_margin(model.arm, model.rest_coordinates(tension), 1e-6, make_workspace(model.arm)))
 
 
 def test_strains_near_the_limit_of_a_push_are_not_firm(build):

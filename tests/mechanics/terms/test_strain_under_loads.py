@@ -8,7 +8,7 @@ import pytest
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import configure
-from soft_tendon_env.mechanics.terms.parametrisation import strain_along, strain_from_guess, strain_from_rest, strain_is_firm
+from soft_tendon_env.mechanics.terms.parametrisation import strain_along, strain_from_guess, strain_from_rest, strain_has_margin
 from soft_tendon_env.mechanics.types import Loaded
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.model import model_on
@@ -64,7 +64,7 @@ def test_columns_rates_and_bias_are_the_derivatives_of_the_strain(name, changes,
 
 def net_force(model, work, at_points):
     """K - F by its definition: work of the elastic stress less that of the loads at the nodes and the tip, along every column (n,)."""
-    rod, loads, n = model.arm.rod, model.arm.strain.loads, model.coordinate_count
+    rod, loads, n = model.arm.rod, model.arm.strain, model.coordinate_count
     weight = at_points(model, np.repeat(rod.weight.reshape(-1, 1, LANES), 6, axis=1).ravel())[0]
     stiff = at_points(model, rod.root_stiffness)[0] ** 2
     strained = at_points(model, work.xi - rod.reference_strain)[0]
@@ -170,4 +170,4 @@ def test_firm_coordinates_keep_clear_of_buckling(on_few_intervals):
         model = on_few_intervals("three_tendon", {**UPRIGHT, EULER[0]: [-part * EULER[1], 0.0, 0.0]})
         work, q = make_workspace(model.arm), np.zeros(model.coordinate_count)
         assert configure(model.arm, q, TOLERANCE, work)[0] == -1
-        assert strain_is_firm(model.arm, q, TOLERANCE, work) == firm
+        assert strain_has_margin(model.arm, q, TOLERANCE, work) == firm
