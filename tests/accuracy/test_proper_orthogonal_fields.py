@@ -7,9 +7,10 @@ from soft_tendon_env.accuracy import proper_orthogonal_fields
 from soft_tendon_env.accuracy.proper_orthogonal_fields import jump_test, make_passive_fields, residual_wrenches
 from soft_tendon_env.accuracy.reference import LEVELS, backbones, distances, full_physics, motion, reference_motions
 from soft_tendon_env.accuracy.test_inputs import USUAL, motion_tensions
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.coordinates import actuation_fields, passive_fields
 from soft_tendon_env.model.grid import at_points, make_grid, screw_matrices
-from soft_tendon_env.model.model import build_model, model_on
+from soft_tendon_env.model.model import model_on
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.passive_fields import find_fields

@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.quadrature import LEAST_INERTIA, QuadratureWarning, intervals_in_use, needed_intervals, quadrature_estimate
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene, save_scene, scene_names
@@ -152,7 +152,7 @@ def test_fields_of_high_order_keep_their_inertia():
 def test_the_mass_of_a_disc_is_not_missed():
     """A disc on the arm strains nothing, and is all the more mass."""
     scene = radius_table(0.02, 0.02).replace({"quadrature.tolerance": 1.0})
-    assert "the rod's mass is off by" in quadrature_estimate(scene, 6).problem
+    assert "the moment of the rod's mass is off by" in quadrature_estimate(scene, 6).problem
     mass, exact = (build_model(scene.replace({"quadrature.intervals": count})).arm.rod.mass for count in (intervals_in_use(scene), 400))
     assert abs(mass / exact - 1.0) < 0.02
 
@@ -176,7 +176,7 @@ def told(scene):
     return [(warning.category, str(warning.message), warning.filename) for warning in caught]
 
 
-def test_too_few_intervals_are_told_with_tendon_error_and_what_would_do():
+def test_too_few_intervals_are_told_with_tensions_error_and_what_would_do():
     scene = helices(3).replace({"quadrature.intervals": 6, "tendons.1.tension_limits": [0.0, 8.0]})
     ((category, message, filename),) = told(scene)
     enough, estimate = needed_intervals(scene).intervals, quadrature_estimate(scene)
@@ -184,7 +184,7 @@ def test_too_few_intervals_are_told_with_tendon_error_and_what_would_do():
     share, millimetres = f"{100 * estimate.error:.2g} %", f"{300 * estimate.error:.2g} mm"
     assert message == (
         f"quadrature too coarse: with 6 intervals per piece the tip is off by about {share} of the length, {millimetres}, "
-        f"worst by tendon 1 at 8 N; {enough} would do, or leave quadrature.intervals out"
+        f"under tensions [0, 8, 0] N; {enough} would do, or leave quadrature.intervals out"
     )
     assert not told(scene.replace({"quadrature.intervals": enough})) and not told(scene.replace({"quadrature.intervals": 60}))
 
@@ -192,11 +192,11 @@ def test_too_few_intervals_are_told_with_tendon_error_and_what_would_do():
 def test_loads_and_fields_are_named_too():
     hanging = three_tendon(quadrature__intervals=1, **{key.replace(".", "__"): value for key, value in LOADS.items()})
     slack = hanging.replace({f"tendons.{i}.tension_limits": [0.0, 0.05] for i in range(3)})
-    assert "mm, most of it under the loads alone" in quadrature_estimate(slack).problem
+    assert "mm, under tensions [0.05, 0, 0.05] N and loads" in quadrature_estimate(slack).problem
     explicit = three_tendon(quadrature__intervals=6, strain={"type": "explicit", "modes": modes(8)})
     assert "of its inertia" in quadrature_estimate(explicit).problem
     implicit = three_tendon(quadrature__intervals=5, strain__passive=modes(12))
-    assert "coordinates are told apart of 40" in quadrature_estimate(implicit).problem
+    assert "do not tell all 40 coordinates apart" in quadrature_estimate(implicit).problem
 
 
 def test_what_no_quadrature_does_is_told_whether_given_or_not():

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.model import load_continuation
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.equilibrium_residual import Balance
 from soft_tendon_env.model.load_continuation import RESIDUAL, LoadPath
-from soft_tendon_env.model.model import build_model
 from soft_tendon_env.model.statics import Neighbourhood, RedundancyWarning, static_equilibrium, static_stiffness
 from soft_tendon_env.scene.file import load_scene, scene_names
 
