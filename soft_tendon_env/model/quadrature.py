@@ -56,11 +56,6 @@ class QuadratureEstimate(NamedTuple):
     problem: str
 
 
-def intervals_in_use(scene: Scene) -> int:
-    """Quadrature intervals per piece of the rod: those that the scene says, or those that it needs."""
-    return scene.quadrature.intervals or needed_intervals(scene).intervals
-
-
 def quadrature_estimate(scene: Scene, intervals: int | None = None) -> QuadratureEstimate:
     """Estimate of the error with this many intervals per piece (None: with those in use)."""
     intervals = intervals or scene.quadrature.intervals

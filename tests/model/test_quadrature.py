@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.model.build import build_model
-from soft_tendon_env.model.quadrature import LEAST_INERTIA, QuadratureWarning, intervals_in_use, needed_intervals, quadrature_estimate
+from soft_tendon_env.model.quadrature import LEAST_INERTIA, QuadratureWarning, needed_intervals, quadrature_estimate
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene, save_scene, scene_names
 from soft_tendon_env.scene.scene import MOST_INTERVALS, TIP_TOLERANCE, Scene, rod_length
@@ -64,7 +64,7 @@ def true_error(scene, intervals, fine=64):
 @pytest.mark.cases("name", scene_names())
 def test_shipped_scenes_need_six_intervals_or_fewer(name):
     scene = load_scene(name)
-    assert scene.quadrature.intervals is None and intervals_in_use(scene) == 6
+    assert scene.quadrature.intervals is None and quadrature_estimate(scene).intervals == 6
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert build_model(scene).grid.per_piece == 6
@@ -72,8 +72,8 @@ def test_shipped_scenes_need_six_intervals_or_fewer(name):
 
 def test_what_is_given_is_in_use():
     scene = three_tendon(quadrature__intervals=3)
-    assert intervals_in_use(scene) == 3 and quadrature_estimate(scene).intervals == 3
-    assert intervals_in_use(helices(6).replace({"quadrature.intervals": 2})) == 2
+    assert quadrature_estimate(scene).intervals == 3 and quadrature_estimate(scene).intervals == 3
+    assert quadrature_estimate(helices(6).replace({"quadrature.intervals": 2})).intervals == 2
     assert quadrature_estimate(three_tendon(), 5).intervals == 5
 
 
@@ -82,14 +82,14 @@ def test_a_scene_that_says_no_number_stays_so(tmp_path):
     save_scene(scene, tmp_path / "helices.toml")
     loaded = load_scene(tmp_path / "helices.toml")
     assert loaded == scene and loaded.quadrature.intervals is None
-    assert intervals_in_use(loaded) == build_model(loaded).grid.per_piece > 6
+    assert quadrature_estimate(loaded).intervals == build_model(loaded).grid.per_piece > 6
 
 
 def test_least_and_tolerance_are_kept():
     """The error is of fourth order in the number of intervals."""
-    assert intervals_in_use(three_tendon(quadrature__least=4)) == 4
+    assert quadrature_estimate(three_tendon(quadrature__least=4)).intervals == 4
     scene = helices(3).replace({"quadrature.least": 4})
-    counts = [intervals_in_use(scene.replace({"quadrature.tolerance": tolerance})) for tolerance in (1e-2, 1e-4, 1e-6)]
+    counts = [quadrature_estimate(scene.replace({"quadrature.tolerance": tolerance})).intervals for tolerance in (1e-2, 1e-4, 1e-6)]
     np.testing.assert_allclose(np.log10(np.divide(counts[1:], counts[:-1])), 0.5, atol=0.07)
 
 
@@ -153,7 +153,7 @@ def test_the_mass_of_a_disc_is_not_missed():
     """A disc on the arm strains nothing, and is all the more mass."""
     scene = radius_table(0.02, 0.02).replace({"quadrature.tolerance": 1.0})
     assert "the moment of the rod's mass is off by" in quadrature_estimate(scene, 6).problem
-    mass, exact = (build_model(scene.replace({"quadrature.intervals": count})).arm.rod.mass for count in (intervals_in_use(scene), 400))
+    mass, exact = (build_model(scene.replace({"quadrature.intervals": count})).arm.rod.mass for count in (quadrature_estimate(scene).intervals, 400))
     assert abs(mass / exact - 1.0) < 0.02
 
 
@@ -162,7 +162,8 @@ def test_the_mass_of_a_disc_is_not_missed():
 )
 def test_tensions_that_nothing_bears_are_cut(limits, least, most):
     """Limits far beyond what a section can balance: the estimate is that of the tensions that it can."""
-    assert least <= intervals_in_use(helices(1).replace({f"tendons.{i}.tension_limits": limits for i in range(3)})) <= most
+    scene = helices(1).replace({f"tendons.{i}.tension_limits": limits for i in range(3)})
+    assert least <= needed_intervals(scene).intervals <= most
 
 
 # what is told -----------------------------------------------------------------------------------------------------------
