@@ -59,7 +59,7 @@ class QuadratureEstimate(NamedTuple):
 def quadrature_estimate(scene: Scene, intervals: int | None = None) -> QuadratureEstimate:
     """Estimate of the error with this many intervals per piece (None: with those in use)."""
     intervals = intervals or scene.quadrature.intervals
-    return needed_intervals(scene) if intervals is None else QuadratureTest(scene).estimate(intervals)
+    return needed_intervals(scene) if intervals is None else QuadratureTest(scene).error_estimate(intervals)[0]
 
 
 def needed_intervals(scene: Scene) -> QuadratureEstimate:
@@ -79,7 +79,7 @@ def model_on_needed(scene: Scene) -> Model:
             text = f"is {shown(segment.curvature)}: it turns the segment {turns:.3g} times, and the finest quadrature tells {most} turns"
             raise ConfigurationError([Problem(("segments", i, "curvature"), text)])
     test, given = QuadratureTest(scene), scene.quadrature.intervals
-    found = test.search(scene.quadrature.least) if given is None else test.estimate(given)
+    found = test.search(scene.quadrature.least) if given is None else test.error_estimate(given)[0]
     if found.problem:
         enough = found if given is None else test.search(given)
         advice = f"not even {enough.intervals} would do"
@@ -127,24 +127,22 @@ class QuadratureTest:
             before = excess if factor == 2.0 else np.inf
             intervals = min(max(intervals + 1, math.ceil(intervals * factor)), MOST_INTERVALS)
 
-    def estimate(self, intervals: int) -> QuadratureEstimate:
-        """The estimate for this many intervals."""
-        if (half := (intervals - 1) // 2) >= max(self.scene.quadrature.least, self.resolving // 2):
-            found, _ = self.error_estimate(half, intervals)
-            if not found.problem:  # what suffices with half of them needs no finer quadrature
-                return QuadratureEstimate(intervals, found.error / 8.0, "")
-        return self.error_estimate(intervals)[0]
-
-    def _error_estimate(self, intervals: int, finer: int | None = None) -> tuple[QuadratureEstimate, float]:
+    def _error_estimate(self, intervals: int) -> tuple[QuadratureEstimate, float]:
         """The estimate against a finer quadrature, and by what factor the worst of its errors exceeds what is allowed."""
-        coarse, fine = self.model(intervals), self.model(finer or max(2 * intervals + 1, self.resolving))
+        coarse, fine = self.model(intervals), self.model(max(2 * intervals + 1, self.resolving))
         error, kept, problem = np.inf, 1.0, f"its points do not tell all {fine.coordinate_count} coordinates apart"
+        refused = QuadratureEstimate(intervals, 0.0, ""), 0.0  # by build_model, on any quadrature
+        if fine.coordinate_count == 0:
+            return refused
         with np.errstate(all="ignore"):  # forces of a hopeless quadrature may be infinite or NaN
-            if coarse.coordinate_count == fine.coordinate_count and least_eigenvalue(coarse.metric) > SINGULAR:
-                share, tension = self.displacement(coarse, fine)
-                error, kept = share / SAFETY, inertia_kept(coarse, fine)
-                off = f"the tip is off by about {100 * error:.2g} % of the length, {1e3 * error * coarse.length:.2g} mm"
-                problem = f"{off}, under tensions {shown_numbers(tension)} N{' and loads' if coarse.arm.effects.load else ''}"
+            try:
+                if coarse.coordinate_count == fine.coordinate_count and least_eigenvalue(coarse.metric) > SINGULAR:
+                    share, tension = self.displacement(coarse, fine)
+                    error, kept = share / SAFETY, inertia_kept(coarse, fine)
+                    off = f"the tip is off by about {100 * error:.2g} % of the length, {1e3 * error * coarse.length:.2g} mm"
+                    problem = f"{off}, under tensions {shown_numbers(tension)} N{' and loads' if coarse.arm.effects.load else ''}"
+            except StrainLimitError:  # without tensions the loads inside of its strain buckle the arm
+                return refused
             mass = mass_error(coarse, fine)
         excess, problem = max(
             (error / self.scene.quadrature.tolerance, problem),
@@ -155,8 +153,6 @@ class QuadratureTest:
 
     def displacement(self, coarse: Model, fine: Model) -> tuple[float, Array]:
         """Largest displacement of the tip at rest that was found between two quadratures, as a share of the length, and the tensions."""
-        if coarse.coordinate_count == 0:
-            return 0.0, self.slack
         responses = [_response(model) for model in (coarse, fine)]
         shares = [(_unloaded_share(coarse, fine, responses, tension), tension) for tension in self.tensions]
         shares.sort(key=lambda found: found[0], reverse=True)
@@ -189,10 +185,7 @@ def mass_error(coarse: Model, fine: Model) -> float:
 def inertia_kept(coarse: Model, fine: Model) -> float:
     """The least part of its inertia that a combination of coordinates keeps at rest."""
     still = np.zeros(coarse.coordinate_count)
-    try:
-        M, exact = (model.terms(still, still).mass for model in (coarse, fine))
-    except StrainLimitError:  # loads inside of the strain buckle the arm
-        return 1.0
+    M, exact = (model.terms(still, still).mass for model in (coarse, fine))
     scale = 1.0 / np.sqrt(np.maximum(np.diag(exact), np.finfo(float).tiny))
     sizes, directions = np.linalg.eigh(exact * np.outer(scale, scale))
     moving = sizes > NO_INERTIA * sizes[-1]

@@ -10,6 +10,7 @@ from soft_tendon_env.model.quadrature import LEAST_INERTIA, QuadratureWarning, n
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene, save_scene, scene_names
 from soft_tendon_env.scene.scene import MOST_INTERVALS, TIP_TOLERANCE, Scene, rod_length
+from soft_tendon_env.tools.configuration import ConfigurationError
 
 LOADS = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.01}
 ANGULAR = ["torsion", "bend_y", "bend_z"]
@@ -153,7 +154,8 @@ def test_the_mass_of_a_disc_is_not_missed():
     """A disc on the arm strains nothing, and is all the more mass."""
     scene = radius_table(0.02, 0.02).replace({"quadrature.tolerance": 1.0})
     assert "the moment of the rod's mass is off by" in quadrature_estimate(scene, 6).problem
-    mass, exact = (build_model(scene.replace({"quadrature.intervals": count})).arm.rod.mass for count in (quadrature_estimate(scene).intervals, 400))
+    counts = needed_intervals(scene).intervals, 400
+    mass, exact = (build_model(scene.replace({"quadrature.intervals": count})).arm.rod.mass for count in counts)
     assert abs(mass / exact - 1.0) < 0.02
 
 
@@ -205,6 +207,21 @@ def test_what_no_quadrature_does_is_told_whether_given_or_not():
     for scene in (hopeless, hopeless.replace({"quadrature.intervals": 6})):
         ((category, message, _),) = told(scene)
         assert category is QuadratureWarning and "would do" in message and "not even" in message
+
+
+@pytest.mark.cases(
+    "changes, message",
+    [
+        ({"strain__strains": ["torsion"]}, "gives no coordinates"),
+        (
+            {"strain__include_loads": True, "effects__gravity__acceleration": [-9.81, 0.0, 0.0], "effects__tip_load__mass": 0.5},
+            "does not hold the loads",
+        ),
+    ],
+)
+def test_arms_that_no_quadrature_makes_a_model_of_are_refused(changes, message):
+    with pytest.raises(ConfigurationError, match=message):
+        build_model(three_tendon(**changes))
 
 
 def test_the_estimate_is_repeatable():
