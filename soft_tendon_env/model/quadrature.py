@@ -198,7 +198,7 @@ def _response(model: Model) -> Array:
     if isinstance(model.arm.strain, Implicit):
         return np.transpose([model.arm.strain.rest_coordinates(tension) for tension in np.eye(model.tendon_count)])
     still = np.zeros(model.coordinate_count)
-    return np.linalg.solve(model.metric, model.terms(still, still).actuation)
+    return np.asarray(np.linalg.solve(model.metric, model.terms(still, still).actuation))
 
 
 def _unloaded_share(coarse: Model, fine: Model, responses: list[Array], tension: Array) -> float:
