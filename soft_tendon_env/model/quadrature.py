@@ -57,14 +57,9 @@ class QuadratureEstimate(NamedTuple):
 
 
 def quadrature_estimate(scene: Scene, intervals: int | None = None) -> QuadratureEstimate:
-    """Estimate of the error with this many intervals per piece (None: with those in use)."""
-    intervals = intervals or scene.quadrature.intervals
-    return needed_intervals(scene) if intervals is None else QuadratureTest(scene).error_estimate(intervals)[0]
-
-
-def needed_intervals(scene: Scene) -> QuadratureEstimate:
-    """The estimate for as few intervals as the scene's tolerance allows, from its `least` on; MOST_INTERVALS if none suffice."""
-    return QuadratureTest(scene).search(scene.quadrature.least)
+    """Estimate of the error with this many intervals per piece; None: with those that the scene says, or as few as its tolerance allows."""
+    test, given = QuadratureTest(scene), intervals or scene.quadrature.intervals
+    return test.search(scene.quadrature.least) if given is None else test.error_estimate(given)[0]
 
 
 def model_on_needed(scene: Scene) -> Model:
@@ -116,7 +111,7 @@ class QuadratureTest:
         """Intervals that a finer quadrature has at least: coarser ones could agree with each other and be both wrong."""
 
     def search(self, intervals: int) -> QuadratureEstimate:
-        """The estimate for the first number from this one on that suffices, in steps as the fourth order suggests."""
+        """The estimate for the first number from this one on that suffices, in steps as the fourth order suggests; or MOST_INTERVALS."""
         before = np.inf  # the excess with half as many, where that was tried
         while True:
             found, excess = self.error_estimate(intervals)

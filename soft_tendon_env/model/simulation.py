@@ -151,14 +151,11 @@ class Simulation:
     @property
     def state(self) -> State:
         """A copy of the present state. Set, it is checked and taken whole; ValueError or TypeError leave the simulation as it was."""
-        return self._state_of(self._motion)
+        return state_of(self.model, self._motion, self._step)
 
     @state.setter
     def state(self, state: State) -> None:
         self._take(*checked_motion(self.model, state))
-
-    def _state_of(self, motion: Motion) -> State:
-        return state_of(self.model, motion, self._step)
 
     def _take(self, motion: Motion, step: float) -> None:
         self._motion, self._step = motion, step
@@ -263,7 +260,7 @@ class Simulation:
         cause = cause_of(code, self.model, control)
         if code == status.NO_STRAIN:
             cause += f"; in the last good state {nearest_limit(self.model.arm, self.model.grid, motion.q, motion.xi)}"
-        return SimulationDiverged(self._state_of(motion), cause, command, self.model.command_unit)
+        return SimulationDiverged(state_of(self.model, motion, self._step), cause, command, self.model.command_unit)
 
 
 def simulate(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.model.build import build_model
-from soft_tendon_env.model.quadrature import LEAST_INERTIA, QuadratureWarning, needed_intervals, quadrature_estimate
+from soft_tendon_env.model.quadrature import LEAST_INERTIA, QuadratureTest, QuadratureWarning, quadrature_estimate
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene, save_scene, scene_names
 from soft_tendon_env.scene.scene import MOST_INTERVALS, TIP_TOLERANCE, Scene, rod_length
@@ -133,7 +133,7 @@ FAST = {
 @pytest.mark.parametrize("scene", [pytest.param(scene, id=name) for name, scene in FAST.items()])
 def test_what_varies_fast_gets_the_intervals_that_it_needs(scene):
     """Within the tolerance, and not with many more than that takes."""
-    found = needed_intervals(scene)
+    found = quadrature_estimate(scene)
     assert found.intervals > 6 and not found.problem and found.error <= TIP_TOLERANCE
     assert true_error(scene, found.intervals, min(4 * found.intervals, MOST_INTERVALS)) < TIP_TOLERANCE
     assert quadrature_estimate(scene, found.intervals // 2).problem
@@ -154,7 +154,7 @@ def test_the_mass_of_a_disc_is_not_missed():
     """A disc on the arm strains nothing, and is all the more mass."""
     scene = radius_table(0.02, 0.02).replace({"quadrature.tolerance": 1.0})
     assert "the moment of the rod's mass is off by" in quadrature_estimate(scene, 6).problem
-    counts = needed_intervals(scene).intervals, 400
+    counts = quadrature_estimate(scene).intervals, 400
     mass, exact = (build_model(scene.replace({"quadrature.intervals": count})).arm.rod.mass for count in counts)
     assert abs(mass / exact - 1.0) < 0.02
 
@@ -165,7 +165,7 @@ def test_the_mass_of_a_disc_is_not_missed():
 def test_tensions_that_nothing_bears_are_cut(limits, least, most):
     """Limits far beyond what a section can balance: the estimate is that of the tensions that it can."""
     scene = helices(1).replace({f"tendons.{i}.tension_limits": limits for i in range(3)})
-    assert least <= needed_intervals(scene).intervals <= most
+    assert least <= quadrature_estimate(scene).intervals <= most
 
 
 # what is told -----------------------------------------------------------------------------------------------------------
@@ -182,7 +182,7 @@ def told(scene):
 def test_too_few_intervals_are_told_with_tensions_error_and_what_would_do():
     scene = helices(3).replace({"quadrature.intervals": 6, "tendons.1.tension_limits": [0.0, 8.0]})
     ((category, message, filename),) = told(scene)
-    enough, estimate = needed_intervals(scene).intervals, quadrature_estimate(scene)
+    enough, estimate = QuadratureTest(scene).search(6).intervals, quadrature_estimate(scene)
     assert category is QuadratureWarning and issubclass(category, UserWarning) and filename == __file__
     share, millimetres = f"{100 * estimate.error:.2g} %", f"{300 * estimate.error:.2g} mm"
     assert message == (
@@ -225,7 +225,8 @@ def test_arms_that_no_quadrature_makes_a_model_of_are_refused(changes, message):
 
 
 def test_the_estimate_is_repeatable():
-    assert needed_intervals(helices(3).replace(LOADS)) == needed_intervals(Scene.parse(helices(3).replace(LOADS).model_dump(), "scene"))
+    scene = helices(3).replace(LOADS)
+    assert quadrature_estimate(scene) == quadrature_estimate(Scene.parse(scene.model_dump(), "scene"))
 
 
 def test_obstacles_need_no_intervals():
@@ -234,5 +235,5 @@ def test_obstacles_need_no_intervals():
     ball = {"type": "sphere", "position": [0.2, 0.12, 0.03], "radius": 0.04}
     bare = three_tendon(effects__gravity__acceleration=[0.0, 0.0, -9.81])
     among = bare.replace({"effects.contact.obstacles": [plate, ball]})
-    assert needed_intervals(among) == needed_intervals(bare)
+    assert quadrature_estimate(among) == quadrature_estimate(bare)
     assert build_model(among).arm.effects.count == 2
