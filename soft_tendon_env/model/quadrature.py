@@ -104,6 +104,7 @@ class QuadratureTest:
         sides[0] = 1  # all at their greatest
         together = [self.limits[np.arange(count), side] for side in sides]
         self.tensions = list({tension.tobytes(): tension for tension in [*together, *alone, self.slack]}.values())
+        self.rests = dict[tuple[int, bytes], Array]()  # coordinates at rest on the last quadrature
         radii = [segment.radius for segment in scene.segments if isinstance(segment.radius, RadiusProfile)]
         shortest = min(shape.wavelength() for shape in (*(tendon.routing for tendon in scene.tendons), *radii))
         per_piece = math.ceil(PER_WAVE * np.diff(breakpoints(scene)).max() / shortest)
@@ -156,9 +157,10 @@ class QuadratureTest:
             return shares[0]
         full, q, settled = self.limits[:, 1], np.zeros(coarse.coordinate_count), list[tuple[float, Array]]()
         for tension in [self.slack, full, 0.5 * (self.slack + full)] * loaded + [tension for _, tension in shares[:SETTLED]]:
-            share, rest = _share_at_rest(coarse, fine, tension, q + responses[0] @ tension)
+            key = q.size, tension.tobytes()
+            share, self.rests[key] = _share_at_rest(coarse, fine, tension, self.rests.get(key, q + responses[0] @ tension))
             settled.append((share, tension))
-            q = rest if tension is self.slack else q  # the answer to the loads
+            q = self.rests[key] if tension is self.slack else q  # the answer to the loads
         return max(settled, key=lambda found: found[0])
 
 
