@@ -24,7 +24,7 @@ from soft_tendon_env.identification.parameters import read_parameters
 from soft_tendon_env.identification.plant import Plants
 from soft_tendon_env.identification.readings import Readings
 from soft_tendon_env.identification.recordings import Recording
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
 
 ASKED = ("segments.*.young_modulus", "segments.*.density", "segments.*.poisson_ratio")

@@ -15,8 +15,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from _results import machine, markdown_table, write_csv, write_picture
 
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.inverse_statics import tension_for_tip_pose, tension_for_tip_position
-from soft_tendon_env.model.model import Model, build_model
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene
 

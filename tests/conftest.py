@@ -19,7 +19,8 @@ from soft_tendon_env.envs.rewards import OWN_TERMS
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
 from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.mechanics.workspace import make_workspace
-from soft_tendon_env.model.model import Model, build_model
+from soft_tendon_env.model.build import build_model
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.tools.files import PACKAGE

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 from soft_tendon_env.accuracy.calibration import calibrated
 from soft_tendon_env.accuracy.test_inputs import USUAL
-from soft_tendon_env.model import model as models
+from soft_tendon_env.model import build
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.passive_fields import FieldsWarning, PassiveFields, fields_of, find_fields
 from soft_tendon_env.scene.scene import TIP_TOLERANCE, Integrator, Quadrature, Scene, rod_length
 from soft_tendon_env.scene.strain import STRAINS, Snapshots, StaticsBased
@@ -45,7 +46,7 @@ PRESETS: Mapping[str, Preset] = {
 """On the paper's arm of 1 m, with steps of 20 ms: 6 passive fields and 2 to 4 evaluations a step; 12 and 4 to 7; 24 and 7 to 10."""
 
 
-def build_model(scene: Scene, fidelity: str | None = UNSAID) -> models.Model:
+def build_model(scene: Scene, fidelity: str | None = UNSAID) -> Model:
     """Model of a scene at a fidelity: chooses its quadrature and prepares the arrays of its kernels.
 
     fidelity: "scene", as the scene says of strain, quadrature and integrator, which for a scene that says nothing of them, as "paper", are
@@ -71,7 +72,7 @@ def build_model(scene: Scene, fidelity: str | None = UNSAID) -> models.Model:
             checked_fidelity(checked_type("fidelity", fidelity, str, "a preset or a length"))
         except ValueError as error:
             raise ValueError(f"fidelity is {fidelity!r}: {error}") from None
-    return models.build_model(at_fidelity(scene, fidelity))
+    return build.build_model(at_fidelity(scene, fidelity))
 
 
 def at_fidelity(scene: Scene, fidelity: str | None) -> Scene:

@@ -16,7 +16,7 @@ from soft_tendon_env.accuracy.reference import Reference, backbones, errors, tra
 from soft_tendon_env.accuracy.settings import QUADRATURE_TOLERANCE, Setting, evaluation_cost, integrators, quadratures, strain_fields
 from soft_tendon_env.accuracy.test_inputs import HOLD
 from soft_tendon_env.model.model import Model, model_on
-from soft_tendon_env.model.quadrature import needed_intervals
+from soft_tendon_env.model.quadrature import quadrature_estimate
 from soft_tendon_env.model.simulation import Trajectory
 from soft_tendon_env.scene.passive_fields import PassiveFields
 from soft_tendon_env.scene.scene import Scene, rod_length
@@ -153,7 +153,8 @@ class _Search(NamedTuple):
         """A strain field on a fine quadrature; None where it has no independent coordinates or no quadrature suffices."""
         name, table = named
         try:
-            least = needed_intervals(self.scene.replace({"strain": table, "quadrature": {"tolerance": QUADRATURE_TOLERANCE, "least": 2}}))
+            coarsest = {"tolerance": QUADRATURE_TOLERANCE, "least": 2}
+            least = quadrature_estimate(self.scene.replace({"strain": table, "quadrature": coarsest}))
             if least.problem:
                 return None
             intervals = max(FINE_INTERVALS, 2 * least.intervals)

@@ -1,4 +1,4 @@
-"""Passive strain fields of an arm's own by proper orthogonal decomposition (POD) of simulated motions, for any scene, and a jump test.
+"""Passive strain fields of an arm's own by proper orthogonal decomposition (POD) of simulated motions, for any scene.
 
 Full physics moves under random tensions and loads; what its section wrenches have that the tendons cannot make, at every sample
 w = Sigma (xi - xi*) - Phi_a(xi) tau with the least-squares tensions tau, is what the passive coordinates of (30) have to make. The leading
@@ -11,19 +11,15 @@ import json
 import tempfile
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import legendre
 
 from soft_tendon_env.accuracy.reference import LEVELS, Level, errors, full_physics, motion, reference_motions
 from soft_tendon_env.accuracy.test_inputs import MOTIONS, USUAL, Motion, motion_tensions
-from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.model.coordinates import actuation_columns
 from soft_tendon_env.model.grid import Grid, screw_matrices, tendon_geometry
 from soft_tendon_env.model.model import Model, model_on
-from soft_tendon_env.model.simulation import SimulationDiverged, simulate
-from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, arm_of, rounded
 from soft_tendon_env.scene.scene import Scene, breakpoints, rod_length
 from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS, SNAPSHOT_ORDER, STRAINS
@@ -45,8 +41,6 @@ COUNTS = (0, 3, 4, 6, 7, 8, 9, 10, 12, 15, 18, 24)
 """Numbers of fields that are tested."""
 TEST_INTERVALS, TEST_STEP, TEST_COLUMNS = 16, 0.005, 4
 REFERENCE, WILD_REFERENCE = 1e-4, 20.0  # of the rod's length, error of the reference motions; how much more that of wild ones
-JUMPS, JUMP_STEPS, JUMP_DURATION, JUMP_INTERVALS = (1.0, 2.5), (0.01, 0.02), 1.0, 6
-"""Factors of the greatest tension of the jump test (60 and 150 N on the paper's arm), time steps [s], duration [s], quadrature."""
 DEPENDENT = 1e-4  # relative size of tensions' fields that count as combinations of others
 
 
@@ -207,40 +201,3 @@ def tested(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ...]]:
 
         found = np.array(run_all(largest, counts, processors(), "tests of the fields", unit="model", threads=True)).T.tolist()
     return {"fields": tuple(map(float, counts)), **{kind: tuple(own) for kind, own in zip(KINDS, found, strict=True)}}
-
-
-class Jump(NamedTuple):
-    """Outcome of one abrupt load."""
-
-    case: str
-    survived: bool
-    rejected: int  # time steps
-    phantom: float  # largest tension of the strain law, as a share of the largest applied
-
-
-def jump_test(scene: Scene) -> list[Jump]:
-    """Jump test of the stability at long time steps: outcomes of JUMPS times the greatest tension, there at once, on one, two and all
-    tendons of a statics-based arm, at JUMP_STEPS."""
-    greatest = np.array([tendon.tension_limits[1] for tendon in scene.tendons])
-    groups = {"tendon 0": [0], "tendons 0 and 1": [0, 1], "all tendons": list(range(greatest.size))}
-    found = []
-    for step in JUMP_STEPS:
-        model = model_on(scene.replace({"integrator": {"step": step}, "effects": scene.effects.on_arm()}), JUMP_INTERVALS)
-        for factor in JUMPS:
-            for name, group in groups.items():
-                if max(group) < greatest.size:
-                    tension = np.zeros(greatest.size)
-                    tension[group] = factor * greatest[group]
-                    found.append(_outcome(model, tension, f"{factor * greatest[group].max():g} N on {name}, steps of {1e3 * step:g} ms"))
-    return found
-
-
-def _outcome(model: Model, tension: Array, case: str) -> Jump:
-    strain = model.arm.strain
-    assert not isinstance(strain, Explicit)
-    try:
-        motion = simulate(model, tension, JUMP_DURATION, model.scene.integrator.step)
-    except (SimulationDiverged, StrainLimitError):
-        return Jump(case, False, 0, np.inf)
-    phantom = max(float(np.abs(strain.law.tensions(q)).max()) for q in motion.q)
-    return Jump(case, True, motion.rejected, phantom / tension.max())

@@ -11,7 +11,7 @@ from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.compiler.compilation import cache_folder
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.targets.statics import nearest_to_zero
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene

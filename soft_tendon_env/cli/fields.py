@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.accuracy.calibration import own_fields
-from soft_tendon_env.accuracy.proper_orthogonal_fields import KINDS, fields_path, jump_test, make_passive_fields
+from soft_tendon_env.accuracy.proper_orthogonal_fields import KINDS, fields_path, make_passive_fields
 from soft_tendon_env.accuracy.test_inputs import USUAL
 from soft_tendon_env.cli.arms import ArmSettings
 from soft_tendon_env.cli.options import Parser
@@ -16,7 +15,7 @@ from soft_tendon_env.cli.scenes import coordinate_count
 from soft_tendon_env.evaluation.tables import markdown_table, number
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, read_fields
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS, StaticsBased
+from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS
 from soft_tendon_env.tools.types import GivenLength, length_text
 
 STOPPED = "stopped: nothing was written"
@@ -63,7 +62,8 @@ def run(arguments: Sequence[str]) -> None:
     settings = parser.read(arguments)
     with parser.mistakes():
         scene = settings.changed_scene()
-        own = coordinate_count(_with_fields(scene, 0, {}))
+        bare = {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders)}
+        own = coordinate_count(scene.replace({"strain": bare}))
         if settings.coordinates is not None and not own <= settings.coordinates <= own + MOST_SNAPSHOT_FIELDS:
             most = own + MOST_SNAPSHOT_FIELDS
             raise ValueError(f"--coordinates is {settings.coordinates}: the arm has {own} without passive fields, {most} with all")
@@ -81,18 +81,8 @@ def run(arguments: Sequence[str]) -> None:
             most = len(fields.coefficients)
             print(f"\nNot even {most} fields keep the tip within {length_text(settings.within)} on all of those motions.")
     if count:
-        chosen = _with_fields(scene, count, {"file": str(path)} if settings.out else {"digest": fields.digest})
-        print(f"\n{hard_cases(chosen)}\n\nIn the scene's file, for {own + count} coordinates:\n\n[strain]")
+        print(f"\nIn the scene's file, for {own + count} coordinates:\n\n[strain]")
         print(f'passive = {{ type = "snapshots", fields = {count}{settings.entry()} }}')
-
-
-def _with_fields(scene: Scene, count: int, which: dict[str, str]) -> Scene:
-    passive = {"type": "snapshots", "fields": count, **which} if count else []
-    strain: dict[str, Any] = {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders)}
-    strain["passive"] = passive
-    if isinstance(scene.strain, StaticsBased) and scene.strain.include_loads:
-        strain["include_loads"] = True
-    return scene.replace({"strain": strain})
 
 
 def report(scene: Scene, fields: PassiveFields, own: int) -> str:
@@ -110,9 +100,3 @@ def report(scene: Scene, fields: PassiveFields, own: int) -> str:
         "first's."
     )
     return f"{intro}\n\n{markdown_table(header, rows)}"
-
-
-def hard_cases(scene: Scene) -> str:
-    """Table of abrupt loads."""
-    rows = [(found.case, "yes" if found.survived else "NO", str(found.rejected), number(found.phantom)) for found in jump_test(scene)]
-    return markdown_table(("abrupt load", "survived", "rejected steps", "largest |tension| of the strain / applied"), rows)

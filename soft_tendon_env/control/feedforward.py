@@ -13,7 +13,7 @@ from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.objectives import Objective
 from soft_tendon_env.control.protocol import Controller, Decision, Reference, Situation
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.statics import Neighbourhood, static_equilibrium
+from soft_tendon_env.model.statics import ChordSolver, static_equilibrium
 from soft_tendon_env.tools.types import Array
 
 EFFORT = 1e-3
@@ -70,7 +70,7 @@ class StaticFeedforward:
 
     def _improved(self, at: StaticMemory, reference: Reference) -> tuple[StaticMemory, float]:
         """One Gauss-Newton step, halved until it leads to an equilibrium that is nearer."""
-        model, u, near = self.model, at.tension, Neighbourhood(self.model, at.q, at.tension)
+        model, u, near = self.model, at.tension, ChordSolver(self.model, at.q, at.tension)
         away = self._error(at, reference)
         error = away * min(1.0, STRIDE * model.length / max(float(np.linalg.norm(away)), 1e-12))
         task = self.objective.jacobian(near.terms.tip_jacobian) @ near.answer

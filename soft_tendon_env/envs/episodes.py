@@ -30,8 +30,8 @@ from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
 from soft_tendon_env.mechanics.motion.scratch import Motion
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.motion.tape import Tape
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.contact_forces import ContactForces, contact_forces
-from soft_tendon_env.model.model import build_model
 from soft_tendon_env.model.state import State, checked_motion, state_of
 from soft_tendon_env.model.step_control import cause_of, step_control
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem

@@ -30,7 +30,7 @@ from soft_tendon_env.identification.readings import Readings, mean_of_finite
 from soft_tendon_env.identification.recordings import read_recordings
 from soft_tendon_env.identification.split import SHARE, split, without_twins
 from soft_tendon_env.identification.statics import NoHoldError
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_type
 from soft_tendon_env.tools.types import Array

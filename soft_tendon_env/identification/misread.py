@@ -15,7 +15,7 @@ from soft_tendon_env.identification.plant import Plants
 from soft_tendon_env.identification.readings import Readings
 from soft_tendon_env.identification.recordings import COMMANDS, Recording, check_commands
 from soft_tendon_env.identification.sampling import USUAL
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.tools.types import Array
 
 FAR = (0.1, 0.02)

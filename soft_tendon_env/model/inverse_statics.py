@@ -8,7 +8,7 @@ exact, J_tip dq/du with dq/du = S^-1 B of the equilibrium (implicit function the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from soft_tendon_env.mechanics.algebra.lie import coefficients, rotation_log
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.statics import Equilibrium, static_equilibrium, static_tip_jacobian
+from soft_tendon_env.model.statics import ChordSolver, Equilibrium, static_equilibrium
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type, dimensions
 from soft_tendon_env.tools.types import Array
 
@@ -28,6 +28,8 @@ MAX_EVALUATIONS = 60  # per mu
 POSITION_TOLERANCE = 1e-4  # of the rod's length
 ANGLE_WEIGHT = 0.5  # of the rod's length: an arc bent by an angle moves its tip by half its length times that
 RIGID = 1e-6  # deviation of R^T R from the identity up to which a matrix counts as a rotation
+
+NOT_NEGATIVE = "a number of at least 0"
 
 
 class InverseEquilibrium(NamedTuple):
@@ -69,15 +71,10 @@ def tension_for_tip_pose(
     if np.abs(R.T @ R - np.eye(3)).max() > RIGID or np.linalg.det(R) < 0 or np.abs(pose[3] - [0, 0, 0, 1]).max() > RIGID:
         raise ValueError("pose should be a rigid transform [[R, r], [0, 0, 0, 1]] with a rotation R")
     bounds = _checked_limits(model, limits)
-    if angle_weight is None:
-        angle_weight = ANGLE_WEIGHT * model.length
-    if tolerance is None:
-        tolerance = POSITION_TOLERANCE * model.length
-    checked_number("angle_weight", angle_weight, 0.0, "a number of at least 0")
-    checked_number("tolerance", tolerance, 0.0, "a number of at least 0")
+    weight = ANGLE_WEIGHT * model.length if angle_weight is None else checked_number("angle_weight", angle_weight, 0.0, NOT_NEGATIVE)
+    near = POSITION_TOLERANCE * model.length if tolerance is None else checked_number("tolerance", tolerance, 0.0, NOT_NEGATIVE)
     guess = None if start is None else checked_array("start", start, (model.tendon_count,))
-    search = _TipSearch(model, pose, angle_weight, tolerance, *bounds)
-    return search.nearest([(guess, NEAR)] if guess is not None else search.starts())
+    return _TipSearch(model, pose, weight, near, *bounds).nearest(guess)
 
 
 def tension_for_tip_position(
@@ -112,22 +109,17 @@ class _TipSearch:
 
     def __init__(self, model: Model, pose: Array, angle_weight: float, tolerance: float, least: Array, greatest: Array) -> None:
         self.model, self.pose, self.angle_weight, self.tolerance = model, pose, angle_weight, tolerance
-        self.least, self.greatest = least, greatest
+        self.least, self.greatest, self.slack = least, greatest, np.clip(0.0, least, greatest)
         self._last: tuple[Array, Equilibrium] | None = None
 
-    def starts(self) -> Iterator[tuple[Array, int]]:
-        """Tensions to begin with, and how many of EFFORTS to leave out there: as slack as allowed, then anywhere."""
-        slack = np.clip(0.0, self.least, self.greatest)
-        yield slack, 0
-        anywhere = np.random.default_rng(0)
-        for _ in range(RANDOM_STARTS):
-            yield slack + 0.5 * (anywhere.uniform(self.least, self.greatest) - slack), NEAR
-
-    def nearest(self, starts: Iterable[tuple[Array, int]]) -> InverseEquilibrium:
-        """The first that reaches the pose, or the nearest of all."""
+    def nearest(self, start: Array | None) -> InverseEquilibrium:
+        """The first solution that reaches the pose, or the nearest of all: from `start`, or from slack and then anywhere."""
+        anywhere = np.random.default_rng(0).uniform(self.least, self.greatest, (RANDOM_STARTS, self.slack.size))
+        starts = [start] if start is not None else [self.slack, *(0.5 * (self.slack + anywhere))]
         found: list[InverseEquilibrium] = []
-        for start, skipped in starts:
-            found.append(self.found(self.descend(np.clip(start, self.least, self.greatest), EFFORTS[skipped:])))
+        for u in starts:
+            efforts = EFFORTS if u is self.slack else EFFORTS[NEAR:]
+            found.append(self.found(self.descend(np.clip(u, self.least, self.greatest), efforts)))
             if found[-1].reachable:
                 return found[-1]
         return min(found, key=lambda one: np.hypot(one.position_error, self.angle_weight * one.angle_error))
@@ -136,17 +128,16 @@ class _TipSearch:
         """The tensions of least |e|^2 + mu^2 |u|^2 within the limits, for one mu after the other."""
         from scipy.optimize import least_squares  # here: it takes longer to import than all else that most scenes need
 
-        slack = np.clip(0.0, self.least, self.greatest)
         while not self.equilibrium(u).converged:
-            if np.abs(u - slack).max() <= 1e-3 * np.abs(self.greatest - self.least).max():
+            if np.abs(u - self.slack).max() <= 1e-3 * np.abs(self.greatest - self.least).max():
                 return u
-            u = slack + 0.5 * (u - slack)
+            u = 0.5 * (self.slack + u)
         length = self.model.length
         try:
             effect = float(np.linalg.norm(self.derivative(u), 2))
             unit = length / effect if effect > 0 else 1.0  # [N], moves the tip by about the rod's length
             for mu in efforts:
-                u = least_squares(
+                result = least_squares(
                     lambda x, mu=mu: np.concatenate([self.error(x * unit) / length, mu * x]),
                     u / unit,
                     lambda x, mu=mu: np.concatenate([self.derivative(x * unit) * unit / length, mu * np.eye(x.size)]),
@@ -156,48 +147,48 @@ class _TipSearch:
                     xtol=1e-8,
                     gtol=1e-14,
                     max_nfev=MAX_EVALUATIONS,
-                ).x * unit
+                )
+                u = result.x * unit
         except (ArithmeticError, ValueError, np.linalg.LinAlgError):
             pass  # next to the strain limit; the last u stands
         return np.clip(u, self.least, self.greatest)
 
     def equilibrium(self, u: Array) -> Equilibrium:
+        """The equilibrium under tensions (n_a,), kept for the next call."""
         if self._last is None or not np.array_equal(self._last[0], u):
             self._last = u.copy(), static_equilibrium(self.model, u)
         return self._last[1]
+
+    def off(self, tip: Array) -> tuple[Array, Array]:
+        """Rotation vector (3,) [rad] in the tip frame and displacement (3,) [m] from a tip pose to the wanted one."""
+        turn = np.array(rotation_log(tuple((tip[:3, :3].T @ self.pose[:3, :3]).ravel().tolist())))
+        return turn, self.pose[:3, 3] - tip[:3, 3]
 
     def error(self, u: Array) -> Array:
         """(weighted rotation vector in the tip frame, position) from the tip to the wanted pose (6,) [m]; NaN without equilibrium."""
         found = self.equilibrium(u)
         if not found.converged:
             return np.full(6, np.nan)
-        return np.concatenate([self.angle_weight * self.turn(found.tip_pose), self.pose[:3, 3] - found.tip_pose[:3, 3]])
-
-    def turn(self, tip: Array) -> Array:
-        """Rotation vector (3,) [rad] from the tip to the wanted pose, in the tip frame."""
-        return np.array(rotation_log(tuple((tip[:3, :3].T @ self.pose[:3, :3]).ravel().tolist())))
+        turn, away = self.off(found.tip_pose)
+        return np.concatenate([self.angle_weight * turn, away])
 
     def derivative(self, u: Array) -> Array:
         """d error / du (6, n_a): minus the inverse left Jacobian of SO(3) on the body's turn, minus R on its shift."""
         q, tip, *_ = self.equilibrium(u)
-        motion = static_tip_jacobian(self.model, q, u)
-        x, y, z = k = self.turn(tip)
+        motion = ChordSolver(self.model, q, u).tip_jacobian
+        x, y, z = k = self.off(tip)[0]
         c = coefficients(k @ k)
         skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         inverse_jacobian = np.eye(3) - 0.5 * skew - 0.5 * c.a1 / c.a * skew @ skew
         return -np.concatenate([self.angle_weight * inverse_jacobian @ motion[:3], tip[:3, :3] @ motion[3:]])
 
     def found(self, u: Array) -> InverseEquilibrium:
-        """Solution that the tensions are, with the errors of its tip."""
-        at = self.equilibrium(u)
-        away = float(np.linalg.norm(self.pose[:3, 3] - at.tip_pose[:3, 3]))
-        angle = float(np.linalg.norm(self.turn(at.tip_pose))) if self.angle_weight > 0 else 0.0
-        reachable = at.converged and max(away, self.angle_weight * angle) <= self.tolerance
-        reason = "" if reachable else at.reason or f"the nearest tip found is {away:.3g} m and {angle:.3g} rad away{self.held(u)}"
-        return InverseEquilibrium(u, at.q, at.tip_pose, away, angle, reachable, reason)
-
-    def held(self, u: Array) -> str:
-        """Names the tendons at their limits."""
-        margin = 1e-4 * (self.greatest - self.least)
+        """Solution that the tensions are, with the errors of its tip and, where that is too far, tendons at their limits."""
+        at, margin = self.equilibrium(u), 1e-4 * (self.greatest - self.least)
+        turn, away = map(float, map(np.linalg.norm, self.off(at.tip_pose)))
+        turn = turn if self.angle_weight > 0 else 0.0
+        reachable = at.converged and max(away, self.angle_weight * turn) <= self.tolerance
         held = np.flatnonzero((u - self.least < margin) | (self.greatest - u < margin)).tolist()
-        return f", with tendons {', '.join(map(str, held))} at their limits" if held else ""
+        limits = f", with tendons {', '.join(map(str, held))} at their limits" if held else ""
+        reason = "" if reachable else at.reason or f"the nearest tip found is {away:.3g} m and {turn:.3g} rad away{limits}"
+        return InverseEquilibrium(u, at.q, at.tip_pose, away, turn, reachable, reason)

@@ -65,8 +65,8 @@ class LoadPath:
         """The unloaded arm."""
         return self._point(self.balance.unloaded)
 
-    def end(self, point: Point) -> End:
-        """Follow the path from `point` to the full load, or to where it ends or loses stability."""
+    def end(self, point: Point, most: int = MOST_LINEARISATIONS) -> End:
+        """Follow the path from `point` to the full load, or to where it ends, loses stability or takes more than `most` linearisations."""
         moved = self.balance.angle(point.tangent - self._answer)
         step = 1.0 if moved <= FIRST_REACH else max(FIRST_REACH / moved, LEAST_LOAD)
         while point.at.part < 1.0:
@@ -78,8 +78,8 @@ class LoadPath:
             step = 0.5 * (aim - point.at.part)
             if step < max(SHORTEST * point.at.part, LEAST_LOAD):
                 return End(point, self._reason(point))
-            if self.balance.linearisations > MOST_LINEARISATIONS:
-                return End(point, f"{_beyond(point)}: the path is too winding, {MOST_LINEARISATIONS} iterations did not do")
+            if self.balance.linearisations > most:
+                return End(point, f"{_beyond(point)}: the path is too winding, {most} iterations did not do")
         return End(point, "")
 
     def step(self, point: Point, aim: float) -> Point | None:

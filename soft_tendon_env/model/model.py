@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -21,13 +20,11 @@ from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded
 from soft_tendon_env.mechanics.workspace import Workspace, make_workspace
 from soft_tendon_env.model.coordinates import effects_outside, make_arm, strain_name
 from soft_tendon_env.model.grid import Grid, discretisation, make_grid, screw_matrices
-from soft_tendon_env.model.quadrature import checked_probe
 from soft_tendon_env.model.strain_limits import StrainLimitError, limit_at
 from soft_tendon_env.model.terms import Energy, Terms
 from soft_tendon_env.scene.parameters import scene_parameters
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.scene.units import warn_of_units
-from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type
+from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
@@ -331,20 +328,6 @@ class Model:
         return self  # copies of what has a model share it, since it never changes
 
 
-def build_model(scene: Scene) -> Model:
-    """Model of a scene as it says: chooses its quadrature and prepares the arrays of its kernels. At a fidelity: accuracy.fidelity.
-
-    Raises TypeError if it is not a Scene, ConfigurationError if its coordinates are not independent. Warns (`QuadratureWarning`) if
-    `quadrature.intervals` is too coarse, and (`UnitsWarning`) of numbers that look as if they were in other units than SI's.
-    """
-    checked_type("scene", scene, Scene, "see load_scene")
-    warn_of_units(scene)
-    probe = checked_probe(scene)
-    model = Model(scene, probe.grid, probe.arm)
-    _check_independence(model)
-    return model
-
-
 def model_on(scene: Scene, intervals: int) -> Model:
     """Model of a scene on a quadrature with this many intervals per piece, whatever the scene says, and however coarse that is."""
     scene = scene.replace({"quadrature.intervals": intervals})
@@ -352,26 +335,7 @@ def model_on(scene: Scene, intervals: int) -> Model:
     return Model(scene, grid, make_arm(scene, grid))
 
 
-def _check_independence(model: Model) -> None:
-    n = model.coordinate_count
-    if n == 0:
-        raise ConfigurationError([Problem(("strain",), "gives no coordinates: no tendon and no passive field strains the rod")])
-    try:
-        terms = model.terms(np.zeros(n), np.zeros(n))
-    except StrainLimitError as error:  # the unloaded arm has a strain
-        text = f"is true, but without tensions the arm does not hold the loads: {error}; leave it out, for loads that buckle the arm"
-        raise ConfigurationError([Problem(("strain", "include_loads"), text)]) from error
-    if not _least_eigenvalue(terms.stiffness) > SINGULAR:
-        text = f"gives {n} coordinates of which some strain the rod alike at the points of {model.grid.per_piece} quadrature intervals"
-        raise ConfigurationError([Problem(("strain",), f"{text} per piece: drop a field, or leave quadrature.intervals out, if given")])
-    if not _least_eigenvalue(terms.mass) > SINGULAR:
-        warnings.warn(
-            f"{n} coordinates are too many for {model.grid.per_piece} quadrature intervals per piece: the mass matrix is singular",
-            stacklevel=3,
-        )
-
-
-def _least_eigenvalue(matrix: Array) -> float:
+def least_eigenvalue(matrix: Array) -> float:
     """The least eigenvalue of a matrix scaled to a unit diagonal."""
     scale = np.sqrt(np.diag(matrix))
     if not scale.min() > 0.0:

@@ -151,14 +151,11 @@ class Simulation:
     @property
     def state(self) -> State:
         """A copy of the present state. Set, it is checked and taken whole; ValueError or TypeError leave the simulation as it was."""
-        return self._state_of(self._motion)
+        return state_of(self.model, self._motion, self._step)
 
     @state.setter
     def state(self, state: State) -> None:
         self._take(*checked_motion(self.model, state))
-
-    def _state_of(self, motion: Motion) -> State:
-        return state_of(self.model, motion, self._step)
 
     def _take(self, motion: Motion, step: float) -> None:
         self._motion, self._step = motion, step
@@ -177,10 +174,7 @@ class Simulation:
         duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
         if duration == 0.0:
             return StepReport(0, 0, 0.0, 0)
-        step = self.model.scene.integrator.step
-        most = step * (MOST_NUMBERS // u.size)
-        if duration > most:
-            raise ValueError(f"duration should be at most {most:g} s in one call with integrator steps of {step:g} s, not {duration:g} s")
+        _check_size(self.model, duration, 0)
         warn_beyond_limits(self._limits, u, self.model.command_unit)
         control = step_control(self.model, duration)
         commands = np.tile(u, (round(duration / control.step), 1))
@@ -266,7 +260,7 @@ class Simulation:
         cause = cause_of(code, self.model, control)
         if code == status.NO_STRAIN:
             cause += f"; in the last good state {nearest_limit(self.model.arm, self.model.grid, motion.q, motion.xi)}"
-        return SimulationDiverged(self._state_of(motion), cause, command, self.model.command_unit)
+        return SimulationDiverged(state_of(self.model, motion, self._step), cause, command, self.model.command_unit)
 
 
 def simulate(
@@ -293,7 +287,7 @@ def simulate(
     simulation = Simulation(model, initial)
     period = checked_number("sample_period", sample_period, SHORTEST, "a positive number of seconds")
     duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
-    _check_size(model, duration, period)
+    _check_size(model, duration, duration / period)
     samples = round(duration / period)
     if abs(samples * period - duration) > 1e-9 * max(duration, period):
         raise ValueError(f"duration should be a multiple of sample_period {period:g} s, not {duration:g} s")
@@ -316,14 +310,11 @@ def simulate(
     return Trajectory(times, *record, commands, simulation.state, *totals)
 
 
-def _check_size(model: Model, duration: float, period: float) -> None:
+def _check_size(model: Model, duration: float, samples: float) -> None:
     """Raises ValueError where one call would have to keep too many samples and commands."""
     step = model.scene.integrator.step
-    per_sample = 2 * model.coordinate_count + 16 + model.tendon_count * np.ceil(period / step)
-    most = step * (MOST_NUMBERS // model.tendon_count)
-    if per_sample > MOST_NUMBERS:
-        raise ValueError(f"sample_period should be at most {most:g} s with integrator steps of {step:g} s, not {period:g} s")
-    most = period * (MOST_NUMBERS // per_sample)
-    if duration > most:
-        limit = f"at most {most:g} s in one call with samples every {period:g} s and integrator steps of {step:g} s"
-        raise ValueError(f"duration should be {limit}, not {duration:g} s: go on from Trajectory.final")
+    numbers = (2 * model.coordinate_count + 16) * samples + model.tendon_count * duration / step
+    if numbers > MOST_NUMBERS:
+        most = f"at most {duration * MOST_NUMBERS / numbers:g} s in one call with integrator steps of {step:g} s"
+        most += f" and samples every {duration / samples:g} s" if samples else ""
+        raise ValueError(f"duration should be {most}, not {duration:g} s: go on from the last state")

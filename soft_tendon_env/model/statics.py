@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from soft_tendon_env.mechanics.types import Explicit, Implicit
 from soft_tendon_env.model.coordinates import with_every_tension
 from soft_tendon_env.model.equilibrium_residual import At, Balance, Linearised
-from soft_tendon_env.model.load_continuation import MOST_SETTLINGS, RESIDUAL, End, LoadPath
+from soft_tendon_env.model.load_continuation import MOST_SETTLINGS, RESIDUAL, LoadPath
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.model.tension_limits import erring_actuators, warn_beyond_limits
@@ -90,26 +90,23 @@ def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None
 
 def _equilibrium(balance: Balance, guess: ArrayLike | None, settle: bool) -> Equilibrium:
     """`static_equilibrium` of a balance."""
-    model, u = balance.model, balance.tension
-    path = LoadPath(balance)
+    model, path = balance.model, LoadPath(balance)
     if guess is not None:
         near = path.equilibrium(checked_array("guess", guess, (model.coordinate_count,)), 1.0)
         if near is not None:
-            return _found(balance, End(near, ""))
+            return _found(balance, near.at, near.stability.stable, "")
     if rests_at_tensions(model):
         # q = [u; 0] is at rest, and stable: S = G there, positive definite wherever the strain exists, unless it lacks a potential
-        at = balance.at(model.rest_coordinates(u), 1.0)
+        at = balance.at(model.rest_coordinates(balance.tension), 1.0)
         if at is not None and at.residual <= RESIDUAL:
             here = None if model.arm.strain.has_potential else balance.linearised(at.q, 1.0)
-            stable = here is None or balance.stability(here).stable
-            tip = model.tip_pose(at.q)
-            return Equilibrium(at.q, tip, True, at.residual, "", balance.linearisations, stable, 1.0, _tip_error(balance, at, tip))
+            return _found(balance, at, here is None or balance.stability(here).stable, "")
     end = path.end(path.start())
     for _ in range(MOST_SETTLINGS if settle else 0):
         if not end.reason or (point := path.settled(end)) is None:
             break
         end = path.end(point)
-    return _found(balance, end)
+    return _found(balance, end.point.at, end.point.stability.stable, end.reason)
 
 
 def rests_at_tensions(model: Model) -> bool:
@@ -117,15 +114,10 @@ def rests_at_tensions(model: Model) -> bool:
     return isinstance(model.arm.strain, Implicit) and not model.arm.effects.load
 
 
-def _found(balance: Balance, end: End) -> Equilibrium:
-    at, stability = end.point.at, end.point.stability
-    residual = at.residual
-    if end.reason:
-        unbalanced = balance.at(at.q, 1.0)
-        residual = np.inf if unbalanced is None else unbalanced.residual
-    tip = balance.model.tip_pose(at.q)
-    error = _tip_error(balance, at, tip)
-    return Equilibrium(at.q, tip, not end.reason, residual, end.reason, balance.linearisations, stability.stable, at.part, error)
+def _found(balance: Balance, at: At, stable: bool, reason: str) -> Equilibrium:
+    loaded, tip = balance.at(at.q, 1.0) if reason else at, balance.model.tip_pose(at.q)
+    residual, error = np.inf if loaded is None else loaded.residual, _tip_error(balance, at, tip)
+    return Equilibrium(at.q, tip, not reason, residual, reason, balance.linearisations, stable, at.part, error)
 
 
 def _tip_error(balance: Balance, at: At, tip: Array) -> float:
@@ -211,7 +203,7 @@ def static_stiffness(model: Model, q: ArrayLike, tension: ArrayLike) -> Array:
 
 
 def _linearised(model: Model, q: Array, tension: Array) -> Linearised:
-    """Raises StrainLimitError."""
+    """The balance at q to first order. Raises StrainLimitError."""
     with model.workspace() as work:
         balance = Balance(model, tension, work)
         here = balance.linearised(q, 1.0)
@@ -220,7 +212,7 @@ def _linearised(model: Model, q: Array, tension: Array) -> Linearised:
     return here
 
 
-class Neighbourhood:
+class ChordSolver:
     """Static equilibria near one that is known, by Newton's method with its stiffness (chord iteration): to follow tensions that change.
 
     q (n,) and tension (n_a,): the known one. answer (n, n_a): dq/du = S^-1 B there. terms: of the equation of motion, there.
@@ -228,46 +220,35 @@ class Neighbourhood:
     """
 
     def __init__(self, model: Model, q: Array, tension: Array) -> None:
-        self.model, self.q, self.tension = model, q, tension
+        self.model, self.q, self.tension, self._known = model, q, tension, rests_at_tensions(model)
         self.terms = model.terms(q, np.zeros_like(q), tension)
-        known = rests_at_tensions(model)
-        self._compliance = np.linalg.pinv(self.terms.stiffness) if known else _linearised(model, q, tension).compliance
+        self._compliance = np.linalg.pinv(self.terms.stiffness) if self._known else _linearised(model, q, tension).compliance
         self.answer: Array = self._compliance @ self.terms.actuation
+
+    @property
+    def tip_jacobian(self) -> Array:
+        """Static Jacobian of the tip pose (6, n_a): its body twist (angular, linear) by tensions."""
+        return np.asarray(self.terms.tip_jacobian @ self.answer)
 
     def at(self, tension: Array) -> tuple[Array, Array] | None:
         """Coordinates (n,) and tip pose (4, 4) of the equilibrium under other tensions (n_a,); None where there is none.
 
         Where Newton's method with the old stiffness does not converge, that of `static_equilibrium` is found.
         """
-        if (q := self._near(tension)) is not None:
-            try:
-                return q, self.model.tip_pose(q)
-            except StrainLimitError:
-                return None
-        found = static_equilibrium(self.model, tension, self.q)
-        return (found.q, found.tip_pose) if found.converged else None
-
-    def _near(self, tension: Array) -> Array | None:
-        known = rests_at_tensions(self.model)
-        q = self.model.rest_coordinates(tension) if known else self.q + self.answer @ (tension - self.tension)
-        last = np.inf
+        q = self.model.rest_coordinates(tension) if self._known else self.q + self.answer @ (tension - self.tension)
         with self.model.workspace() as work:
-            balance = Balance(self.model, tension, work)
-            while (at := balance.at(q, 1.0)) is not None:
-                if at.residual <= RESIDUAL:
-                    return q
+            balance, size = Balance(self.model, tension, work), np.inf
+            while (at := balance.at(q, 1.0)) is not None and at.residual > RESIDUAL:
                 change = self._compliance @ at.force
-                size = balance.angle(change)
+                last, size = size, balance.angle(change)
                 if not size < CONTRACTION * last:
-                    return None
-                q, last = q + change, size
-        return None
-
-
-def static_tip_jacobian(model: Model, q: Array, tension: Array) -> Array:
-    """Static Jacobian of the tip pose (6, n_a), body twist (angular, linear) by tensions, at an equilibrium q (n,) under tensions (n_a,).
-
-    Raises as `static_stiffness`.
-    """
-    near = Neighbourhood(model, q, tension)
-    return np.asarray(near.terms.tip_jacobian @ near.answer)
+                    at = None
+                    break
+                q = q + change
+        if at is None:
+            found = static_equilibrium(self.model, tension, self.q)
+            return (found.q, found.tip_pose) if found.converged else None
+        try:
+            return q, self.model.tip_pose(q)
+        except StrainLimitError:
+            return None

@@ -82,35 +82,27 @@ class CommandWarning(UserWarning):
 
 
 def command_table(model: Model, command: Command, start: float, samples: int, per_sample: int, step: float) -> Array:
-    """Commands over every integrator step: (samples, per_sample, n_a)."""
+    """Commands over every integrator step: (samples, per_sample, n_a). Warns where a function of time changes faster than steps follow."""
     shape = (samples, per_sample, model.tendon_count)
-    if callable(command):
-        middles: Array = start + step * (np.arange(samples * per_sample, dtype=np.float64) + 0.5)
-        held = _sampled(command, middles, model.tendon_count)
-        _check_resolved(command, held, middles, step, model.command_unit)
-        return held.reshape(shape)
-    if dimensions(command) == 1:
-        return np.tile(checked_array("command", command, shape[2:]), (samples, per_sample, 1))
-    table = checked_array("command", command, (samples, model.tendon_count))
-    return np.repeat(table[:, None], per_sample, axis=1)
-
-
-def _check_resolved(command: Callable[[float], ArrayLike], held: Array, middles: Array, step: float, unit: str) -> None:
-    """Warns where a function of time changes within steps otherwise than from step to step: it is held at its values in their middles."""
-    if len(held) < 2:
-        return
-    slope, missed = np.gradient(held, axis=0), np.zeros(len(held))
-    for share in BESIDE_MIDDLE:
-        inside = _sampled(command, middles + share * step, held.shape[1]) - held
-        missed = np.maximum(missed, np.minimum(np.abs(inside), np.abs(inside - share * slope)).max(axis=1))
-    worst = int(np.argmax(missed))
-    if missed[worst] > UNRESOLVED * np.ptp(held, axis=0).max() and missed[worst] > 0.0:
+    if not callable(command):
+        if dimensions(command) == 1:
+            return np.tile(checked_array("command", command, shape[2:]), (samples, per_sample, 1))
+        return np.repeat(checked_array("command", command, (samples, model.tendon_count))[:, None], per_sample, axis=1)
+    middles: Array = start + step * (np.arange(samples * per_sample, dtype=np.float64) + 0.5)
+    held, missed = _sampled(command, middles, model.tendon_count), np.zeros(len(middles))
+    for share in BESIDE_MIDDLE if len(held) > 1 else ():
+        inside = _sampled(command, middles + share * step, model.tendon_count) - held
+        missed = np.maximum(missed, np.minimum(np.abs(inside), np.abs(inside - share * np.gradient(held, axis=0))).max(axis=1))
+    worst = int(np.argmax(missed)) if missed.any() else 0
+    if len(held) and missed[worst] > UNRESOLVED * np.ptp(held, axis=0).max():
         warnings.warn(
-            f"command(t) changes within integrator steps of {step:g} s, over which it is held, by {missed[worst]:.3g} {unit} more than "
-            f"from step to step, at {middles[worst]:.6g} s: a shorter integrator.step follows it, and jumps belong to borders of steps",
+            f"command(t) changes within integrator steps of {step:g} s, over which it is held, by {missed[worst]:.3g} {model.command_unit} "
+            f"more than from step to step, at {middles[worst]:.6g} s: a shorter integrator.step follows it, and jumps belong to borders of "
+            "steps",
             CommandWarning,
             stacklevel=3,
         )
+    return held.reshape(shape)
 
 
 def _sampled(command: Callable[[float], ArrayLike], times: Array, size: int) -> Array:

@@ -9,7 +9,7 @@ from soft_tendon_env.accuracy.fidelity import PRESETS, FidelityWarning, at_fidel
 from soft_tendon_env.accuracy.reference import backbones, distances, motion, reference_motions
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.envs import TipPoseEnv
-from soft_tendon_env.model.quadrature import intervals_in_use, quadrature_estimate
+from soft_tendon_env.model.quadrature import quadrature_estimate
 from soft_tendon_env.scene.file import load_scene, scene_names
 from soft_tendon_env.scene.passive_fields import FieldsWarning
 from soft_tendon_env.scene.scene import TIP_TOLERANCE, rod_length
@@ -44,7 +44,7 @@ def test_presets_of_shipped_scenes(name):
 def test_an_arm_of_helices_gets_more_and_the_finer_preset_the_most():
     scene = load_scene("three_tendon").replace({key: value for key, value in helices(6).items() if key != "scene"})
     scenes = {fidelity: at_fidelity(scene, fidelity) for fidelity in PRESETS}
-    counts = {fidelity: intervals_in_use(scene) for fidelity, scene in scenes.items()}
+    counts = {fidelity: quadrature_estimate(scene).intervals for fidelity, scene in scenes.items()}
     assert 4 < counts["fast"] <= counts["standard"] < counts["fine"]
     assert quadrature_estimate(scenes["fine"]).error <= 0.4 * TIP_TOLERANCE < TIP_TOLERANCE < quadrature_estimate(scenes["fast"]).error
     assert counts == {fidelity: intervals(scene=helices(6), fidelity=fidelity) for fidelity in PRESETS}

@@ -9,7 +9,8 @@ from soft_tendon_env.accuracy.reference import LEVELS, Reference, backbones, ful
 from soft_tendon_env.accuracy.settings import Setting, evaluation_cost, integrators, quadratures, strain_fields
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.model.model import build_model, model_on
+from soft_tendon_env.model.build import build_model
+from soft_tendon_env.model.model import model_on
 from soft_tendon_env.scene.file import load_scene
 
 ARM = load_scene("three_tendon")

@@ -3,7 +3,7 @@
 import pytest
 
 from soft_tendon_env.accuracy import proper_orthogonal_fields
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.passive_fields import find_fields, read_fields
 

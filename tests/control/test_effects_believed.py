@@ -9,7 +9,7 @@ from soft_tendon_env.control import Reference, Situation
 from soft_tendon_env.control.objectives import TipPosition
 from soft_tendon_env.control.predictive import Predictive
 from soft_tendon_env.evaluation import evaluate, summarise
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.policies import make_policy, observation_options
 from soft_tendon_env.policies.controller_policy import model_without

@@ -8,8 +8,8 @@ from soft_tendon_env.effects.contact.effect import Contact
 from soft_tendon_env.effects.contact.forces import TANGENTIAL
 from soft_tendon_env.effects.contact.samples import SMOOTHING
 from soft_tendon_env.effects.contact.wrench import contact_parameters, number_of_contact
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.contact_forces import contact_forces
-from soft_tendon_env.model.model import build_model
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.state import State
 from soft_tendon_env.scene.scene import Scene

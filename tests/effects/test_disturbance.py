@@ -5,8 +5,9 @@ import pytest
 
 from soft_tendon_env.effects.disturbance import between_nodes, shares
 from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.grid import discretisation
-from soft_tendon_env.model.model import build_model, model_on
+from soft_tendon_env.model.model import model_on
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import static_equilibrium
 

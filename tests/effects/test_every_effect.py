@@ -7,7 +7,7 @@ import pytest
 
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.envs.arms import Arms, Material
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.state import State
 from soft_tendon_env.scene.scene import Scene, scene_to_dict

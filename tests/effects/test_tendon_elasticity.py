@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import commanded_equilibrium, static_equilibrium
 

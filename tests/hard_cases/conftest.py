@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.routing import StraightRouting
 from soft_tendon_env.scene.scene import Scene, Segment, Tendon
 

@@ -65,7 +65,7 @@ def test_helical_tendons(compared, turns):
     coarse, error, scene = compared(helices(turns))
     assert coarse > 0.3 * 3 * TIP_TOLERANCE and error < 0.3 * TIP_TOLERANCE
     (message,) = told(scene)
-    assert "worst by tendon" in message and "would do" in message
+    assert "under tensions" in message and "would do" in message
 
 
 @pytest.mark.parametrize("turns", [13, 26, 39, 52])

@@ -9,7 +9,7 @@ import tomli_w
 
 from soft_tendon_env.identification import load_markers
 from soft_tendon_env.identification.plant import Plants
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene

@@ -5,7 +5,7 @@ import pytest
 
 from soft_tendon_env.identification import Frame, Marker, MarkerSet, identify
 from soft_tendon_env.identification.statics import NoHoldError
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene

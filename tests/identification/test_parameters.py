@@ -9,7 +9,7 @@ from soft_tendon_env.identification.markers import Marker, MarkerSet
 from soft_tendon_env.identification.output import randomize
 from soft_tendon_env.identification.parameters import distance_parameter, read_parameters
 from soft_tendon_env.identification.plant import Plants, base_rotation
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
 
 

@@ -14,7 +14,7 @@ from soft_tendon_env.identification.plant import Plants
 from soft_tendon_env.identification.readings import Readings
 from soft_tendon_env.identification.recordings import Recording
 from soft_tendon_env.identification.split import split
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import rod_length
 

@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.inverse_statics import _TipSearch, tension_for_tip_pose, tension_for_tip_position
-from soft_tendon_env.model.model import build_model
 from soft_tendon_env.model.statics import static_equilibrium, static_stiffness
 from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.scene.file import load_scene, scene_names

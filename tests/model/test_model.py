@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.scene.file import load_scene, scene_names
 

@@ -5,11 +5,12 @@ import warnings
 import numpy as np
 import pytest
 
-from soft_tendon_env.model.model import build_model
-from soft_tendon_env.model.quadrature import LEAST_INERTIA, QuadratureWarning, intervals_in_use, needed_intervals, quadrature_estimate
+from soft_tendon_env.model.build import build_model
+from soft_tendon_env.model.quadrature import LEAST_INERTIA, QuadratureTest, QuadratureWarning, quadrature_estimate
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene, save_scene, scene_names
 from soft_tendon_env.scene.scene import MOST_INTERVALS, TIP_TOLERANCE, Scene, rod_length
+from soft_tendon_env.tools.configuration import ConfigurationError
 
 LOADS = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.01}
 ANGULAR = ["torsion", "bend_y", "bend_z"]
@@ -64,7 +65,7 @@ def true_error(scene, intervals, fine=64):
 @pytest.mark.cases("name", scene_names())
 def test_shipped_scenes_need_six_intervals_or_fewer(name):
     scene = load_scene(name)
-    assert scene.quadrature.intervals is None and intervals_in_use(scene) == 6
+    assert scene.quadrature.intervals is None and quadrature_estimate(scene).intervals == 6
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert build_model(scene).grid.per_piece == 6
@@ -72,8 +73,8 @@ def test_shipped_scenes_need_six_intervals_or_fewer(name):
 
 def test_what_is_given_is_in_use():
     scene = three_tendon(quadrature__intervals=3)
-    assert intervals_in_use(scene) == 3 and quadrature_estimate(scene).intervals == 3
-    assert intervals_in_use(helices(6).replace({"quadrature.intervals": 2})) == 2
+    assert quadrature_estimate(scene).intervals == 3 and quadrature_estimate(scene).intervals == 3
+    assert quadrature_estimate(helices(6).replace({"quadrature.intervals": 2})).intervals == 2
     assert quadrature_estimate(three_tendon(), 5).intervals == 5
 
 
@@ -82,14 +83,14 @@ def test_a_scene_that_says_no_number_stays_so(tmp_path):
     save_scene(scene, tmp_path / "helices.toml")
     loaded = load_scene(tmp_path / "helices.toml")
     assert loaded == scene and loaded.quadrature.intervals is None
-    assert intervals_in_use(loaded) == build_model(loaded).grid.per_piece > 6
+    assert quadrature_estimate(loaded).intervals == build_model(loaded).grid.per_piece > 6
 
 
 def test_least_and_tolerance_are_kept():
     """The error is of fourth order in the number of intervals."""
-    assert intervals_in_use(three_tendon(quadrature__least=4)) == 4
+    assert quadrature_estimate(three_tendon(quadrature__least=4)).intervals == 4
     scene = helices(3).replace({"quadrature.least": 4})
-    counts = [intervals_in_use(scene.replace({"quadrature.tolerance": tolerance})) for tolerance in (1e-2, 1e-4, 1e-6)]
+    counts = [quadrature_estimate(scene.replace({"quadrature.tolerance": tolerance})).intervals for tolerance in (1e-2, 1e-4, 1e-6)]
     np.testing.assert_allclose(np.log10(np.divide(counts[1:], counts[:-1])), 0.5, atol=0.07)
 
 
@@ -132,7 +133,7 @@ FAST = {
 @pytest.mark.parametrize("scene", [pytest.param(scene, id=name) for name, scene in FAST.items()])
 def test_what_varies_fast_gets_the_intervals_that_it_needs(scene):
     """Within the tolerance, and not with many more than that takes."""
-    found = needed_intervals(scene)
+    found = quadrature_estimate(scene)
     assert found.intervals > 6 and not found.problem and found.error <= TIP_TOLERANCE
     assert true_error(scene, found.intervals, min(4 * found.intervals, MOST_INTERVALS)) < TIP_TOLERANCE
     assert quadrature_estimate(scene, found.intervals // 2).problem
@@ -152,8 +153,9 @@ def test_fields_of_high_order_keep_their_inertia():
 def test_the_mass_of_a_disc_is_not_missed():
     """A disc on the arm strains nothing, and is all the more mass."""
     scene = radius_table(0.02, 0.02).replace({"quadrature.tolerance": 1.0})
-    assert "the rod's mass is off by" in quadrature_estimate(scene, 6).problem
-    mass, exact = (build_model(scene.replace({"quadrature.intervals": count})).arm.rod.mass for count in (intervals_in_use(scene), 400))
+    assert "the moment of the rod's mass is off by" in quadrature_estimate(scene, 6).problem
+    counts = quadrature_estimate(scene).intervals, 400
+    mass, exact = (build_model(scene.replace({"quadrature.intervals": count})).arm.rod.mass for count in counts)
     assert abs(mass / exact - 1.0) < 0.02
 
 
@@ -162,7 +164,8 @@ def test_the_mass_of_a_disc_is_not_missed():
 )
 def test_tensions_that_nothing_bears_are_cut(limits, least, most):
     """Limits far beyond what a section can balance: the estimate is that of the tensions that it can."""
-    assert least <= intervals_in_use(helices(1).replace({f"tendons.{i}.tension_limits": limits for i in range(3)})) <= most
+    scene = helices(1).replace({f"tendons.{i}.tension_limits": limits for i in range(3)})
+    assert least <= quadrature_estimate(scene).intervals <= most
 
 
 # what is told -----------------------------------------------------------------------------------------------------------
@@ -176,15 +179,15 @@ def told(scene):
     return [(warning.category, str(warning.message), warning.filename) for warning in caught]
 
 
-def test_too_few_intervals_are_told_with_tendon_error_and_what_would_do():
+def test_too_few_intervals_are_told_with_tensions_error_and_what_would_do():
     scene = helices(3).replace({"quadrature.intervals": 6, "tendons.1.tension_limits": [0.0, 8.0]})
     ((category, message, filename),) = told(scene)
-    enough, estimate = needed_intervals(scene).intervals, quadrature_estimate(scene)
+    enough, estimate = QuadratureTest(scene).search(6).intervals, quadrature_estimate(scene)
     assert category is QuadratureWarning and issubclass(category, UserWarning) and filename == __file__
     share, millimetres = f"{100 * estimate.error:.2g} %", f"{300 * estimate.error:.2g} mm"
     assert message == (
         f"quadrature too coarse: with 6 intervals per piece the tip is off by about {share} of the length, {millimetres}, "
-        f"worst by tendon 1 at 8 N; {enough} would do, or leave quadrature.intervals out"
+        f"under tensions [0, 8, 0] N; {enough} would do, or leave quadrature.intervals out"
     )
     assert not told(scene.replace({"quadrature.intervals": enough})) and not told(scene.replace({"quadrature.intervals": 60}))
 
@@ -192,11 +195,11 @@ def test_too_few_intervals_are_told_with_tendon_error_and_what_would_do():
 def test_loads_and_fields_are_named_too():
     hanging = three_tendon(quadrature__intervals=1, **{key.replace(".", "__"): value for key, value in LOADS.items()})
     slack = hanging.replace({f"tendons.{i}.tension_limits": [0.0, 0.05] for i in range(3)})
-    assert "mm, most of it under the loads alone" in quadrature_estimate(slack).problem
+    assert "mm, under tensions [0.05, 0, 0.05] N and loads" in quadrature_estimate(slack).problem
     explicit = three_tendon(quadrature__intervals=6, strain={"type": "explicit", "modes": modes(8)})
     assert "of its inertia" in quadrature_estimate(explicit).problem
     implicit = three_tendon(quadrature__intervals=5, strain__passive=modes(12))
-    assert "coordinates are told apart of 40" in quadrature_estimate(implicit).problem
+    assert "do not tell all 40 coordinates apart" in quadrature_estimate(implicit).problem
 
 
 def test_what_no_quadrature_does_is_told_whether_given_or_not():
@@ -206,8 +209,24 @@ def test_what_no_quadrature_does_is_told_whether_given_or_not():
         assert category is QuadratureWarning and "would do" in message and "not even" in message
 
 
+@pytest.mark.cases(
+    "changes, message",
+    [
+        ({"strain__strains": ["torsion"]}, "gives no coordinates"),
+        (
+            {"strain__include_loads": True, "effects__gravity__acceleration": [-9.81, 0.0, 0.0], "effects__tip_load__mass": 0.5},
+            "does not hold the loads",
+        ),
+    ],
+)
+def test_arms_that_no_quadrature_makes_a_model_of_are_refused(changes, message):
+    with pytest.raises(ConfigurationError, match=message):
+        build_model(three_tendon(**changes))
+
+
 def test_the_estimate_is_repeatable():
-    assert needed_intervals(helices(3).replace(LOADS)) == needed_intervals(Scene.parse(helices(3).replace(LOADS).model_dump(), "scene"))
+    scene = helices(3).replace(LOADS)
+    assert quadrature_estimate(scene) == quadrature_estimate(Scene.parse(scene.model_dump(), "scene"))
 
 
 def test_obstacles_need_no_intervals():
@@ -216,5 +235,5 @@ def test_obstacles_need_no_intervals():
     ball = {"type": "sphere", "position": [0.2, 0.12, 0.03], "radius": 0.04}
     bare = three_tendon(effects__gravity__acceleration=[0.0, 0.0, -9.81])
     among = bare.replace({"effects.contact.obstacles": [plate, ball]})
-    assert needed_intervals(among) == needed_intervals(bare)
+    assert quadrature_estimate(among) == quadrature_estimate(bare)
     assert build_model(among).arm.effects.count == 2

@@ -56,7 +56,7 @@ def set_state(simulation, **changes):
         (lambda s: ste.simulate(s.model, OK, 1e12, 0.1), "duration should be at most"),
         (lambda s: ste.simulate(s.model, OK, 0.35, 0.1, s.state), "duration should be a multiple"),
         (lambda s: ste.simulate(s.model, OK, 1.0, -0.1, s.state), "sample_period"),
-        (lambda s: ste.simulate(s.model, OK, 1e12, 1e12), "sample_period should be at most"),
+        (lambda s: ste.simulate(s.model, OK, 1e12, 1e12), "duration should be at most"),
         (lambda s: ste.simulate(s.model, np.zeros((9, 10)), 1.0, 0.1), "command should have shape (10, 10)"),
         (lambda s: ste.simulate(s.model, lambda t: OK if t < 0.55 else BAD, 1.0, 0.1), "command(0.55)[0]"),
         (lambda s: ste.simulate(s.model, lambda t: None, 1.0, 0.1, s.state), "command(0.06)"),

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.model import load_continuation
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.equilibrium_residual import Balance
 from soft_tendon_env.model.load_continuation import RESIDUAL, LoadPath
-from soft_tendon_env.model.model import build_model
-from soft_tendon_env.model.statics import Neighbourhood, RedundancyWarning, static_equilibrium, static_stiffness
+from soft_tendon_env.model.statics import ChordSolver, RedundancyWarning, static_equilibrium, static_stiffness
 from soft_tendon_env.scene.file import load_scene, scene_names
 
 REFERENCE = Path(__file__).parents[1] / "data" / "statics.json"
@@ -242,7 +242,7 @@ def test_neighbours_of_an_equilibrium_are_those_that_a_search_finds(name, change
     """Whether tensions are coordinates, or Newton's method with the old stiffness does, or has to be given up."""
     model = model_of(name, **changes)
     u = np.random.default_rng(0).uniform(0.0, 10.0, model.tendon_count)
-    near = Neighbourhood(model, static_equilibrium(model, u).q, u)
+    near = ChordSolver(model, static_equilibrium(model, u).q, u)
     q, tip = near.at((1.0 + step) * u)
     found = static_equilibrium(model, (1.0 + step) * u)
     np.testing.assert_allclose(tip, found.tip_pose, atol=1e-8)

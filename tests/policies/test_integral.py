@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.model.statics import static_tip_jacobian
+from soft_tendon_env.model.statics import ChordSolver
 from soft_tendon_env.policies.integral import MOST, NEAR, IntegralPolicy
 from soft_tendon_env.policies.protocol import STATELESS_CALLS
 
@@ -125,7 +125,7 @@ class Beside:
     def __init__(self, envs):
         episodes = envs.unwrapped.episodes
         q, unit = episodes.arms.rows.q[0].copy(), 0.1 * episodes.model.length
-        response = static_tip_jacobian(episodes.model, q, np.zeros(3))[3:] * episodes.actuation.actions.increment
+        response = ChordSolver(episodes.model, q, np.zeros(3)).tip_jacobian[3:] * episodes.actuation.actions.increment
         self._gain = 0.01 * np.linalg.pinv(response, rcond=0.1) * unit
         self._ways = episodes.layout.slices["target_error"]
         self._beside = self._gain @ np.array([0.0, 0.05, 0.05])

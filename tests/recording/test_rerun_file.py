@@ -23,7 +23,7 @@ FLOAT32 = {"rtol": 1e-6, "atol": 1e-7}
 KILLED = """
 import os, signal, sys
 import numpy as np
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.recording import RerunFile, Rollout
 from soft_tendon_env.scene.file import load_scene
 

@@ -9,7 +9,7 @@ import pytest
 import tomli_w
 
 from soft_tendon_env.effects.base import Effects
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene, save_scene
 from soft_tendon_env.scene.passive_fields import FieldsWarning, fields_of, find_fields, read_fields, rounded
 from soft_tendon_env.scene.scene import scene_to_dict

@@ -6,7 +6,7 @@ import pytest
 from pydantic import ValidationError
 
 from soft_tendon_env.effects import Effect, register_effect
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.radius import LinearRadius
 from soft_tendon_env.scene.routing import StraightRouting

@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene, scene_names
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.units import UnitsWarning, warn_of_units

@@ -5,7 +5,7 @@ import pytest
 
 from soft_tendon_env.mechanics.motion.equilibrium import strain_is_continuous
 from soft_tendon_env.mechanics.workspace import make_workspace
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
 
 
