@@ -12,11 +12,10 @@ from soft_tendon_env.mechanics.effects import Nodes
 def pose_of(nodes, node):
     """Pose (R, r) of a node."""
     at, pose = (node // LANES) * 12 * LANES + node % LANES, nodes.pose
-    R = (
-        pose[at], pose[at + LANES], pose[at + 2 * LANES], pose[at + 3 * LANES], pose[at + 4 * LANES], pose[at + 5 * LANES],
-        pose[at + 6 * LANES], pose[at + 7 * LANES], pose[at + 8 * LANES],
-    )  # fmt: skip
-    return R, (pose[at + 9 * LANES], pose[at + 10 * LANES], pose[at + 11 * LANES])
+    x = pose[at], pose[at + LANES], pose[at + 2 * LANES]
+    y = pose[at + 3 * LANES], pose[at + 4 * LANES], pose[at + 5 * LANES]
+    z = pose[at + 6 * LANES], pose[at + 7 * LANES], pose[at + 8 * LANES]
+    return (*x, *y, *z), (pose[at + 9 * LANES], pose[at + 10 * LANES], pose[at + 11 * LANES])
 
 
 @kernel(inline=True)
@@ -46,16 +45,16 @@ def motion_before(nodes, node, R, r):
 
 
 @kernel(inline=True)
-def add_wrench(nodes, node, moment, force, share=1.0):
-    """Add a body-frame wrench to a node, with a share of the force."""
+def add_wrench(nodes, node, moment, force):
+    """Add a body-frame wrench to a node."""
     at = (node // LANES) * 6 * LANES + node % LANES
     for i in range(3):
         nodes.wrench[at + i * LANES] += moment[i]
-        nodes.wrench[at + (3 + i) * LANES] += share * force[i]
+        nodes.wrench[at + (3 + i) * LANES] += force[i]
 
 
 @kernel(counted=True)
-def nodes_with(pose, twist, base, state, time):
-    """Nodes at poses and with twists in the kernels' layout, for what reads no more of them than that, their base, state and time."""
+def nodes_with(pose, twist, base, time):
+    """Nodes at poses and with twists in the kernels' layout, for what reads no more of them than that, their base and time."""
     none = np.zeros(0)
-    return Nodes(pose.size // (12 * LANES), time, state, none, none, pose, twist, base, none, none, none, none)
+    return Nodes(pose.size // (12 * LANES), time, none, none, none, pose, twist, base, none, none, none, none)
