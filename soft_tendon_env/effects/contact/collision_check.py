@@ -10,12 +10,15 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.contact import columns as at
 from soft_tendon_env.effects.contact.bodies import Body, body_at, distance, goes_through, in_frame, triple
 from soft_tendon_env.effects.contact.samples import Ends, ends_of, motion_at, position_of, reach_of
-from soft_tendon_env.effects.nodes import motion_before, motion_of
+from soft_tendon_env.effects.nodes import motion_before, motion_of, pose_of
 from soft_tendon_env.mechanics.algebra.lie import dot, minus, rotate
 from soft_tendon_env.mechanics.effects import allow_turning
 
 OVERRUN, THROUGH = 0.1, 0.15
 """Shares of the radius: how much deeper a step in contact may lead, and what turns out to be so deep that it is tried again shorter."""
+LANDED, IDLE = 0.01, 0.05
+"""Share of the arm's kinetic energy, the most that a sample may store where a step ends in what it comes upon, and the speed, in lengths of
+the arm per second, that counts as such besides: at rest steps need not end where a contact begins."""
 
 
 class SweptBody(NamedTuple):
@@ -25,6 +28,7 @@ class SweptBody(NamedTuple):
     after: Body
     ends_before: Ends
     ends: Ends
+    energy: float  # [J] that a sample may store where the step ends
 
 
 @kernel
@@ -34,6 +38,16 @@ def limit_step(contact, nodes, longest):
         amplitude = triple(contact.obstacles, j, at.AMPLITUDE)
         if dot(amplitude, amplitude) > 0.0:
             allow_turning(contact.obstacles[j, at.RATE], longest)
+
+
+@kernel
+def landing_energy(nodes, intervals):
+    """Energy [J] that a sample may store where a step ends in what it comes upon."""
+    energy, mass, length = 0.0, 0.0, 0.0
+    for i in range(intervals.shape[0]):
+        _, v = motion_of(nodes, i, pose_of(nodes, i)[0])
+        energy, mass, length = energy + 0.5 * nodes.mass[i] * dot(v, v), mass + nodes.mass[i], length + intervals[i, 0]
+    return LANDED * (energy + 0.5 * mass * (IDLE * length) ** 2)
 
 
 @kernel
@@ -55,7 +69,8 @@ def is_far(swept, contact, nodes, longest):
 def check_sample(m, swept, nodes, longest, flags):
     """`check_collisions` for a sample and an obstacle, straight ahead as seen by the obstacle."""
     body, samples = swept.after, swept.after.contact.samples
-    radius, landing = samples[m, at.RADIUS], samples[m, at.DEPTH]
+    radius, smoothing = samples[m, at.RADIUS], samples[m, at.DEPTH]
+    landing = min(smoothing, (6.0 * smoothing * swept.energy / samples[m, at.STIFFNESS]) ** (1.0 / 3.0))
     start, end = (
         in_frame(swept.before, position_of(samples, m, swept.ends_before)),
         in_frame(body, position_of(samples, m, swept.ends)),
@@ -77,11 +92,12 @@ def check_sample(m, swept, nodes, longest, flags):
 @kernel(counted=True)
 def check_collisions(contact, before, nodes, longest, flags):
     """The next step ends where something is met; the last one was too long if a sample went through something on its way, or came to be
-    deep in it at once."""
+    so deep in it at once that it stores more than a share of the arm's energy."""
+    energy = landing_energy(nodes, contact.intervals)
     for j in range(contact.obstacles.shape[0]):
         body_before, body = body_at(contact, j, before.time), body_at(contact, j, nodes.time)
         for i in range(contact.intervals.shape[0]):
-            swept = SweptBody(body_before, body, ends_of(before, i), ends_of(nodes, i))
+            swept = SweptBody(body_before, body, ends_of(before, i), ends_of(nodes, i), energy)
             if not is_far(swept, contact, nodes, longest):
                 for m in range(int(contact.intervals[i, 1]), int(contact.intervals[i, 2])):
                     check_sample(m, swept, nodes, longest, flags)

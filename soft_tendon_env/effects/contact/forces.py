@@ -28,6 +28,8 @@ from soft_tendon_env.tools.types import Triple
 FREE, WALL = 0.2, 0.45
 """Depths in radii of the rod between which the wall stops what would go through: a wire between two samples a radius apart is half a radius
 deep in both."""
+WALL_DISSIPATION = 1.0
+"""The least c [s/m] of the wall: what begins within an obstacle leaves it at 1 m/s at most."""
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -45,25 +47,37 @@ class Touch(NamedTuple):
 
 
 @kernel(inline=True)
-def penalty(body, samples, m, depth):
-    """Normal force [N] of a sample without damping, its derivative and its integral.
-
-    To p(d) comes a wall that stops what would go through, S x^3 / width, with x from 0 at FREE to 1 at WALL, deeper by half of the
-    obstacle's thickness and by all of it. Without a stiffness of the ground's own, thickness counts up to the rod's radius.
-    """
-    stiffness, smoothing, radius = samples[m, at.STIFFNESS], samples[m, at.DEPTH], samples[m, at.RADIUS]
+def penalty(samples, m, depth):
+    """Penalty force p(d) [N] of a sample, its derivative and its integral."""
+    stiffness, smoothing = samples[m, at.STIFFNESS], samples[m, at.DEPTH]
     if depth < smoothing:
         slope = stiffness * depth / smoothing
         return 0.5 * slope * depth, slope, slope * depth * depth / 6.0
     beyond = depth - 0.5 * smoothing
-    force, slope, energy = stiffness * beyond, stiffness, 0.5 * stiffness * (beyond * beyond + smoothing * smoothing / 12.0)
-    thick = 0.5 * min(samples[m, at.SOLID], body.contact.obstacles[body.j, at.THICKNESS])
+    return stiffness * beyond, stiffness, 0.5 * stiffness * (beyond * beyond + smoothing * smoothing / 12.0)
+
+
+@kernel(inline=True)
+def wall(body, samples, m, depth):
+    """Force of the wall that stops what would go through, its derivative and its integral.
+
+    S x^3 / width, with x from 0 at FREE to 1 at WALL, deeper by half of the obstacle's thickness and by all of it. Without a stiffness of
+    the ground's own, thickness counts up to the rod's radius.
+    """
+    radius, thick = samples[m, at.RADIUS], 0.5 * min(samples[m, at.SOLID], body.contact.obstacles[body.j, at.THICKNESS])
     x, width = depth - FREE * radius - thick, (WALL - FREE) * radius + thick
     if not x > 0.0:  # nor is it for what is infinitely thick
-        return force, slope, energy
+        return 0.0, 0.0, 0.0
     x /= width
-    wall = samples[m, at.WALL_SCALE] * x * x
-    return force + wall * x / width, slope + 3.0 * wall / (width * width), energy + 0.25 * wall * x * x
+    energy = samples[m, at.WALL_SCALE] * x * x
+    return energy * x / width, 3.0 * energy / (width * width), 0.25 * energy * x * x
+
+
+@kernel(inline=True)
+def damped(law, dissipation, approach):
+    """The force p max(0, 1 + c d_dot) of a law, with its derivatives by depth and approach."""
+    factor = 1.0 + dissipation * approach
+    return (law[0] * factor, law[1] * factor, law[0] * dissipation) if factor > 0.0 else (0.0, 0.0, 0.0)
 
 
 @kernel(inline=True)
@@ -79,11 +93,12 @@ def touch_of(body, ends, m, nodes):
     slip = minus(plus(velocity, cross(turning, times(-samples[m, at.RADIUS], normal))), body.velocity)
     approach = -dot(slip, normal)
     slip = plus(slip, times(approach, normal))
-    force, slope, energy = penalty(body, samples, m, -gap)
-    factor = max(1.0 + rows[j, at.DISSIPATION] * approach, 0.0)
-    damping = force * rows[j, at.DISSIPATION] if factor > 0.0 else 0.0
-    drag = rows[j, at.FRICTION] * force * factor / math.sqrt(dot(slip, slip) + body.contact.stiction_speed * body.contact.stiction_speed)
-    return Touch(x, gap, normal, minus(times(force * factor, normal), times(drag, slip)), slope * factor, damping, drag, energy)
+    law, backstop, c = penalty(samples, m, -gap), wall(body, samples, m, -gap), rows[j, at.DISSIPATION]
+    force, stop = damped(law, c, approach), damped(backstop, max(c, WALL_DISSIPATION), approach)
+    pressure = force[0] + stop[0]
+    drag = rows[j, at.FRICTION] * pressure / math.sqrt(dot(slip, slip) + body.contact.stiction_speed * body.contact.stiction_speed)
+    total = minus(times(pressure, normal), times(drag, slip))
+    return Touch(x, gap, normal, total, force[1] + stop[1], force[2] + stop[2], drag, law[2] + backstop[2])
 
 
 @kernel(inline=True)

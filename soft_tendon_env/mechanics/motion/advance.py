@@ -217,7 +217,7 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
                 status = settle(arm, motion, length, touching, control, scratch)
             if status != OK:
                 rejected += 1
-                touching = touching or status == PENETRATED
+                touching = touching or status == PENETRATED or scratch.work.touched[0] != 0.0
                 smaller = next_step(aim, method.columns, length, attempt) if status == INACCURATE and aim.adaptive else length
                 step = min(0.5 * length, smaller)
                 if step < (SHORTEST_TOUCHING * control.step if touching else control.smallest):
