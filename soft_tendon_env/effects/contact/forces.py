@@ -20,7 +20,6 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.contact import columns as at
 from soft_tendon_env.effects.contact.bodies import body_at, distance, in_frame
 from soft_tendon_env.effects.contact.samples import ends_of, find_pairs, motion_at, position_of
-from soft_tendon_env.effects.nodes import add_wrench
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, rotate, rotate_back, times
 from soft_tendon_env.tools.types import Triple
@@ -122,7 +121,10 @@ def add_to_node(nodes, node, R, weights, radius, touch):
     share, reach, turn, part = weights
     n, force = rotate_back(R, touch.normal), rotate_back(R, touch.force)
     lever = minus((reach, 0.0, 0.0), times(turn * radius, n))
-    add_wrench(nodes, node, cross(lever, force), times(share, force))
+    moment, at_node = cross(lever, force), (node // LANES) * 6 * LANES + node % LANES
+    for k in range(3):
+        nodes.wrench[at_node + k * LANES] += moment[k]
+        nodes.wrench[at_node + (3 + k) * LANES] += share * force[k]
     add_along(nodes.stiffness, node, lever, share, n, touch.stiffness / part)
     add_along(nodes.damping, node, lever, share, n, (touch.damping - touch.drag) / part)
     if touch.drag > 0.0:
