@@ -1,18 +1,11 @@
 """Disturbances: wrenches at points of the rod or distributed over parts of it, as functions of time: pushes, pulses, vibrations.
 
-A load at a point between two nodes is shared between them by virtual work: the rod is taken to have one strain from node to node, the
-pose is g_a exp(t Omega), and the nodes get the wrenches that do the same work in every virtual motion of theirs (T is the tangent operator
-of exp, Ad* acts on wrenches):
-
-    w_b = Ad*_exp(Omega)^-1 Z,   w_a = W - Z,   Z = t T_Omega^-T T_(t Omega)^T W,   W = Ad*_exp(t Omega) w.
-
-Force and moment are exact, and so is the work in every strain that is constant between the nodes; the error is of third order in the
-distance of the nodes for bending under a force, of second order for stretch and for moments. A distributed load is integrated over its
-part of the rod with cubics through the velocities at the nodes, to fourth order; they do not cross the end of a tendon.
+The place of a section is a cubic through the nodes nearest to it, none beyond the end of a tendon. A load at a point is shared among them
+with its weights there, and a distributed one with their integrals, by virtual work: force and moment are exact, the error is of fourth
+order in the distance of the nodes. What falls to the base does no work.
 """
 
 import math
-from collections.abc import Iterable
 from typing import Annotated, Literal, NamedTuple, Self
 
 import numpy as np
@@ -20,23 +13,8 @@ from pydantic import Field, model_validator
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, random_vector, register_effect, size
-from soft_tendon_env.effects.nodes import add_wrench, pose_before, pose_of
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
-from soft_tendon_env.mechanics.algebra.lie import (
-    coefficients,
-    columns_of,
-    cross,
-    dexp_operator,
-    dot,
-    exp_se3,
-    log_se3,
-    minus,
-    plus,
-    rotate,
-    rotate_back,
-    times,
-    twist_sum,
-)
+from soft_tendon_env.mechanics.algebra.lie import rotate_back, times, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
 from soft_tendon_env.mechanics.effect_parameters import Matrix
 from soft_tendon_env.mechanics.effects import adds_wrench, allow_turning, limits_step
@@ -62,11 +40,11 @@ class Constant(Configuration):
 
 
 class Pulse(Configuration):
-    """1 from `start` [s], after 0, for `duration` [s], else 0. Integrator steps end where it begins and ends."""
+    """1 for a time, before and after it 0. Integrator steps end where it begins and ends."""
 
     type: Literal["pulse"] = "pulse"
-    start: Positive
-    duration: Positive
+    start: Positive = Field(description="begin [s], after 0")
+    duration: Positive = Field(description="duration [s]")
 
     @property
     def numbers(self) -> Triple:
@@ -74,11 +52,11 @@ class Pulse(Configuration):
 
 
 class Sine(Configuration):
-    """sin(2 pi frequency t + phase), `frequency` [Hz] and `phase` [deg]. The arm rests under its value at time 0."""
+    """sin(2 pi frequency t + phase). The arm rests under its value at time 0."""
 
     type: Literal["sine"] = "sine"
-    frequency: Annotated[Frequency, Field(gt=0)]
-    phase: Number = 0.0
+    frequency: Annotated[Frequency, Field(gt=0)] = Field(description="frequency [Hz]")
+    phase: Number = Field(0.0, description="phase [deg]")
 
     @property
     def numbers(self) -> Triple:
@@ -86,20 +64,14 @@ class Sine(Configuration):
 
 
 class Load(Configuration):
-    """One load.
+    """One load, either at a point or distributed evenly along a part of the rod."""
 
-    Either at a point, the arc length `at` [m], with `force` [N] and `moment` [N m]; or distributed evenly `along` (from, to) [m], with
-    `force` [N/m] and `moment` [N m/m], each (x, y, z) in `frame`: "world", or "body" (of the section, x along the rod). `signal` is the
-    function of time that multiplies both: `{ type = "constant" }`, `{ type = "pulse", start, duration }` [s], or
-    `{ type = "sine", frequency, phase }` [Hz, deg].
-    """
-
-    force: Triple = (0.0, 0.0, 0.0)
-    moment: Triple = (0.0, 0.0, 0.0)
-    at: NotNegative | None = None
-    along: tuple[NotNegative, NotNegative] | None = None
-    frame: Literal["world", "body"] = "world"
-    signal: Annotated[Constant | Pulse | Sine, Field(discriminator="type")] = Constant()
+    force: Triple = Field((0.0, 0.0, 0.0), description="force [N], or of distributed loads force per length [N/m]")
+    moment: Triple = Field((0.0, 0.0, 0.0), description="moment [N m], or moment per length [N m/m]")
+    at: NotNegative | None = Field(None, description="arc length of the point [m]")
+    along: tuple[NotNegative, NotNegative] | None = Field(None, description="arc lengths between which it is distributed [m]")
+    frame: Literal["world", "body"] = Field("world", description="frame of its components; body: the section, x along the rod")
+    signal: Annotated[Constant | Pulse | Sine, Field(discriminator="type")] = Field(Constant(), description="factor as a function of time")
 
     @model_validator(mode="after")
     def _has_a_place(self) -> Self:
@@ -109,109 +81,67 @@ class Load(Configuration):
             raise ValueError(f"has along = {list(self.along)}: it should end after it begins")
         return self
 
-    @property
-    def place(self) -> tuple[float, float]:
-        """Arc lengths [m] of its ends."""
-        return self.along if self.along is not None else (self.at or 0.0, self.at or 0.0)
-
-    @property
-    def numbers(self) -> tuple[float, ...]:
-        """Signal, frame, moment and force as the kernel reads them."""
-        return *self.signal.numbers, float(self.frame == "body"), *self.moment, *self.force
-
 
 @register_effect("disturbance")
 class Disturbance(Effect):
-    """`[effects.disturbance]`.
+    """`[effects.disturbance]` with `[[effects.disturbance.loads]]`. Equilibria and resets are those under the loads at time 0."""
 
-    `loads`: a table per load, `[[effects.disturbance.loads]]`, see `Load`. Equilibria and resets are those under the loads at time 0.
-    """
-
-    loads: tuple[Load, ...] = Field(min_length=1)
+    loads: tuple[Load, ...] = Field(min_length=1, description="the loads")
 
     def parameters(self, rod: Discretisation) -> "DisturbanceParameters":
         for i, own in enumerate(self.loads):
-            if own.place[1] > rod.length * (1.0 + SAME):
+            end = (own.along or (0.0, own.at or 0.0))[1]
+            if end > rod.length * (1.0 + SAME):
                 key = ("effects", "disturbance", "loads", i, "at" if own.along is None else "along")
-                raise ConfigurationError([Problem(key, f"ends at {own.place[1]:g} m: the rod has {rod.length:g} m")])
-        points = [own for own in self.loads if own.along is None]
-        lines = [own for own in self.loads if own.along is not None]
+                raise ConfigurationError([Problem(key, f"ends at {end:g} m: the rod has {rod.length:g} m")])
+        rows = [[*own.signal.numbers, float(own.frame == "body"), *own.moment, *own.force] for own in self.loads]
         return DisturbanceParameters(
-            point=_table((*own.numbers, *between_nodes(rod, own.place[0])) for own in points),
-            line=_table(own.numbers for own in lines),
-            weight=_table(node_field(shares(rod, *own.place)[:, None]) for own in lines),
+            Matrix(np.array(rows)), Matrix(np.array([node_field(weights(rod, own)[:, None]) for own in self.loads]))
         )
 
     def potential_energy(self, arm: Configured) -> float:
-        energy = 0.0
-        for own in self.loads:
-            if own.signal.type != "constant" or own.frame == "body" or any(own.moment):
-                raise ValueError("a disturbance that changes in time, follows the rod or has a moment has no potential energy")
-            force = np.array(own.force)
-            if own.along is not None:
-                energy -= float(shares(arm.rod, *own.place) @ (arm.pose[:, :3, 3] @ force))
-                continue
-            node, share = between_nodes(arm.rod, own.place[0])
-            before, after = (np.eye(4) if i < 0 else arm.pose[i] for i in (int(node) - 1, int(node)))
-            _, _, _, r = section_between(_numbers(before), _numbers(after), share)
-            energy -= float(force @ (before[:3, :3] @ np.array(r) + before[:3, 3]))
-        return energy
+        if any(own.signal.type != "constant" or own.frame == "body" or any(own.moment) for own in self.loads):
+            raise ValueError("a disturbance that changes in time, follows the rod or has a moment has no potential energy")
+        return -sum(float(weights(arm.rod, own) @ (arm.pose[:, :3, 3] @ np.array(own.force))) for own in self.loads)
 
     def varied(self, random: np.random.Generator) -> "Disturbance":
-        def drawn(own: Load) -> Load:
-            return own.model_copy(update={"force": random_vector(random, own.force), "moment": random_vector(random, own.moment)})
-
-        return Disturbance(loads=tuple(drawn(own) for own in self.loads))
+        drawn = [{"force": random_vector(random, own.force), "moment": random_vector(random, own.moment)} for own in self.loads]
+        return Disturbance(loads=tuple(own.model_copy(update=update) for own, update in zip(self.loads, drawn, strict=True)))
 
     def covers(self, other: "Disturbance") -> bool:
         def alike(own: Load, needed: Load) -> bool:
-            here, there = ((load.place, load.along is None, load.frame, load.signal) for load in (own, needed))
+            here, there = ((load.at, load.along, load.frame, load.signal) for load in (own, needed))
             return here == there and size(own.force) >= size(needed.force) and size(own.moment) >= size(needed.moment)
 
         return len(self.loads) == len(other.loads) and all(map(alike, self.loads, other.loads))
 
 
-def _table(rows: Iterable[Iterable[float]]) -> Matrix:
-    """Rows as a matrix, also where there are none."""
-    table = [list(row) for row in rows]
-    return Matrix(np.array(table, dtype=np.float64).reshape(len(table), -1 if table else 0))
-
-
-def _numbers(pose: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """A pose (4, 4) as (R, r) of plain numbers."""
-    return tuple(pose[:3, :3].ravel().tolist()), tuple(pose[:3, 3].tolist())
-
-
-def between_nodes(rod: Discretisation, arc_length: float) -> tuple[float, float]:
-    """The first node at or after a place, and which part of the way there from the node before, or from the base, the place is."""
-    node = int(np.searchsorted(rod.node, min(arc_length, rod.length * (1.0 - SAME))))
-    start = rod.node[node - 1] if node else 0.0
-    return float(node), float(min((arc_length - start) / (rod.node[node] - start), 1.0))
-
-
-def shares(rod: Discretisation, start: float, end: float) -> Array:
-    """Weights (nodes,) [m] with which values at the nodes, 0 at the base, add up to an integral from start to end: exact for functions
-    that are cubic between the borders, where there are four nodes."""
-    places, weights, same = np.append(0.0, rod.node), np.zeros(rod.node.size + 1), SAME * rod.length
+def weights(rod: Discretisation, own: Load) -> Array:
+    """Weights (nodes,) with which values at the nodes, 0 at the base, add up to that at the point of a load, or to their integral [m] over
+    its part of the rod: exact for functions that are cubic between the borders, where there are four nodes."""
+    start, end = own.along or (own.at or 0.0, own.at or 0.0)
+    places, found, same = np.append(0.0, rod.node), np.zeros(rod.node.size + 1), SAME * rod.length
     for border, next_border in zip(rod.borders[:-1], rod.borders[1:], strict=True):
         inside = np.flatnonzero((places > border - same) & (places < next_border + same))
         piece = inside[np.append(True, np.diff(places[inside]) > same)]  # without the empty intervals at the tip
         stencil = min(4, piece.size)
         for i, (here, there) in enumerate(zip(places[piece[:-1]], places[piece[1:]], strict=True)):
             a, b = (float(np.clip(place, here, there) - here) / (there - here) for place in (start, end))
-            own = piece[(first := min(max(i + 1 - stencil // 2, 0), piece.size - stencil)) : first + stencil]
+            own_nodes = piece[(first := min(max(i + 1 - stencil // 2, 0), piece.size - stencil)) : first + stencil]
             powers = np.arange(1, stencil + 1)
-            values = ((places[own] - here) / (there - here)) ** (powers[:, None] - 1)
-            weights[own] += (there - here) * np.linalg.solve(values, (b**powers - a**powers) / powers)
-    return weights[1:]
+            values = ((places[own_nodes] - here) / (there - here)) ** (powers[:, None] - 1)
+            if own.along is not None:
+                found[own_nodes] += (there - here) * np.linalg.solve(values, (b**powers - a**powers) / powers)
+            elif here <= start < there or (there > rod.length - same and start >= there):
+                found[own_nodes] = np.linalg.solve(values, a ** (powers - 1.0))
+    return found[1:]
 
 
 class DisturbanceParameters(NamedTuple):
-    """The loads: those at points, and distributed ones with their weights at the nodes."""
+    """The loads, and their weights at the nodes."""
 
-    point: Matrix  # loads x 12: signal (3), frame, moment, force, and where: the node after it, and the part of the way there
-    line: Matrix  # loads x 10: the same without where
-    weight: Matrix  # loads x nodes [m]
+    loads: Matrix  # loads x 10: signal (3), frame, moment, force
+    weight: Matrix  # loads x nodes
 
 
 @kernel
@@ -224,102 +154,31 @@ def signal_at(row, time):
     return 1.0
 
 
-@kernel
-def section_between(before, after, share):
-    """Omega, its coefficients, and R, r of the section at a share of the way between two poses (R, r), in the frame of the first."""
-    R, r = before
-    S, s = after
-    turned = columns_of(rotate_back(R, (S[0], S[3], S[6])), rotate_back(R, (S[1], S[4], S[7])), rotate_back(R, (S[2], S[5], S[8])))
-    Omega = log_se3(turned, rotate_back(R, minus(s, r)))
-    part = times(share, Omega[0]), times(share, Omega[1])
-    R_section, r_section = exp_se3(part, coefficients(dot(part[0], part[0])))
-    return Omega, part, R_section, r_section
-
-
-@kernel
-def shared_wrench(Omega, part, share, wrench):
-    """Z: what of a wrench W at the section, in the frame of the first node, goes to the second one; still in that frame."""
-    A, C = dexp_operator(part, coefficients(dot(part[0], part[0])))
-    moment, force = plus(rotate_back(A, wrench[0]), rotate_back(C, wrench[1])), rotate_back(A, wrench[1])
-    c = coefficients(dot(Omega[0], Omega[0]))
-    _, D = dexp_operator(Omega, c)
-    force = solve_transposed(Omega[0], c, force)
-    moment = solve_transposed(Omega[0], c, minus(moment, rotate_back(D, force)))
-    return times(share, moment), times(share, force)
-
-
-@kernel
-def solve_transposed(k, c, x):
-    """A^-T x, A the rotational block of T; as in log_se3."""
-    u = cross(k, x)
-    return plus(x, plus(times(0.5, u), times(-0.5 * c.a1 / c.a, cross(k, u))))
-
-
-@kernel
-def add_at_point(row, nodes):
-    """A load at a point, on the nodes beside it."""
-    size, node, share = signal_at(row, nodes.time), int(row[10]), row[11]
-    if size == 0.0:
-        return
-    before, after = pose_before(nodes, node), pose_of(nodes, node)
-    Omega, part, R, r = section_between(before, after, share)
-    moment, force = (size * row[4], size * row[5], size * row[6]), (size * row[7], size * row[8], size * row[9])
-    if row[3] != 0.0:
-        moment, force = rotate(R, moment), rotate(R, force)
-    else:
-        moment, force = rotate_back(before[0], moment), rotate_back(before[0], force)
-    moment = plus(moment, cross(r, force))
-    later = shared_wrench(Omega, part, share, (moment, force))
-    if node > 0:
-        add_wrench(nodes, node - 1, minus(moment, later[0]), minus(force, later[1]))
-    R_all, r_all = exp_se3(Omega, coefficients(dot(Omega[0], Omega[0])))
-    add_wrench(nodes, node, rotate_back(R_all, minus(later[0], cross(r_all, later[1]))), rotate_back(R_all, later[1]))
-
-
-@kernel
-def add_along(row, weight, nodes):
-    """A distributed load, on all nodes."""
-    size = signal_at(row, nodes.time)
-    if size == 0.0:
-        return
-    moment, force = (size * row[4], size * row[5], size * row[6]), (size * row[7], size * row[8], size * row[9])
-    for pack in range(nodes.packs):
-        at, share = pack * 6 * LANES, load(weight, pack * LANES)
-        before = load6(nodes.wrench, at)
-        if row[3] != 0.0:
-            store6(nodes.wrench, at, twist_sum(before, (times(share, moment), times(share, force))))
-        else:
-            R, _ = load_pose(nodes.pose, pack * 12 * LANES)
-            own = times(share, rotate_back(R, moment)), times(share, rotate_back(R, force))
-            store6(nodes.wrench, at, twist_sum(before, own))
-
-
 @adds_wrench(DisturbanceParameters)
 @kernel
 def disturbance_wrench(disturbance, nodes):
     """All loads at the nodes' time."""
-    for i in range(disturbance.point.shape[0]):
-        add_at_point(disturbance.point[i], nodes)
-    for i in range(disturbance.line.shape[0]):
-        add_along(disturbance.line[i], disturbance.weight[i], nodes)
-
-
-@kernel
-def limit_by_signal(row, time, longest):
-    """Lower `longest` (1,) to a fraction of the period of a sine, and to the next end of a pulse."""
-    if row[0] == SINE:
-        allow_turning(row[1], longest)
-    if row[0] == PULSE:
-        for edge in (row[1], row[2]):
-            if edge > time + EDGE:
-                longest[0] = min(longest[0], edge - time)
+    for i in range(disturbance.loads.shape[0]):
+        row, weight = disturbance.loads[i], disturbance.weight[i]
+        factor = signal_at(row, nodes.time)
+        moment, force = (row[4], row[5], row[6]), (row[7], row[8], row[9])
+        for pack in range(nodes.packs if factor != 0.0 else 0):
+            at, share = pack * 6 * LANES, factor * load(weight, pack * LANES)
+            here = times(share, moment), times(share, force)
+            if row[3] == 0.0:
+                R, _ = load_pose(nodes.pose, pack * 12 * LANES)
+                here = rotate_back(R, here[0]), rotate_back(R, here[1])
+            store6(nodes.wrench, at, twist_sum(load6(nodes.wrench, at), here))
 
 
 @limits_step(DisturbanceParameters)
 @kernel
 def limit_step(disturbance, nodes, longest):
-    """Steps follow the signals of all loads."""
-    for i in range(disturbance.point.shape[0]):
-        limit_by_signal(disturbance.point[i], nodes.time, longest)
-    for i in range(disturbance.line.shape[0]):
-        limit_by_signal(disturbance.line[i], nodes.time, longest)
+    """Steps follow the signals: up to a fraction of the period of a sine, and to the next end of a pulse."""
+    for i in range(disturbance.loads.shape[0]):
+        row = disturbance.loads[i]
+        if row[0] == SINE:
+            allow_turning(row[1], longest)
+        for edge in (row[1], row[2]):
+            if row[0] == PULSE and edge > nodes.time + EDGE:
+                longest[0] = min(longest[0], edge - nodes.time)

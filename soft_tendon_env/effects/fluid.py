@@ -5,25 +5,26 @@ fluid's density rho (Morison's equation; J. R. Morison et al., Petroleum Transac
 
 - drag, -1/2 rho (C_n 2 r |v_n| v_n + C_t 2 pi r |v_x| v_x): the normal part on the frontal width, the tangential one on the wetted
   girth, each by its own velocity (independence principle). It takes power at any relative motion, and enters the implicit step.
-- added mass, C_a rho pi r^2 along both normals (1 for a cylinder in potential flow), as in F. Renda et al., IEEE Transactions on Robotics
-  30, 2014. It is part of the kinetic energy 1/2 m_a |v_n|^2 per length, of which Lagrange's equations give all its forces; in a current
+- added mass, C_a rho pi r^2 along both normals, as in F. Renda et al., IEEE Transactions on Robotics 30, 2014. It is
+  part of the kinetic energy 1/2 m_a |v_n|^2 per length, of which Lagrange's equations give all its forces; in a current
   those of the relative velocity, so that an arm in a current is one that is towed through fluid at rest. The free end is that of a
   streamlined tip (f = 1 of M. P. Paidoussis, Journal of Fluid Mechanics 26, 1966).
 - buoyancy, -rho pi r^2 g, with the g of `[effects.gravity]`: without gravity there is none.
 
-Left out: the volume and the drag of a payload, pressure drag on the tip's face, viscous moments about the rod's axis, and compression by
-the hydrostatic pressure (internal forces are effective tensions). The whole rod is under the surface, however it moves.
+Left out: a payload's volume and drag, pressure drag on the tip's face, viscous moments about the axis, and compression by the hydrostatic
+pressure (internal forces are effective tensions). The whole rod is under the surface, however it moves.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, random_vector, register_effect, size
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, sqrt, store
-from soft_tendon_env.mechanics.algebra.lie import minus, plus, rotate_back, times
-from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store3
+from soft_tendon_env.mechanics.algebra.lie import minus, plus, rotate_back, times, twist_sum
+from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
 from soft_tendon_env.mechanics.effect_parameters import Vector
 from soft_tendon_env.mechanics.effects import adds_wrench
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
@@ -35,30 +36,19 @@ STILL = 1e-60  # [m^2/s^2], added to a squared speed that is divided by
 
 @register_effect("fluid")
 class Fluid(Effect):
-    """`[effects.fluid]`.
+    """`[effects.fluid]`: drag coefficients are those of a cylinder across a stream at Reynolds numbers of 1e3 to 1e5, and of friction."""
 
-    `density` [kg/m^3] of the fluid, 1000 for water; `current` (x, y, z) [m/s], its velocity in the world frame, everywhere and always the
-    same. Coefficients [-]: `normal_drag` C_n (1 to 1.2 for a cylinder across a stream at Reynolds numbers of 1e3 to 1e5),
-    `tangential_drag` C_t (friction, 0.003 to 0.02), `added_mass` C_a.
-    """
-
-    density: Positive
-    current: Triple = (0.0, 0.0, 0.0)
-    normal_drag: NotNegative = 1.1
-    tangential_drag: NotNegative = 0.01
-    added_mass: NotNegative = 1.0
+    density: Positive = Field(description="density of the fluid [kg/m^3], 1000 for water")
+    current: Triple = Field((0.0, 0.0, 0.0), description="its velocity (x, y, z) [m/s], world frame, everywhere and always the same")
+    normal_drag: NotNegative = Field(1.1, description="drag coefficient C_n across the rod [-], 1 to 1.2")
+    tangential_drag: NotNegative = Field(0.01, description="drag coefficient C_t along the rod [-], 0.003 to 0.02")
+    added_mass: NotNegative = Field(1.0, description="coefficient C_a of the added mass [-], 1 in potential flow")
 
     def parameters(self, rod: Discretisation) -> "FluidParameters":
-        width = rod.over_nodes(lambda arc_length: 2.0 * rod.radius(arc_length)[:, None])
+        pressure = 0.5 * self.density * rod.over_nodes(lambda arc_length: 2.0 * rod.radius(arc_length)[:, None])
         displaced = self.displaced_mass(rod)
-        return FluidParameters(
-            displaced=Vector(node_field(displaced)),
-            added=Vector(node_field(self.added_mass * displaced)),
-            normal=Vector(node_field(0.5 * self.density * self.normal_drag * width)),
-            tangential=Vector(node_field(0.5 * self.density * self.tangential_drag * np.pi * width)),
-            current=self.current,
-            gravity=_gravity(rod),
-        )
+        slices = displaced, self.added_mass * displaced, self.normal_drag * pressure, np.pi * self.tangential_drag * pressure
+        return FluidParameters(*(Vector(node_field(values)) for values in slices), self.current, _gravity(rod))
 
     def displaced_mass(self, rod: Discretisation) -> Array:
         """Mass (nodes, 1) [kg] of the fluid in whose place the slices are."""
@@ -76,16 +66,13 @@ class Fluid(Effect):
         return self.model_copy(update={"density": (1.0 - random.random()) * self.density, "current": random_vector(random, self.current)})
 
     def covers(self, other: "Fluid") -> bool:
-        def sizes(fluid: "Fluid") -> tuple[float, ...]:
-            return fluid.density, size(fluid.current), fluid.normal_drag, fluid.tangential_drag, fluid.added_mass
-
-        return all(most >= needed for most, needed in zip(sizes(self), sizes(other), strict=True))
+        sizes = ((own.density, size(own.current), own.normal_drag, own.tangential_drag, own.added_mass) for own in (self, other))
+        return all(most >= needed for most, needed in zip(*sizes, strict=True))
 
 
-def _gravity(rod: Discretisation) -> tuple[float, float, float]:
+def _gravity(rod: Discretisation) -> Triple:
     """The scene's gravity [m/s^2]."""
-    gravity = rod.effects.gravity
-    return (0.0, 0.0, 0.0) if gravity is None else gravity.acceleration
+    return (0.0, 0.0, 0.0) if rod.effects.gravity is None else rod.effects.gravity.acceleration
 
 
 class FluidParameters(NamedTuple):
@@ -96,7 +83,7 @@ class FluidParameters(NamedTuple):
     normal: Vector  # nodes [kg/m], drag per squared speed
     tangential: Vector  # nodes [kg/m]
     current: Triple  # [m/s], world frame
-    gravity: tuple[float, float, float]  # [m/s^2], world frame
+    gravity: Triple  # [m/s^2], world frame
 
 
 @adds_wrench(FluidParameters)
@@ -106,16 +93,14 @@ def fluid_wrench(fluid, nodes):
     for pack in range(nodes.packs):
         at, moment_at, damping_at = pack * LANES, pack * 6 * LANES, pack * 21 * LANES
         R, _ = load_pose(nodes.pose, pack * 12 * LANES)
-        w, v = load6(nodes.twist, moment_at)
-        stream = rotate_back(R, fluid.current)
+        (w, v), stream = load6(nodes.twist, moment_at), rotate_back(R, fluid.current)
         x, y, z = minus(v, stream)
         along, across = sqrt(x * x), sqrt(y * y + z * z)
         tangential, normal = load(fluid.tangential, at) * along, load(fluid.normal, at)
         moment, force = stream_wrench(load(fluid.added, at), w, v, stream)
         buoyancy = times(load(fluid.displaced, at), rotate_back(R, fluid.gravity))
         force = minus(force, plus((tangential * x, normal * across * y, normal * across * z), buoyancy))
-        store3(nodes.wrench, moment_at, plus(load3(nodes.wrench, moment_at), moment))
-        store3(nodes.wrench, moment_at + 3 * LANES, plus(load3(nodes.wrench, moment_at + 3 * LANES), force))
+        store6(nodes.wrench, moment_at, twist_sum(load6(nodes.wrench, moment_at), (moment, force)))
         slope = normal / sqrt(y * y + z * z + STILL)
         add(nodes.damping, damping_at + 9 * LANES, 2.0 * tangential)  # the entries xx, yy, zy, zz of forces by velocities
         add(nodes.damping, damping_at + 14 * LANES, normal * across + slope * y * y)

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Configured, DeadLoads, Discretisation, Effect, random_vector, register_effect, size
@@ -16,9 +17,9 @@ from soft_tendon_env.tools.types import Triple
 
 @register_effect("gravity")
 class Gravity(Effect):
-    """`[effects.gravity]`. `acceleration` (x, y, z) [m/s^2] in the world frame, in which the straight rod lies along x."""
+    """`[effects.gravity]`, in the world frame, in which the straight rod lies along x."""
 
-    acceleration: Triple
+    acceleration: Triple = Field(description="acceleration (x, y, z) [m/s^2]")
 
     def parameters(self, rod: Discretisation) -> "GravityParameters":
         return GravityParameters(self.acceleration)
@@ -39,7 +40,7 @@ class Gravity(Effect):
 class GravityParameters(NamedTuple):
     """The acceleration [m/s^2] in the world frame."""
 
-    acceleration: tuple[float, float, float]
+    acceleration: Triple
 
 
 @adds_wrench(GravityParameters)
@@ -47,7 +48,5 @@ class GravityParameters(NamedTuple):
 def gravity_wrench(gravity, nodes):
     """The force m R^T g on every node."""
     for pack in range(nodes.packs):
-        R, _ = load_pose(nodes.pose, pack * 12 * LANES)
-        force_at = (pack * 6 + 3) * LANES
-        weight = times(load(nodes.mass, pack * LANES), rotate_back(R, gravity.acceleration))
-        store3(nodes.wrench, force_at, plus(load3(nodes.wrench, force_at), weight))
+        at, down = (pack * 6 + 3) * LANES, rotate_back(load_pose(nodes.pose, pack * 12 * LANES)[0], gravity.acceleration)
+        store3(nodes.wrench, at, plus(load3(nodes.wrench, at), times(load(nodes.mass, pack * LANES), down)))

@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple, Self
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Configured, Discretisation, Effect, register_effect
@@ -11,26 +11,23 @@ from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, exp_se3, 
 from soft_tendon_env.mechanics.effects import Base, allow_turning, limits_step, moves_base
 from soft_tendon_env.tools.types import Frequency, Number, Triple, Turning
 
-ZERO = (0.0, 0.0, 0.0)
-
 
 @register_effect("moving_base")
 class MovingBase(Effect):
     """`[effects.moving_base]`: the base's frame moves along with the world's axes and turns about a fixed axis through its origin.
 
-    Position r(t) = `velocity` t + `acceleration` t^2 / 2 + `amplitude` sin(2 pi f t), angle about `axis` [rad]
-    theta(t) = `angular_velocity` t + `angular_amplitude` sin(2 pi f t), with `frequency` f [Hz]; t is the time of the simulation or of the
-    episode. In SI units, world frame. Inertia forces of the motion follow from the kinematics: base twist and acceleration enter the
-    recursions (17)-(18) where they begin. Statics are those of the base at rest in its pose at t = 0.
+    r(t) = `velocity` t + `acceleration` t^2 / 2 + `amplitude` sin(2 pi f t), theta(t) = `angular_velocity` t + `angular_amplitude`
+    sin(2 pi f t), with t the time of the simulation or of the episode. Base twist and acceleration enter the recursions (17)-(18) where
+    they begin, from which inertia forces follow. Statics are those of the base at rest in its pose at t = 0.
     """
 
-    velocity: Triple = ZERO
-    acceleration: Triple = ZERO
-    amplitude: Triple = ZERO
-    axis: Triple = (0.0, 0.0, 1.0)
-    angular_velocity: Turning = 0.0
-    angular_amplitude: Number = 0.0
-    frequency: Frequency = 0.0
+    velocity: Triple = Field((0.0, 0.0, 0.0), description="velocity (x, y, z) at time 0 [m/s], world frame")
+    acceleration: Triple = Field((0.0, 0.0, 0.0), description="constant acceleration (x, y, z) [m/s^2]")
+    amplitude: Triple = Field((0.0, 0.0, 0.0), description="amplitude (x, y, z) of the swing [m]")
+    axis: Triple = Field((0.0, 0.0, 1.0), description="axis about which it turns [-], of any length but zero")
+    angular_velocity: Turning = Field(0.0, description="constant angular velocity [rad/s]")
+    angular_amplitude: Number = Field(0.0, description="amplitude of the turning swing [rad]")
+    frequency: Frequency = Field(0.0, description="frequency f of both swings [Hz]")
 
     @model_validator(mode="after")
     def _has_an_axis(self) -> Self:
@@ -41,12 +38,9 @@ class MovingBase(Effect):
         return self
 
     def parameters(self, rod: Discretisation) -> "MovingBaseParameters":
-        size = math.hypot(*self.axis)
-        x, y, z = (part / size for part in self.axis)
-        omega = 2.0 * math.pi * self.frequency
-        return MovingBaseParameters(
-            self.velocity, self.acceleration, self.amplitude, (x, y, z), self.angular_velocity, self.angular_amplitude, omega
-        )
+        x, y, z = (part / math.hypot(*self.axis) for part in self.axis)
+        turning = (x, y, z), self.angular_velocity, self.angular_amplitude, 2.0 * math.pi * self.frequency
+        return MovingBaseParameters(self.velocity, self.acceleration, self.amplitude, *turning)
 
     def potential_energy(self, arm: Configured) -> float:
         raise ValueError("an arm on a moving base has no potential energy: the base does work on it")
@@ -77,18 +71,14 @@ def move(motion, base: Base):
     r_dot = plus(plus(motion.velocity, times(t, motion.acceleration)), times(motion.omega * cosine, motion.amplitude))
     r_ddot = minus(motion.acceleration, times(motion.omega * motion.omega * sine, motion.amplitude))
     w, w_dot = times(rate, motion.axis), times(rate_dot, motion.axis)
-    v = minus(r_dot, cross(w, r))
-    v_dot = minus(minus(r_ddot, cross(w_dot, r)), cross(w, r_dot))
-    k = times(angle, motion.axis)
-    R, _ = exp_se3((k, (0.0, 0.0, 0.0)), coefficients(angle * angle))
+    v, v_dot = minus(r_dot, cross(w, r)), minus(minus(r_ddot, cross(w_dot, r)), cross(w, r_dot))
+    R, _ = exp_se3((times(angle, motion.axis), (0.0, 0.0, 0.0)), coefficients(angle * angle))
     for i in range(9):
         base.pose[i] = R[i]
     for i in range(3):
         base.pose[9 + i] = r[i]
-        base.twist[i] = w[i]
-        base.twist[3 + i] = v[i]
-        base.acceleration[i] = w_dot[i]
-        base.acceleration[3 + i] = v_dot[i]
+        base.twist[i], base.twist[3 + i] = w[i], v[i]
+        base.acceleration[i], base.acceleration[3 + i] = w_dot[i], v_dot[i]
 
 
 @limits_step(MovingBaseParameters)

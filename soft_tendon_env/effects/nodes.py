@@ -9,14 +9,17 @@ from soft_tendon_env.mechanics.effects import Nodes
 
 
 @kernel(inline=True)
+def vector_at(field, at):
+    """Three components of a field, a pack of lanes apart."""
+    return field[at], field[at + LANES], field[at + 2 * LANES]
+
+
+@kernel(inline=True)
 def pose_of(nodes, node):
     """Pose (R, r) of a node."""
     at, pose = (node // LANES) * 12 * LANES + node % LANES, nodes.pose
-    R = (
-        pose[at], pose[at + LANES], pose[at + 2 * LANES], pose[at + 3 * LANES], pose[at + 4 * LANES], pose[at + 5 * LANES],
-        pose[at + 6 * LANES], pose[at + 7 * LANES], pose[at + 8 * LANES],
-    )  # fmt: skip
-    return R, (pose[at + 9 * LANES], pose[at + 10 * LANES], pose[at + 11 * LANES])
+    x, y, z, r = vector_at(pose, at), vector_at(pose, at + 3 * LANES), vector_at(pose, at + 6 * LANES), vector_at(pose, at + 9 * LANES)
+    return (x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]), r
 
 
 @kernel(inline=True)
@@ -32,8 +35,7 @@ def pose_before(nodes, node):
 def motion_of(nodes, node, R):
     """Angular and linear velocity of a node with rotation R, in the world frame."""
     at, twist = (node // LANES) * 6 * LANES + node % LANES, nodes.twist
-    w = twist[at], twist[at + LANES], twist[at + 2 * LANES]
-    return rotate(R, w), rotate(R, (twist[at + 3 * LANES], twist[at + 4 * LANES], twist[at + 5 * LANES]))
+    return rotate(R, vector_at(twist, at)), rotate(R, vector_at(twist, at + 3 * LANES))
 
 
 @kernel(inline=True)
@@ -45,17 +47,8 @@ def motion_before(nodes, node, R, r):
     return w, plus((nodes.base[15], nodes.base[16], nodes.base[17]), cross(w, r))
 
 
-@kernel(inline=True)
-def add_wrench(nodes, node, moment, force, share=1.0):
-    """Add a body-frame wrench to a node, with a share of the force."""
-    at = (node // LANES) * 6 * LANES + node % LANES
-    for i in range(3):
-        nodes.wrench[at + i * LANES] += moment[i]
-        nodes.wrench[at + (3 + i) * LANES] += share * force[i]
-
-
 @kernel(refcount=True)
-def nodes_with(pose, twist, base, state, time):
-    """Nodes at poses and with twists in the kernels' layout, for what reads no more of them than that, their base, state and time."""
+def nodes_with(pose, twist, base, time):
+    """Nodes at poses and with twists in the kernels' layout, for what reads no more of them than that, their base and time."""
     none = np.zeros(0)
-    return Nodes(pose.size // (12 * LANES), time, state, none, none, pose, twist, base, none, none, none, none)
+    return Nodes(pose.size // (12 * LANES), time, none, none, none, pose, twist, base, none, none, none, none)

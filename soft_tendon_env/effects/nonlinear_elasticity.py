@@ -8,7 +8,7 @@ by strain, with the linear law for small ones. Its energy per length is 1/2 Sigm
 from typing import NamedTuple, Self
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Configured, Discretisation, Effect, register_effect
@@ -19,16 +19,12 @@ from soft_tendon_env.tools.types import Positive
 
 @register_effect("nonlinear_elasticity")
 class NonlinearElasticity(Effect):
-    """`[effects.nonlinear_elasticity]`.
+    """`[effects.nonlinear_elasticity]`: strains at which the stress is twice that of the linear law; one that is not given stays linear."""
 
-    The strain e0 at which the stress is twice that of the linear law: `torsion` and `bending` [1/m] (a curvature e0 strains the surface of
-    a rod of radius r by r e0), `stretch` and `shear` [-]. A kind of strain that is not given stays linear; at least one is.
-    """
-
-    torsion: Positive | None = None
-    bending: Positive | None = None
-    stretch: Positive | None = None
-    shear: Positive | None = None
+    torsion: Positive | None = Field(None, description="e0 of torsion [1/m]")
+    bending: Positive | None = Field(None, description="e0 of both curvatures [1/m]; the surface of a rod of radius r is strained by r e0")
+    stretch: Positive | None = Field(None, description="e0 of stretch [-]")
+    shear: Positive | None = Field(None, description="e0 of both shears [-]")
 
     @model_validator(mode="after")
     def _stiffens(self) -> Self:
@@ -39,10 +35,9 @@ class NonlinearElasticity(Effect):
     @property
     def rate(self) -> tuple[float, float, float, float, float, float]:
         """1 / e0^2 of the six strains."""
-        torsion, bending, stretch, shear = (
-            0.0 if strain is None else strain**-2.0 for strain in (self.torsion, self.bending, self.stretch, self.shear)
-        )
-        return torsion, bending, bending, stretch, shear, shear
+        kinds = (self.torsion, self.bending, self.bending, self.stretch, self.shear, self.shear)
+        a, b, c, d, e, f = (0.0 if strain is None else strain**-2.0 for strain in kinds)
+        return a, b, c, d, e, f
 
     def parameters(self, rod: Discretisation) -> "NonlinearElasticityParameters":
         return NonlinearElasticityParameters(self.rate)

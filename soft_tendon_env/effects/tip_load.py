@@ -3,6 +3,7 @@
 from typing import Literal, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, DeadLoads, Discretisation, Effect, random_vector, register_effect, size
@@ -15,18 +16,13 @@ from soft_tendon_env.tools.types import NotNegative, Triple
 
 @register_effect("tip_load")
 class TipLoad(Effect):
-    """`[effects.tip_load]`.
+    """`[effects.tip_load]`."""
 
-    `force` (x, y, z) [N] and `moment` (x, y, z) [N m] act at the tip, with components in `frame`: "world" (a dead load)
-    or "tip" (a load that follows the tip). `mass` [kg] and `inertia` (principal moments about the tip frame's axes)
-    [kg m^2] belong to a payload whose centre of mass is the tip frame's origin.
-    """
-
-    force: Triple = (0.0, 0.0, 0.0)
-    moment: Triple = (0.0, 0.0, 0.0)
-    frame: Literal["world", "tip"] = "world"
-    mass: NotNegative = 0.0
-    inertia: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
+    force: Triple = Field((0.0, 0.0, 0.0), description="force (x, y, z) at the tip [N]")
+    moment: Triple = Field((0.0, 0.0, 0.0), description="moment (x, y, z) at the tip [N m]")
+    frame: Literal["world", "tip"] = Field("world", description="frame of their components: a dead load, or one that follows the tip")
+    mass: NotNegative = Field(0.0, description="mass of a payload with its centre at the tip [kg]")
+    inertia: tuple[NotNegative, NotNegative, NotNegative] = Field((0.0, 0.0, 0.0), description="its moments about the tip's axes [kg m^2]")
 
     def parameters(self, rod: Discretisation) -> "TipLoadParameters":
         return TipLoadParameters(self.force, self.moment, self.frame == "tip")
@@ -45,15 +41,10 @@ class TipLoad(Effect):
         return None if follows else DeadLoads(force=self.force, moment=self.moment)
 
     def varied(self, random: np.random.Generator) -> "TipLoad":
-        part = random.random()
-        x, y, z = self.inertia
-        return TipLoad(
-            force=random_vector(random, self.force),
-            moment=random_vector(random, self.moment),
-            frame=self.frame,
-            mass=part * self.mass,
-            inertia=(part * x, part * y, part * z),
-        )
+        part, (x, y, z) = random.random(), self.inertia
+        payload = {"mass": part * self.mass, "inertia": (part * x, part * y, part * z)}
+        wrench = {"force": random_vector(random, self.force), "moment": random_vector(random, self.moment)}
+        return self.model_copy(update={**payload, **wrench})
 
     def covers(self, other: "TipLoad") -> bool:
         sizes = ((own.mass, size(own.inertia), size(own.force), size(own.moment)) for own in (self, other))

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from soft_tendon_env.effects import Effects
-from soft_tendon_env.effects.contact.wrench import ContactReading, number_of_contact, read_contact_rows
-from soft_tendon_env.envs.kernels import read_wrench_rows
+from soft_tendon_env.envs.kernels import ContactReading, read_contact_rows
 from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned
 from soft_tendon_env.mechanics.effects import EffectTable
 from soft_tendon_env.mechanics.motion import batch
@@ -101,6 +100,7 @@ class Arms:
         self._materials = np.zeros(rows, dtype=np.int64)  # how many each row has had
         self._no_tape = make_tape(model.arm, 0, 0)
         self._adjoint_memory: list[AdjointMemory] | None = None
+        self._contact: tuple[Arm, Any] | None = None
 
     @property
     def shape(self) -> Array:
@@ -186,23 +186,11 @@ class Arms:
 
     def read_contact(self, members: Indices, section: Indices, reading: ContactReading) -> None:
         """Contact of the rows `members` with their obstacles into `reading`; `section` (samples,) of the arm in which each sample lies."""
-        arm, number = self.model.arm, number_of_contact(self.model.arm.effects)
-        self.share(lambda part, scratch: read_contact_rows(arm, self.rows, part, number, section, scratch.work, reading), members)
-
-    def read_wrenches(self, members: Indices, number: int) -> Array:
-        """Forces (members, nodes, 3) [N], world frame, of the effect of that `number` on the nodes of the rows `members`."""
-        arm, nodes = self.model.arm, self.model.arm.rod.length.size
-        wrench, pose = np.zeros((self.size, 6 * nodes)), np.zeros((self.size, 12 * nodes))
-        self.share(lambda part, scratch: read_wrench_rows(arm, self.rows, part, number, scratch.work, wrench, pose), members)
-        force, rotation = (values[members].reshape(members.size, -1, width, LANES) for values, width in ((wrench, 6), (pose, 12)))
-        turned = np.einsum("rpijl,rpjl->rpli", rotation[:, :, :9].reshape(*rotation.shape[:2], 3, 3, LANES), force[:, :, 3:])
-        return turned.reshape(members.size, nodes, 3)
-
-    def read_positions(self, members: Indices, places: batch.Places) -> Array:
-        """Positions (members, stations, 3) [m] of the rows `members` at other places."""
-        poses = batch.identities(members.size, places.station.size)
-        batch.read_backbones(self.model.arm, places, self.rows.xi[members], self._scratch[0].work, poses)
-        return np.ascontiguousarray(poses[..., :3, 3])
+        model, number = self.model, [*self.model.acting].index("contact")
+        if self._contact is None:
+            self._contact = model.arm, model.acting["contact"].parameters(model.discretisation)
+        like = self._contact
+        self.share(lambda part, scratch: read_contact_rows(like, number, self.rows, part, section, scratch.work, reading), members)
 
     def share(self, work: Callable[[Indices, Scratch], None], members: Indices, head_start: int = 0) -> None:
         """Split the rows among the threads; this one takes `head_start` more, which it does while the others wake up."""

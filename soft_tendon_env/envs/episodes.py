@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.envs.actuation import Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
-from soft_tendon_env.envs.contacts import NO_CONTACT, Contacts, encountered
+from soft_tendon_env.envs.contacts import NO_CONTACT, Contacts
 from soft_tendon_env.envs.courses import Courses
 from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, Sizes, stress_free_strain, units_of
 from soft_tendon_env.envs.options import GOAL_BOUND, Options, check_fit, groups_of, resolved_scene, sensor_places
@@ -81,7 +81,7 @@ class Episodes:
         self.limits, self.start_tension, self.start_command = starts.limits, starts.tension, starts.command
         self.goal_kind: GoalReward = options.reward if options.reward in ("sparse", "dense") else "sparse"
         self.goal_bound, self.threshold = GOAL_BOUND * model.length, starts.threshold
-        self._contacts = Contacts(self.arms, options.contact_sections) if encountered(model) else None
+        self._contacts = Contacts(self.arms, options.contact_sections) if model.scene.effects.contact else None
         commands = model.scene.effects.command_limits(self.limits)
         share, strongest = np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0], np.abs(commands).max(axis=1)
         self.actuation = Actuation(options, commands, self.start_command, share, rows, self.arms.substeps)

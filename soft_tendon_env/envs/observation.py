@@ -12,8 +12,7 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from soft_tendon_env.envs.arms import Arms
-from soft_tendon_env.envs.contacts import RowContact
-from soft_tendon_env.envs.kernels import scale_and_clip
+from soft_tendon_env.envs.kernels import ContactReading, scale_and_clip
 from soft_tendon_env.envs.randomization import Measured
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.mechanics.motion.batch import Reading
@@ -47,7 +46,7 @@ class Observed:
     target: TargetSamples  # (rows, 1 + previews, ..), its q for targets made of tensions
     action: Array  # (rows, n_a) the last one, in [-1, 1]
     command: Array  # (rows, n_a) [N] asked for last, before actuators err
-    contact: RowContact  # no rows without obstacles
+    contact: ContactReading  # no rows without obstacles
     rest: RestValues
 
     @property

@@ -220,7 +220,7 @@ def groups_of(options: Options, task: Task, scene: Scene) -> dict[str, Group]:
     for name in chosen:
         if name not in allowed:
             _fail("observation", f"names {name!r}: {not_among(name, allowed)}")
-        if allowed[name].of_contact and not any(effect.is_encountered for effect in scene.effects.chosen().values()):
+        if allowed[name].of_contact and scene.effects.contact is None:
             _fail("observation", f"names {name!r}, which needs a scene with obstacles, effects.contact")
     if not chosen or len(set(chosen)) < len(chosen):
         _fail("observation", f"is {list(chosen)}: it should name at least one group, each once")

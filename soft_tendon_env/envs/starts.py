@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from soft_tendon_env.envs.arms import Arms, Material, RowEffects
-from soft_tendon_env.envs.contacts import ObstacleFreeSpace, encountered, why_base_inside, why_inside, why_target_inside
+from soft_tendon_env.envs.contacts import ObstacleFreeSpace, why_inside, why_target_inside
 from soft_tendon_env.envs.courses import Courses
 from soft_tendon_env.envs.effect_ranges import EffectRanges
 from soft_tendon_env.envs.options import Options, Start, check_start, check_target
@@ -80,8 +80,8 @@ class Starts:
         self.limits = np.array([tendon.tension_limits for tendon in arms.model.scene.tendons])
         self.tension = nearest_to_zero(self.limits)
         self.effects = EffectRanges(options.randomize.effects, arms.model)
-        self._meets = encountered(arms.model)
-        self.redraws = bool(self.effects.names & self._meets.keys())
+        self._meets = arms.model.scene.effects.contact is not None
+        self.redraws = self._meets and "contact" in self.effects.names
         """Whether obstacles are drawn, and drawn again where the arm would begin inside of one."""
         self.q = self._rest_of_scene()
         self.command = arms.model.command(self.tension, self.q)
@@ -258,12 +258,10 @@ class Starts:
         if not (self._model.arm.effects.load or self.tension.any()):
             return self.q
         own = self._arms.model_of(row)
-        inside = why_base_inside(own, self.q)
-        if not inside:
-            q, reason = self._settled(own, self.tension)
-            inside = why_inside(own, q)
-            if not (inside or reason):
-                return q
+        q, reason = self._settled(own, self.tension)
+        inside = why_inside(own, q)
+        if not (inside or reason):
+            return q
         drawn = {name: f"{value:.4g}" for name, value in material._asdict().items()}
         if effects is not None:
             drawn |= {name: shown(value.tolist()) for name, value in self.effects.values(effects.effects).items()}

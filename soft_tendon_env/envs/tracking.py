@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.envs.arms import Arms
-from soft_tendon_env.envs.contacts import RowContact
+from soft_tendon_env.envs.kernels import ContactReading
 from soft_tendon_env.envs.rewards import OWN_TERMS, TERMS, Term
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.tools.configuration import shown
@@ -40,7 +40,7 @@ class Tracking:
     )
 
     def __init__(
-        self, arms: Arms, target: TargetSamples, error: Array, off: Array, command: Array, action_change: Array, contact: RowContact
+        self, arms: Arms, target: TargetSamples, error: Array, off: Array, command: Array, action_change: Array, contact: ContactReading
     ) -> None:
         self._arms, self._target, self.error, self.distance, self.angle = arms, target, error, off[0], off[1]
         self.tip_pose, self.target_pose = arms.reading.tip_pose, target.tip_pose[:, 0]

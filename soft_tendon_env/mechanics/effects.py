@@ -43,6 +43,18 @@ class Nodes(NamedTuple):
     touched: np.ndarray  # (1) set to 1 by an effect under `sweeps_motion` where the arm touches what it came upon
 
 
+class ContactFlags(Struct):
+    """What a continuous collision check tells of a step, 1 or 0."""
+
+    tunnelled: np.ndarray  # (1) the arm went through something on its way: the step is tried again at half of its length
+    active: np.ndarray  # (1) it touches something or is about to: the next step is as short as its error calls for, with fixed steps too
+
+
+def make_contact_flags() -> ContactFlags:
+    """Flags of zeros."""
+    return ContactFlags(tunnelled=np.zeros(1), active=np.zeros(1))
+
+
 class Before(NamedTuple):
     """Poses of the nodes and of the base before a step."""
 
@@ -122,7 +134,7 @@ HOOKS: dict[str, tuple[Any, ...]] = {
     "advance": (0.0, _NODES, _POINTS),
     "base": (Base(0.0, _ROW, _ROW, _ROW),),
     "limit": (_NODES, _ROW),
-    "sweep": (Before(0.0, _ROW, _ROW), _NODES, _ROW, _ROW),
+    "sweep": (Before(0.0, _ROW, _ROW), _NODES, _ROW, make_contact_flags()),
     "deliver": (Delivery(0.0, _ROW, _ROW, _ROW, False),),
     "tension": (_ACTUATION,),
     "loss": (_ACTUATION,),
@@ -227,13 +239,9 @@ def limits_step(kind: type) -> Decorator:
 
 
 def sweeps_motion(kind: type) -> Decorator:
-    """Decorator: the kernel (parameters, before, nodes, longest, meeting) of an effect that acts at once and stiffly where the arm comes
-    upon something, as contact does: it looks at the way from where the nodes were `before` a step, see `Before`, to where they are, and
-    lowers `longest` (1,) [s], which begins with the longest step of all, so that the next step ends where something is met.
-
-    It sets `meeting` (2,): [0] to 1 where the arm went through something on its way, which has the step tried again at half of its length;
-    [1] to 1 where it touches something or is about to: the next step is then as short as its error calls for, with fixed steps too.
-    """
+    """Decorator: the kernel (parameters, before, nodes, longest, flags) of an effect that is stiff and begins at once, as contact: a
+    continuous collision check between the poses before and after a step, see `Before`. It sets `flags`, see `ContactFlags`, and lowers
+    `longest` (1,) [s], which begins with the longest step of all, so that the next step ends where a contact begins."""
     return _registers("sweep", kind)
 
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.effects.contact.wrench import contact_parameters, number_of_contact, read_contacts
+from soft_tendon_env.effects.contact.forces import read_contacts
 from soft_tendon_env.effects.nodes import nodes_with
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces
 from soft_tendon_env.mechanics.workspace import make_workspace
@@ -18,36 +18,23 @@ class ContactForces(NamedTuple):
 
     force: Array  # (obstacles, 3) [N]
     clearance: Array  # (obstacles,) [m] between surfaces, least along the arm; negative: the deepest penetration
+    penetration: Array  # (obstacles,) [m] the deepest, 0 without contact
     arc_length: Array  # (samples,) [m] of the samples along the arm
     position: Array  # (samples, 3) [m]
     sample_force: Array  # (obstacles, samples, 3) [N] on each sample
     gap: Array  # (obstacles, samples) [m] between the surfaces of sample and obstacle, negative where they overlap
 
-    @property
-    def penetration(self) -> Array:
-        """Deepest penetration of each obstacle (obstacles,) [m], 0 without contact."""
-        return np.maximum(-self.clearance, 0.0)
-
 
 def contact_forces(model: Model, state: State) -> ContactForces:
-    """Contact forces, clearance and penetration of an arm in a state: per obstacle and along the arm.
-
-    The obstacles are those of the model's arm. Raises ValueError where it has no contact, or the state is of other effects.
-    """
-    work, arm = make_workspace(model.arm), model.arm
-    number = number_of_contact(arm.effects)
-    if number is None:
+    """Contact forces, clearance and penetration in a state. Raises ValueError where the model has no contact."""
+    work, arm, contact = make_workspace(model.arm), model.arm, model.scene.effects.contact
+    if contact is None:
         raise ValueError("the model's scene has no table effects.contact")
-    if state.names:
-        model.check_names(state.names)
-    parameters = contact_parameters(arm.effects, number)
-    work.xi[:] = model.grid.packed(state.strain)
-    work.state[:] = state.effects
-    work.clock[0] = state.time
+    own = contact.parameters(model.discretisation)
+    work.xi[:], work.clock[0] = model.grid.packed(state.strain), state.time
     evaluate_forces(arm, np.zeros(arm.tendons.size), state.q, state.q_dot, TOLERANCE, work)
-    own = work.state[arm.effects.first_state[number] : arm.effects.first_state[number + 1]]
-    obstacles, samples = len(parameters.obstacles), len(parameters.samples)
-    gap, position, force = np.empty((obstacles, samples)), np.empty((samples, 3)), np.empty((obstacles, samples, 3))
-    read_contacts(parameters, nodes_with(work.pose, work.eta, work.base, own, state.time), gap, position, force)
-    places = model.scene.effects.contact.sample_places(model.discretisation)
-    return ContactForces(force.sum(axis=1), gap.min(axis=1), places, position, force, gap)
+    gap, position = np.empty((len(own.obstacles), len(own.samples))), np.empty((len(own.samples), 3))
+    force, places = np.empty((*gap.shape, 3)), contact.sample_places(model.discretisation)
+    read_contacts(own, nodes_with(work.pose, work.eta, work.base, state.time), gap, position, force)
+    least = gap.min(axis=1)
+    return ContactForces(force.sum(axis=1), least, np.maximum(-least, 0.0), places, position, force, gap)

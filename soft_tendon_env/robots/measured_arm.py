@@ -10,7 +10,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from soft_tendon_env.envs.arms import Arms, Indices
-from soft_tendon_env.envs.contacts import encountered
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.observation import HISTORY
 from soft_tendon_env.envs.tasks import TIP
@@ -156,7 +155,7 @@ def misfit(robot: Robot, episodes: Episodes) -> str:
         return "as it is: the option randomize should have no more than the noise of its sensors, for policies that know of it"
     if episodes.task.shapes:
         return f"measured at its tip and by its sensors alone, and {episodes.task.name} compares shapes of the whole arm"
-    if encountered(episodes.model):
+    if episodes.model.scene.effects.contact is not None:
         return "unable to measure contact: take the obstacles, effects.contact, out of the scene"
     if episodes.options.tip_speed_limit is not None and "tip_twist" not in senses:
         return "without a measured tip_twist, which the option tip_speed_limit needs"

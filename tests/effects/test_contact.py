@@ -1,13 +1,18 @@
 """Contact with obstacles: signed distances, balance of forces, sticking and sliding, energy, steps of 20 ms without tunnelling."""
 
+import math
+import pickle
+from typing import Literal
+
 import numpy as np
 import pytest
+from pydantic import Field
 
-from soft_tendon_env.effects.contact.distance import body_at, distance
+from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.effects.contact.bodies import body_at, distance
 from soft_tendon_env.effects.contact.effect import Contact
-from soft_tendon_env.effects.contact.forces import TANGENTIAL
+from soft_tendon_env.effects.contact.obstacle import Directed, Geometry, register_shape
 from soft_tendon_env.effects.contact.samples import SMOOTHING
-from soft_tendon_env.effects.contact.wrench import contact_parameters, number_of_contact
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.contact_forces import contact_forces
 from soft_tendon_env.model.simulation import Simulation, simulate
@@ -15,6 +20,7 @@ from soft_tendon_env.model.state import State
 from soft_tendon_env.scene.scene import Scene
 
 RADIUS = 0.01  # of the arm of three tendons
+STICTION_SPEED = Contact.model_fields["stiction_speed"].default  # [m/s]
 MU = 0.5
 FLOOR = {"type": "plane", "position": [0.0, 0.0, -RADIUS]}  # which the straight arm just touches
 KINDS = [
@@ -49,7 +55,8 @@ def rested(model, seconds=5.0, tension=None):
 
 
 def body_of(obstacle, time=0.0):
-    return body_at(np.array([Contact(obstacles=[obstacle]).obstacles[0].row(0.0, 0.0)]), 0, time)
+    none = np.zeros((0, 10))
+    return body_at(Contact(obstacles=[obstacle])._parameters(none, none), 0, time)
 
 
 @pytest.mark.no_jit
@@ -79,20 +86,13 @@ def test_signed_distances_are_those_to_the_surface(obstacle):
 
 
 def test_an_obstacle_moves_as_it_is_told():
-    obstacle = {
-        **KINDS[4], "velocity": [0.1, 0.2, -0.3], "angular_velocity": [0.0, 0.0, 2.0], "centre": [0.0, 0.0, 0.0],
-        "amplitude": [0.0, 0.05, 0.0], "frequency": 0.7, "phase": 30.0,
-    }  # fmt: skip
+    obstacle = {**KINDS[4], "velocity": [0.1, 0.2, -0.3], "amplitude": [0.0, 0.05, 0.0], "frequency": 0.7, "phase": 30.0}
     time, h = 0.6, 1e-6
     here, before, after = (body_of(obstacle, t) for t in (time, time - h, time + h))
-    c, s = np.cos(2.0 * time), np.sin(2.0 * time)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     swing = np.array([0.0, 0.05, 0.0]) * np.sin(2 * np.pi * 0.7 * time + np.radians(30.0))
-    np.testing.assert_allclose(here.r, turn @ [0.1, 0.2, 0.3] + time * np.array([0.1, 0.2, -0.3]) + swing, atol=1e-14)
-    velocity = np.array(here.velocity) + np.cross(here.angular_velocity, np.subtract(here.r, here.centre))
-    np.testing.assert_allclose(velocity, np.subtract(after.r, before.r) / (2 * h), atol=1e-8)
-    rotation = Contact(obstacles=[obstacle]).obstacles[0].orientation
-    np.testing.assert_allclose(np.reshape(here.R, (3, 3)), turn @ rotation, atol=1e-14)
+    np.testing.assert_allclose(here.r, [0.1, 0.2, 0.3] + time * np.array([0.1, 0.2, -0.3]) + swing, atol=1e-14)
+    np.testing.assert_allclose(here.velocity, np.subtract(after.r, before.r) / (2 * h), atol=1e-8)
+    np.testing.assert_allclose(Contact(obstacles=[obstacle]).solids(time)[0].pose[:3, 3], here.r, atol=1e-14)
 
 
 def test_an_arm_rests_on_the_floor(build):
@@ -144,7 +144,7 @@ def test_contact_pushes_and_never_pulls(build):
     straight = Simulation(model).state
     for _ in range(20):
         speed = rng.normal(size=model.coordinate_count) * model.coordinate_scale() * 5.0
-        state = State(0.0, straight.q, speed, straight.strain, straight.step, rng.normal(size=straight.effects.size) * 1e-4)
+        state = State(0.0, straight.q, speed, straight.strain, straight.step, straight.effects)
         found = contact_forces(model, state)
         normal = found.sample_force[0, :, 2]
         assert normal.min() >= 0.0
@@ -160,8 +160,8 @@ def test_friction_sticks_below_its_limit_and_slides_above(build, step):
     for _ in range(250):
         held.step(np.zeros(3), 0.02)
         places.append(held.tip_pose[:3, 3])
-    assert abs(places[-1][1]) < 1e-3
-    assert np.abs(np.array(places[50:]) - places[-1]).max() < 1e-12  # no creep
+    assert abs(places[-1][1]) < 3e-3
+    assert 0.0 < places[-1][1] - places[-51][1] < 3.0 * STICTION_SPEED  # creep in a second
     slid = rested(pressed(build, 1.1 * mu, mu, **{"integrator.step": step}))
     assert slid.tip_pose[1, 3] > 0.05
 
@@ -184,15 +184,16 @@ def along_and_into(force, downhill):
 @pytest.mark.parametrize("step", [0.02, 0.005])
 @pytest.mark.parametrize("share", [0.5, 0.98])
 def test_a_loaded_tip_sticks_on_an_incline_less_steep_than_friction(build, share, step):
-    """Friction and normal force are what carries the load, and the bristles hold the tip without creep."""
+    """Friction and normal force are what carries the load, and the tip creeps as the law of friction says, or more slowly."""
     model, s, c, downhill = on_an_incline(build, share, ["bend_y", "bend_z"], **{"integrator.step": step})
     simulation = rested(model, 4.0)
     before = simulation.tip_pose[:3, 3]
     simulation.step(np.zeros(3), 1.0)
     friction, normal = along_and_into(contact_forces(model, simulation.state).force[0], downhill)
-    assert (friction, normal) == pytest.approx((s, c), rel=0.01)
-    assert friction <= MU * normal and before @ downhill < 2e-3
-    assert np.abs(simulation.tip_pose[:3, 3] - before).max() < 1e-12
+    assert (friction, normal) == pytest.approx((s, c), rel=0.03)
+    assert friction <= MU * normal and before @ downhill < 7e-3
+    creep = (simulation.tip_pose[:3, 3] - before) @ downhill
+    assert 0.5 < creep / (STICTION_SPEED * share / np.sqrt(1.0 - share**2)) < 1.1
 
 
 def test_a_loaded_tip_slides_on_a_steeper_incline_against_mu_times_the_normal_force(build):
@@ -214,15 +215,15 @@ def test_a_loaded_tip_slides_on_a_steeper_incline_against_mu_times_the_normal_fo
 
 def test_a_loaded_tip_that_can_twist_rolls_down_an_incline_without_slipping(build):
     """By r theta, as far as the torque of friction F r twists the arm: theta = F r l / (G J)."""
-    model, _, _, downhill = on_an_incline(build, 0.9, ["torsion", "bend_y", "bend_z"])
+    slow = {"effects.contact.stiction_speed": 1e-6}
+    model, _, _, downhill = on_an_incline(build, 0.9, ["torsion", "bend_y", "bend_z"], **slow)
     simulation = rested(model)
     friction, normal = along_and_into(contact_forces(model, simulation.state).force[0], downhill)
     R, way = simulation.tip_pose[:3, :3], simulation.tip_pose[:3, 3] @ downhill
     theta = np.arctan2(R[2, 1], R[1, 1])
     assert friction < MU * normal
     assert theta == pytest.approx(friction * RADIUS * 0.3 / (5e5 / 3.0 * np.pi * RADIUS**4 / 2), rel=0.02)
-    held = rested(on_an_incline(build, 0.9, ["bend_y", "bend_z"])[0]).tip_pose[:3, 3] @ downhill  # by which bristles give way
-    assert way - held == pytest.approx(RADIUS * theta, rel=0.03)
+    assert way == pytest.approx(RADIUS * theta, rel=0.03)
 
 
 WRAPPED = {"young_modulus": 5e6, "poisson_ratio": 0.5, "density": 1070.0, "damping": 1e5, "radius": 0.002}
@@ -246,7 +247,7 @@ def wrapped(mu, angle):
             strain={"type": "explicit", "modes": [{"strains": ["bend_y", "stretch"], "order": 3, "span": "piece"}]},
             quadrature={"intervals": 10},
             integrator={"step": 0.005},
-            effects={"contact": {"obstacles": [drum], "friction": mu}, "disturbance": {"loads": [pull]}},
+            effects={"contact": {"obstacles": [drum], "friction": mu, "stiction_speed": 1e-6}, "disturbance": {"loads": [pull]}},
         )
     )
     return model, direction, np.array([0.5 * ends, sum(lengths) - 0.5 * ends])
@@ -319,12 +320,10 @@ RISE = {0.02: 1e-4, 0.005: 1e-3, 0.001: 1e-9}
 @pytest.mark.parametrize("step", RISE)
 @pytest.mark.parametrize("solid", SOLIDS)
 def test_energy_never_grows_with_friction(build, solid, step):
-    """Of an arm thrown across what it falls on: kinetic, elastic, of gravity, of the obstacle pressed and of the bristles strained."""
+    """Of an arm thrown across what it falls on: kinetic, elastic, of gravity and of the obstacle pressed."""
     passive = [{"strains": ["torsion", "bend_y", "bend_z"], "order": 3, "span": "rod"}]
     changes = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "strain.passive": passive, "integrator.step": step}
     model = three_tendon(build, [SOLIDS[solid]], 0.6, changes=changes)
-    smooth = three_tendon(build, [SOLIDS[solid]], changes=changes)  # whose potential has the normal forces
-    stiffness = TANGENTIAL * contact_parameters(model.arm.effects, number_of_contact(model.arm.effects)).samples[:, 6]
     simulation, total = Simulation(model), []
     speed = np.zeros(model.coordinate_count)
     speed[1:3] = 40.0, -40.0  # [N/s]
@@ -332,8 +331,7 @@ def test_energy_never_grows_with_friction(build, solid, step):
     for _ in range(100):
         simulation.step(np.zeros(3), 0.02)
         state = simulation.state
-        bristles = np.square(state.effects.reshape(-1, 3)).sum(axis=1)
-        total.append(smooth.energy(state.q, state.q_dot).total + 0.5 * stiffness @ bristles)
+        total.append(model.energy(state.q, state.q_dot).total)
     assert contact_forces(model, simulation.state).force[0, 2] > 0.1
     assert np.diff(total).max() < RISE[step] * (total[0] - total[-1])
 
@@ -341,20 +339,19 @@ def test_energy_never_grows_with_friction(build, solid, step):
 @pytest.mark.parametrize("friction", [0.0, 0.6])
 @pytest.mark.parametrize("step", [0.02, 0.01, 0.002])
 def test_an_arm_that_falls_gains_no_energy(build, friction, step):
-    """Kinetic, elastic and gravity's energy, and without friction that of the floor, sampled after every 20 ms."""
+    """Kinetic, elastic, gravity's energy and that of the floor, sampled after every 20 ms."""
     floor = {"type": "plane", "position": [0.0, 0.0, -0.1], "friction": friction}
     changes = {"quadrature.intervals": 6, "integrator.step": step, "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
     model = build("paper", {**changes, **contact([floor])})
-    bare = build("paper", changes)
     simulation = Simulation(model)
     totals = [0.0]
     for _ in range(75):
         simulation.step(np.zeros(10), 0.02)
         q, v = simulation.state.q, simulation.state.q_dot
-        totals.append((bare if friction else model).energy(q, v).total)
+        totals.append(model.energy(q, v).total)
     assert contact_forces(model, simulation.state).force[0, 2] > 0.1
     fallen = -min(totals)
-    assert np.diff(totals).max() < (0.05 if friction else 0.02) * fallen  # with friction the floor's own energy is not counted
+    assert np.diff(totals).max() < 0.02 * fallen
     assert max(totals) < 0.02 * fallen
 
 
@@ -395,7 +392,7 @@ def test_a_fast_arm_does_not_tunnel_through_a_thin_plate(build, tension):
 
 AMONG = [
     {"type": "sphere", "position": [0.6, 0.25, 0.2], "radius": 0.12},
-    {"type": "box", "position": [0.7, -0.25, 0.0], "size": [0.4, 0.02, 0.4], "angular_velocity": [0.0, 0.0, 0.5]},
+    {"type": "box", "position": [0.7, -0.25, 0.0], "size": [0.4, 0.02, 0.4], "rotation": [0.0, 0.0, 30.0]},
     {"type": "capsule", "position": [0.8, 0.0, -0.25], "axis": [0.0, 1.0, 0.0], "radius": 0.02, "length": 0.8},
     {"type": "plane", "position": [0.0, 0.0, -0.5]},
 ]
@@ -428,10 +425,10 @@ def test_a_step_that_ends_too_deep_is_tried_again_shorter(build):
         assert sum(rejected[:4]) == 0 and sum(rejected) > 0 and sum(rejected[50:]) == 0
 
 
-@pytest.mark.parametrize(("place", "friction", "order"), [(0.0, 0.0, 2.0), (-0.5, 0.0, 2.0), (-0.5, 5.0, 2.0), (-0.5, 0.1, 1.5)])
+@pytest.mark.parametrize(("place", "friction", "order"), [(0.0, 0.0, 2.0), (-0.5, 0.0, 2.0), (-0.5, 5.0, 0.9), (-0.5, 0.1, 1.3)])
 def test_order_of_steps_in_contact(build, place, friction, order):
-    """From 20 to 0.6 ms, lying on a soft floor: second order, the law of contact being smooth to second order, also where the arm sticks;
-    less where it slides, begins to and stops."""
+    """From 20 to 0.6 ms, lying on a soft floor: second order, the law of contact being smooth to second order; less where the arm slides,
+    begins to and stops, and first with a tiny error where it sticks, in a stiff drag."""
 
     def tip(step, columns):
         changes = {"effects.tip_load.force": [0.0, 0.1, -0.5], "integrator.step": step, "integrator.columns": columns}
@@ -451,10 +448,52 @@ def test_interpreted_kernels_run(build):
     simulation = Simulation(model)
     simulation.step(np.zeros(3), 0.02)
     found = contact_forces(model, simulation.state)
-    assert found.force[0, 2] > 0.0 and np.abs(simulation.state.effects).max() > 0.0
+    assert found.force[0, 2] > 0.0 > found.force[0, 1] and simulation.state.effects.size == 0
 
 
 def test_what_has_no_contact_says_so(build):
     bare = build("three_tendon")
     with pytest.raises(ValueError, match="no table effects.contact"):
         contact_forces(bare, Simulation(bare).state)
+
+
+@register_shape
+class Torus(Directed):
+    """A shape of a user's own: the points up to `tube` from a circle of radius `ring` [m]."""
+
+    convex = False
+    type: Literal["torus"] = "torus"
+    ring: float = Field(description="radius of the circle [m]")
+    tube: float = Field(description="radius of the tube [m]")
+
+    def geometry(self):
+        return Geometry((self.ring, self.tube), self.tube, (("cylinder", (self.ring, 2.0 * self.tube)),))
+
+    @staticmethod
+    @kernel
+    def distance(sizes, x):
+        size = max(math.sqrt(x[0] * x[0] + x[1] * x[1]), 1e-9)
+        out, up = size - sizes[0], x[2]
+        away = max(math.sqrt(out * out + up * up), 1e-12)
+        return away - sizes[1], (out / away * x[0] / size, out / away * x[1] / size, up / away)
+
+
+def test_a_shape_of_a_users_own_is_one_class(build):
+    """A ring around the arm, which its tip is pulled through: it rests against the inside; and one shot across does not pass it."""
+    ring = {"type": "torus", "position": [0.25, 0.0, 0.0], "axis": [1.0, 0.0, 0.0], "ring": 0.04, "tube": 0.01}
+    body = body_of(ring)
+    assert distance(body, (0.0, 0.0, 0.0))[0] == pytest.approx(0.03)
+    pull = {"effects.tip_load.force": [0.0, 0.0, -0.2]}
+    model = three_tendon(build, [ring], changes=pull)
+    simulation = rested(model)
+    found = contact_forces(model, simulation.state)
+    assert found.force[0, 2] > 0.1 and 0.0 < found.penetration[0] < 0.1 * RADIUS
+    assert model.backbone_at(simulation.state.q, [0.25])[0, 2, 3] == pytest.approx(-0.02, abs=2e-3)
+    shot = three_tendon(build, [{**ring, "position": [0.25, 0.0, 0.2], "axis": [0.0, 1.0, 0.0], "velocity": [0.0, 0.0, -5.0]}])
+    simulation = Simulation(shot)
+    for _ in range(4):
+        simulation.step(np.zeros(3), 0.02)
+    found = contact_forces(shot, simulation.state)
+    assert found.gap.min() > -RADIUS and simulation.tip_pose[2, 3] < -0.02
+    again = pickle.loads(pickle.dumps(shot))
+    np.testing.assert_array_equal(simulate(again, np.zeros(3), 0.04, 0.02).tip_pose, simulate(shot, np.zeros(3), 0.04, 0.02).tip_pose)

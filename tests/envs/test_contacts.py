@@ -1,13 +1,10 @@
 """Contact in environments: what is observed, measured and rewarded is what `contact_forces` finds; starts and targets are outside."""
 
-from typing import ClassVar, NamedTuple
-
 import gymnasium as gym
 import numpy as np
 import pytest
 
 import soft_tendon_env  # noqa: F401
-from soft_tendon_env.effects import EFFECTS, LANES, Effect, adds_wrench, kernel
 from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.targets import PoseCourse, Target, pose_samples
 from soft_tendon_env.model.contact_forces import contact_forces
@@ -97,15 +94,6 @@ def test_rows_are_single_environments_bit_for_bit(rows_alike):
     options = touching(observation=GROUPS, reward={"penetration": 1.0, "contact_force": 1.0}, target="hold")
     for _, infos in rows_alike(TipPoseVectorEnv(18, threads=2, **options), {row: TipPoseEnv(**options) for row in (0, 16)}, 12):
         assert {"penetration", "contact_force"} <= infos.keys()
-
-
-def test_a_state_has_what_contact_remembers():
-    env = TipPoseEnv(**touching())
-    env.reset(seed=0)
-    for _ in range(10):
-        env.step([1.0, -1.0, -1.0])
-    np.testing.assert_array_equal(env.state.effects, env.episodes.arms.rows.state[0])
-    assert env.state.effects.any()
 
 
 INSIDE = {
@@ -213,67 +201,3 @@ def test_the_scenes_that_ship_are_lived_in(id, scene):
         contact = episodes.model.scene.effects.contact
         assert contact.distances(np.ascontiguousarray(episodes.target_pose[:, :3, 3])).min() > 0.9 * 0.02
     envs.close()
-
-
-class WallParameters(NamedTuple):
-    place: float
-    stiffness: float
-
-
-class Wall(Effect):
-    """An obstacle of a user's own: springs push the nodes back that are beyond y = place [m], with a stiffness [N/m] each."""
-
-    is_encountered: ClassVar[bool] = True
-
-    place: float
-    stiffness: float = 20.0
-
-    def parameters(self, rod):
-        return WallParameters(self.place, self.stiffness)
-
-    def bodies(self):
-        return (("place, a wall", False),)
-
-    def distances(self, positions, time=0.0):
-        return self.place - positions[None, :, 1]
-
-
-@adds_wrench(WallParameters)
-@kernel
-def push_back(wall, nodes):
-    for i in range(nodes.mass.size):
-        pose, wrench = (i // LANES) * 12 * LANES + i % LANES, (i // LANES) * 6 * LANES + i % LANES
-        depth = nodes.pose[pose + 10 * LANES] - wall.place
-        for k in range(3):  # of the force (0, f, 0), its components in the node's frame
-            nodes.wrench[wrench + (3 + k) * LANES] -= nodes.pose[pose + (3 + k) * LANES] * wall.stiffness * max(depth, 0.0)
-
-
-def test_an_obstacle_of_a_users_own_is_observed_rewarded_and_kept_clear_of(monkeypatch):
-    """By what its effect declares, whatever its name."""
-    monkeypatch.setitem(EFFECTS, "wall", Wall)
-    scene = {"scene": "three_tendon", "effects.wall.place": 0.03}
-    options = {"fidelity": "fast", "observation": GROUPS, "contact_sections": 3, "reward": {"position": 1.0, "contact_force": 1.0}}
-    env = TipPoseEnv(scene=scene, **options)
-    env.reset(seed=0)
-    for _ in range(40):
-        observation, _, _, _, info = env.step([1.0, -1.0, -1.0])  # which bends it to y > 0
-    model, values = env.model, env.episodes.layout.values(observation[None])
-    nodes = model.backbone_at(env.state.q, model.discretisation.node[model.grid.real])[:, 1, 3]
-    force = -20.0 * np.maximum(nodes - 0.03, 0.0)
-    np.testing.assert_allclose(values["contact_force"][0].reshape(3, 3).sum(axis=0), [0.0, force.sum(), 0.0], atol=1e-5)
-    assert force.sum() < -0.01 and info["contact_force"] == pytest.approx(-force.sum(), rel=1e-6)
-    assert info["reward_contact_force"] == pytest.approx(1.0 / (1.0 + force.sum() ** 2), rel=1e-6)
-    assert info["penetration"] == pytest.approx(-values["clearance"].min(), abs=1e-6) and info["penetration"] > 0.0
-    assert values["clearance"][0, -1] <= 0.03 - model.tip_pose(env.state.q)[1, 3] < 0.0
-    rows = TipPoseVectorEnv(2, scene=scene, **options)
-    rows.reset(seed=0)
-    for _ in range(40):
-        found = rows.step(np.tile([1.0, -1.0, -1.0], (2, 1)))
-    np.testing.assert_array_equal(found[0][0], observation)
-    with pytest.raises(ConfigurationError, match="obstacles in the arm's way: the arm begins .* mm deep in effects.wall.place, a wall"):
-        TipPoseEnv(scene={**scene, "effects.wall.place": -0.01}, **options)
-    drawn = {"effects": {"wall.place": [-0.1, 0.1]}}
-    starts = TipPoseEnv(scene=scene, randomize=drawn, **options)
-    for seed in range(5):
-        starts.reset(seed=seed)
-        assert starts.episodes.drawn_effects(0)["wall.place"] > -0.01

@@ -92,7 +92,7 @@ EVERY_EFFECT = {  # in fixed steps of 20 ms
             {"type": "box", "position": [0.0, 0.0, -0.06], "size": [2.0, 2.0, 0.004]},
             {"type": "plane", "position": [0.0, 0.0, 0.1], "axis": [0.0, 0.0, -1.0]},
             {"type": "sphere", "position": [0.2, 0.12, 0.03], "radius": 0.04, "amplitude": [0.0, 0.05, 0.0], "frequency": 0.5},
-            {"type": "cylinder", "position": [0.25, -0.12, 0.0], "radius": 0.02, "length": 0.3, "angular_velocity": [0.0, 0.0, 1.0]},
+            {"type": "cylinder", "position": [0.25, -0.12, 0.0], "radius": 0.02, "length": 0.3},
         ],
     },
     "effects.moving_base": {"amplitude": [0.0, 0.005, 0.005], "angular_amplitude": 0.05, "frequency": 1.0},

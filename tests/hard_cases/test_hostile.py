@@ -153,12 +153,12 @@ BASE = {
     "effects.contact": {
         "obstacles": [
             {"type": "capsule", "position": [0.3, 0.1, 0.0], "radius": 0.01, "length": 0.1, "axis": [0.0, 0.0, 1.0], "frequency": 1.0},
-            {"type": "box", "position": [0.3, -0.1, 0.0], "size": [0.01, 0.01, 0.01], "angular_velocity": [0.1, 0.0, 0.0]},
+            {"type": "box", "position": [0.3, -0.1, 0.0], "size": [0.01, 0.01, 0.01], "velocity": [0.1, 0.0, 0.0]},
         ],
         "stiffness": 1e5,
         "dissipation": 1.0,
         "friction": 0.3,
-        "spacing": 0.02,
+        "stiction_speed": 1e-4,
     },
     "strain.rank_tolerance": 1e-4,
     "quadrature": {"intervals": 6, "tolerance": 1e-3},

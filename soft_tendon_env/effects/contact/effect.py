@@ -1,82 +1,86 @@
-"""Contact of a whole arm with obstacles as an effect: the table of the scene, its internal states and its potential energy."""
+"""Contact of a whole arm with obstacles as an effect: the table of the scene, its kernels and its potential energy."""
 
+import functools
 from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
 
+from soft_tendon_env.compiler.code_digest import selects_code
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, Solid, register_effect
-from soft_tendon_env.effects.contact.distance import read_distances
-from soft_tendon_env.effects.contact.obstacles import AnyObstacle
-from soft_tendon_env.effects.contact.rows import ContactParameters
+from soft_tendon_env.effects.contact.bodies import ContactParameters, read_distances
+from soft_tendon_env.effects.contact.collision_check import check_collisions, limit_step
+from soft_tendon_env.effects.contact.forces import contact_wrench, read_contacts
+from soft_tendon_env.effects.contact.obstacle import AnyObstacle, Obstacle
 from soft_tendon_env.effects.contact.samples import make_samples
-from soft_tendon_env.effects.contact.wrench import contact_energy
 from soft_tendon_env.effects.nodes import nodes_with
 from soft_tendon_env.mechanics.effect_parameters import Matrix
+from soft_tendon_env.mechanics.effects import adds_wrench, limits_step, sweeps_motion
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 
+@functools.cache
+def parameters_class(*own: type[Obstacle]) -> type[ContactParameters]:
+    """Class of the parameters with shapes of a user's own besides the package's, for which the kernels of contact are compiled."""
+    name, kind = "_".join(["ContactParameters", *(shape.__name__ for shape in own)]), ContactParameters
+    if own:
+        kind = type(name, (ContactParameters,), {"shapes": (*ContactParameters.shapes, *own), "__module__": __name__, "__slots__": ()})
+        globals()[name] = kind  # where pickle looks
+    for hook, function in ((adds_wrench, contact_wrench), (limits_step, limit_step), (sweeps_motion, check_collisions)):
+        hook(kind)(function)
+    for shape in own:
+        selects_code(kind, shape.__name__, shape.distance)
+    return kind
+
+
 @register_effect("contact")
 class Contact(Effect):
-    """`[effects.contact]` with `[[effects.contact.obstacles]]`: planes, spheres, capsules, cylinders and boxes, fixed or moving, which the
-    whole arm cannot enter.
+    """`[effects.contact]` with `[[effects.contact.obstacles]]`: obstacles, fixed or moving, which the whole arm cannot enter.
 
-    `obstacles` are tables with a `type`, "plane", "sphere", "capsule", "cylinder" or "box", see Plane, Sphere, Capsule, Cylinder and Box;
-    `friction` is the coefficient mu [-] of those that have none of their own. `stiffness` is force per length and depth [N/m^2]; none:
-    E A / (2 r)^2, about that of the rod's material pressed flat, pi E / 4. `dissipation` is c [s/m] of the normal force: an impact at a
-    speed v returns it times about 1 - 2/3 c v where c v is small. `spacing` is the largest distance [m] between neighbouring samples; none:
-    the rod's radius there. What is thinner than that and meets the arm between samples sinks in a little.
+    Obstacles are tables with a `type`, see `Obstacle` and the classes of shapes.py. An impact at a speed v returns it times about
+    1 - 2/3 c v where c v is small, with c the `dissipation`.
     """
 
     is_encountered: ClassVar[bool] = True
 
-    obstacles: tuple[AnyObstacle, ...] = Field(min_length=1)
-    friction: NotNegative = 0.0
-    stiffness: Positive | None = None
-    dissipation: NotNegative = 1.0
-    spacing: Positive | None = None
+    obstacles: tuple[AnyObstacle, ...] = Field(min_length=1, description="what the arm may touch")
+    friction: NotNegative = Field(0.0, description="coefficient of friction mu [-] of obstacles without their own")
+    stiction_speed: Positive = Field(1e-4, description="slip speed [m/s] below which friction falls, at which what it holds creeps")
+    stiffness: Positive | None = Field(None, description="force per length and depth [N/m^2]; by default E A / (2 r)^2 of the rod")
+    dissipation: NotNegative = Field(1.0, description="damping c [s/m] of the normal force")
 
     def parameters(self, rod: Discretisation) -> ContactParameters:
-        intervals, samples, _ = make_samples(rod, self.stiffness, self.spacing)
-        return ContactParameters(Matrix(intervals), Matrix(samples), Matrix(self._rows()))
+        intervals, samples, _ = make_samples(rod, self.stiffness)
+        return self._parameters(intervals, samples)
+
+    def _parameters(self, intervals: Array, samples: Array) -> ContactParameters:
+        own = {type(obstacle) for obstacle in self.obstacles} - {*ContactParameters.shapes}
+        kind = parameters_class(*sorted(own, key=lambda shape: shape.__name__))
+        rows = [obstacle.row(kind.shapes.index(type(obstacle)), self.friction, self.dissipation) for obstacle in self.obstacles]
+        return kind(Matrix(intervals), Matrix(samples), Matrix(np.array(rows)), self.stiction_speed)
 
     def sample_places(self, rod: Discretisation) -> Array:
         """Arc lengths (samples,) [m] at which contact is looked for."""
-        return make_samples(rod, self.stiffness, self.spacing)[2]
-
-    def state(self, rod: Discretisation) -> Array:
-        if not self._has_friction:
-            return np.zeros(0)
-        return np.zeros(3 * len(self.obstacles) * self.sample_places(rod).size)
+        return make_samples(rod, self.stiffness)[2]
 
     def bodies(self) -> tuple[tuple[str, bool], ...]:
         return tuple((f"obstacles[{i}], a {obstacle.type}", obstacle.moves) for i, obstacle in enumerate(self.obstacles))
 
-    def state_of(self) -> str:
-        return f"of {', '.join(obstacle.type for obstacle in self.obstacles)}"
-
     def potential_energy(self, arm: Configured) -> float:
-        if self._has_friction or any(obstacle.moves for obstacle in self.obstacles):
-            raise ValueError("contact with friction or with obstacles that move has no potential energy")
+        """That of the normal forces: friction stores none."""
+        if any(obstacle.moves for obstacle in self.obstacles):
+            raise ValueError("contact with obstacles that move has no potential energy")
         pose = node_field(np.concatenate([arm.pose[:, :3, :3].reshape(-1, 9), arm.pose[:, :3, 3]], axis=1))
-        base = np.concatenate([np.eye(3).ravel(), np.zeros(15)])
-        energy = np.zeros(1)
-        contact_energy(self.parameters(arm.rod), nodes_with(pose, np.zeros(pose.size // 2), base, np.zeros(0), 0.0), energy)
-        return float(energy[0])
+        base, own = np.concatenate([np.eye(3).ravel(), np.zeros(15)]), self.parameters(arm.rod)
+        nodes, gap = nodes_with(pose, np.zeros(pose.size // 2), base, 0.0), np.empty((len(self.obstacles), len(own.samples)))
+        return float(read_contacts(own, nodes, gap, np.empty((gap.shape[1], 3)), np.empty((*gap.shape, 3))))
 
     def solids(self, time: float = 0.0) -> tuple[Solid, ...]:
-        return tuple(obstacle.solid(time) for obstacle in self.obstacles)
+        return tuple(solid for obstacle in self.obstacles for solid in obstacle.solids(time))
 
     def distances(self, positions: Array, time: float = 0.0) -> Array:
         """Signed distances (obstacles, m) [m] from the obstacles' surfaces to positions (m, 3) [m] at a time [s], negative inside."""
-        out = np.empty((len(self.obstacles), len(positions)))
-        read_distances(self._rows(), positions, time, out)
+        out, none = np.empty((len(self.obstacles), len(positions))), np.zeros((0, 10))
+        read_distances(self._parameters(none, none), positions, time, out)
         return out
-
-    def _rows(self) -> Array:
-        return np.array([obstacle.row(self.friction, self.dissipation) for obstacle in self.obstacles])
-
-    @property
-    def _has_friction(self) -> bool:
-        return any(self.friction if obstacle.friction is None else obstacle.friction for obstacle in self.obstacles)

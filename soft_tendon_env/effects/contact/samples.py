@@ -10,15 +10,14 @@ import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Discretisation
-from soft_tendon_env.effects.contact.distance import Rotation, distance, in_frame
-from soft_tendon_env.effects.contact.rows import EXTENT, H_A, H_B, RADIUS, REACH_A, REACH_B, T, triple
+from soft_tendon_env.effects.contact import columns as at
+from soft_tendon_env.effects.contact.bodies import body_at, distance, in_frame
 from soft_tendon_env.effects.nodes import motion_before, motion_of, pose_before, pose_of
 from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, times
-from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.types import Triple as Vector
+from soft_tendon_env.tools.types import Triple
 
 MOST_SAMPLES = 10_000
-"""Places along the arm at which contact is looked for."""
+"""Places along the arm at which contact is looked for, at most."""
 SMOOTHING = 0.01
 """Depth over which the stiffness grows to its full size, in radii of the rod."""
 WALL_SPEED, WALL_MASS = 30.0, 8.0
@@ -26,51 +25,34 @@ WALL_SPEED, WALL_MASS = 30.0, 8.0
 share."""
 
 
+def make_samples(rod: Discretisation, stiffness: float | None) -> tuple[Array, Array, Array]:
+    """Rows of `ContactParameters.intervals` and `.samples`, and the samples' arc lengths (samples,) [m], a radius apart at most."""
+    start = np.concatenate([[0.0], rod.node[:-1]])
+    h = rod.node - start
+    counts = np.ceil(h / np.maximum(rod.radius(0.5 * (start + rod.node)), rod.length / MOST_SAMPLES)).astype(int)
+    last = np.cumsum(counts)
+    t = np.concatenate([np.arange(1, count + 1) / count for count in counts if count])
+    own, share = np.repeat(h, counts), np.repeat(h / np.maximum(counts, 1), counts)
+    place = np.repeat(start, counts) + t * own
+    radius = rod.radius(place)
+    share[-1] = 0.5 * share[-1] + radius[-1]  # the tip's round cap
+    per_length = rod.elasticity(place)[:, 3] / (2.0 * radius) ** 2 if stiffness is None else np.full(place.size, stiffness)  # [N/m^2]
+    wall = WALL_MASS * WALL_SPEED**2 * rod.line_mass(place) * share
+    solid = radius if stiffness is None else np.full(place.size, math.inf)
+    bases = (1 + 2 * t) * (1 - t) ** 2, own * t * (1 - t) ** 2, t**2 * (3 - 2 * t), own * t**2 * (t - 1)
+    samples = np.stack([*bases, t, radius, per_length * share, SMOOTHING * radius, wall, solid], axis=1)
+    largest = [radius[end - count : end].max(initial=0.0) for end, count in zip(last, counts, strict=True)]
+    return np.stack([h, last - counts, last, largest], axis=1), samples, place
+
+
 class Ends(NamedTuple):
     """The two nodes of an interval."""
 
     interval: int  # also the node behind it; the one before is that less 1
-    R_a: Rotation
-    r_a: Vector
-    R_b: Rotation
-    r_b: Vector
-
-
-def make_samples(rod: Discretisation, stiffness: float | None, spacing: float | None) -> tuple[Array, Array, Array]:
-    """Rows of `ContactParameters.intervals` and `.samples`, and the samples' arc lengths (samples,) [m], for the keys of the scene."""
-    least = rod.length / MOST_SAMPLES
-    if spacing is not None and spacing < least:
-        text = f"is {spacing:g}: it should be at least {least:g} m, for {MOST_SAMPLES} samples along the arm"
-        raise ConfigurationError([Problem(("effects", "contact", "spacing"), text)])
-    intervals: list[list[float]] = []
-    samples: list[list[float]] = []
-    places: list[float] = []
-    for start, end in zip(np.concatenate([[0.0], rod.node[:-1]]), rod.node, strict=True):
-        h, first = float(end - start), len(samples)
-        if h > 0.0:
-            apart = spacing or max(float(rod.radius(np.array([0.5 * (start + end)]))[0]), least)
-            count = math.ceil(h / apart)
-            t = np.arange(1, count + 1) / count
-            place = start + t * h
-            share = np.full(count, h / count)
-            if end >= rod.length * (1.0 - 1e-12):
-                share[-1] = 0.5 * h / count + rod.radius(place)[-1]  # the tip's round cap
-            samples += _rows(rod, t, h, place, share, stiffness)
-            places += place.tolist()
-        largest = max((sample[RADIUS] for sample in samples[first:]), default=0.0)
-        intervals.append([h, first, len(samples), largest])
-    return np.array(intervals), np.array(samples), np.array(places)
-
-
-def _rows(rod: Discretisation, t: Array, h: float, place: Array, share: Array, stiffness: float | None) -> list[list[float]]:
-    """Rows of the samples at t (m,) of an interval."""
-    radius = rod.radius(place)
-    per_length = rod.elasticity(place)[:, 3] / (2.0 * radius) ** 2 if stiffness is None else np.full(place.size, stiffness)  # [N/m^2]
-    wall = WALL_MASS * WALL_SPEED**2 * rod.line_mass(place) * share
-    solid = radius if stiffness is None else np.full(place.size, math.inf)
-    bases = (1 + 2 * t) * (1 - t) ** 2, h * t * (1 - t) ** 2, t**2 * (3 - 2 * t), h * t**2 * (t - 1)
-    rows: list[list[float]] = np.stack([*bases, t, radius, per_length * share, SMOOTHING * radius, wall, solid], axis=1).tolist()
-    return rows
+    R_a: tuple[float, ...]
+    r_a: Triple
+    R_b: tuple[float, ...]
+    r_b: Triple
 
 
 @kernel(inline=True)
@@ -90,45 +72,39 @@ def tangent(R):
 @kernel(inline=True)
 def position_of(samples, m, ends):
     """Position of a sample's middle [m]."""
-    a = plus(times(samples[m, H_A], ends.r_a), times(samples[m, REACH_A], tangent(ends.R_a)))
-    return plus(a, plus(times(samples[m, H_B], ends.r_b), times(samples[m, REACH_B], tangent(ends.R_b))))
+    a = plus(times(samples[m, at.H_A], ends.r_a), times(samples[m, at.REACH_A], tangent(ends.R_a)))
+    return plus(a, plus(times(samples[m, at.H_B], ends.r_b), times(samples[m, at.REACH_B], tangent(ends.R_b))))
 
 
 @kernel(inline=True)
 def motion_at(samples, m, ends, nodes):
     """Velocity of a sample's middle, and angular velocity, in the world frame."""
     w, v = motion_of(nodes, ends.interval, ends.R_b)
-    velocity = plus(times(samples[m, H_B], v), times(samples[m, REACH_B], cross(w, tangent(ends.R_b))))
-    turning = times(samples[m, T], w)
-    w, v = motion_before(nodes, ends.interval, ends.R_a, ends.r_a)
-    velocity = plus(velocity, plus(times(samples[m, H_A], v), times(samples[m, REACH_A], cross(w, tangent(ends.R_a)))))
-    turning = plus(turning, times(1.0 - samples[m, T], w))
-    return velocity, turning
-
-
-@kernel
-def interval_balls(intervals, nodes, balls):
-    """Balls (intervals, 4) around the samples of every interval with their radii: middle and radius [m]; how many intervals have any.
-
-    No point of a curve through a and b is farther from their middle than half of its length, which is at most that of its Bezier polygon.
-    """
-    R_a, r_a = pose_before(nodes, 0)
-    for i in range(intervals.shape[0]):
-        h = intervals[i, 0]
-        if h == 0.0:
-            return i
-        R_b, r_b = pose_of(nodes, i)
-        inner = minus(minus(r_b, r_a), times(h / 3.0, plus(tangent(R_a), tangent(R_b))))
-        for k in range(3):
-            balls[i, k] = 0.5 * (r_a[k] + r_b[k])
-        balls[i, 3] = h / 3.0 + 0.5 * math.sqrt(dot(inner, inner)) + intervals[i, 3]
-        R_a, r_a = R_b, r_b
-    return intervals.shape[0]
+    w_a, v_a = motion_before(nodes, ends.interval, ends.R_a, ends.r_a)
+    behind = plus(times(samples[m, at.H_B], v), times(samples[m, at.REACH_B], cross(w, tangent(ends.R_b))))
+    before = plus(times(samples[m, at.H_A], v_a), times(samples[m, at.REACH_A], cross(w_a, tangent(ends.R_a))))
+    return plus(behind, before), plus(times(samples[m, at.T], w), times(1.0 - samples[m, at.T], w_a))
 
 
 @kernel(inline=True)
-def is_away(body, balls, i):
-    """Whether an obstacle touches nothing in a ball: told by that around the obstacle, or else by its signed distance."""
-    middle = triple(balls, i, 0)
-    x, reach = minus(middle, body.r), balls[i, 3] + body.obstacles[body.j, EXTENT]
-    return dot(x, x) >= reach * reach or distance(body, in_frame(body, middle))[0] >= balls[i, 3]
+def reach_of(intervals, i, ends):
+    """No point of an interval's samples is farther [m] from its end: the polygon of the curve's Bezier points holds it."""
+    chord = minus(ends.r_b, ends.r_a)
+    return math.sqrt(dot(chord, chord)) + intervals[i, 0] / 3.0 + intervals[i, 3]
+
+
+@kernel(refcount=True)
+def find_pairs(contact, nodes, touching, pairs):
+    """Pairs of obstacle and sample, all or those that touch, into pairs (pairs, 3): numbers of obstacle, interval and sample. How many."""
+    intervals, samples, count = contact.intervals, contact.samples, 0
+    for j in range(contact.obstacles.shape[0]):
+        body = body_at(contact, j, nodes.time)
+        for i in range(intervals.shape[0]):
+            ends = ends_of(nodes, i)
+            if touching and distance(body, in_frame(body, ends.r_b))[0] >= reach_of(intervals, i, ends):
+                continue
+            for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
+                if not touching or distance(body, in_frame(body, position_of(samples, m, ends)))[0] < samples[m, at.RADIUS]:
+                    pairs[count, 0], pairs[count, 1], pairs[count, 2] = j, i, m
+                    count += 1
+    return count

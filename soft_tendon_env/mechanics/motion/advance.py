@@ -10,7 +10,7 @@ from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.effects import Before, call
 from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated, extrapolated_step
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE, Demand, predict_strain
-from soft_tendon_env.mechanics.motion.status import CROWDED, INACCURATE, NO_STRAIN, OK, OVERSHOT
+from soft_tendon_env.mechanics.motion.status import CROWDED, INACCURATE, NO_STRAIN, OK, PENETRATED
 from soft_tendon_env.mechanics.terms.external_forces import limits_steps, nodes_of, place_base
 from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses, tip_pose_of, write_pose
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_rate
@@ -84,7 +84,7 @@ def _limits(effects):
 @phase
 def find_longest(arm, motion, q_dot, state, step, unforeseen, control, scratch):
     """Longest step [s] that effects allow from the strain of work.xi at rates q_dot (n), which a step has led to, and what the arm
-    meets there and on its way there from the motion; into scratch.longest (1) and scratch.meeting (2)."""
+    meets there and on its way there from the motion; into scratch.longest (1) and scratch.contact."""
     effects, work = arm.effects, scratch.work
     strain_rate(arm, q_dot, work)
     work.clock[0] = motion.clock[0] + step
@@ -95,14 +95,14 @@ def find_longest(arm, motion, q_dot, state, step, unforeseen, control, scratch):
     if step == 0.0:
         keep_pose(scratch)
     scratch.longest[:] = control.step
-    scratch.meeting[:] = 0.0
+    scratch.contact.tunnelled[0], scratch.contact.active[0] = 0.0, 0.0
     for i in range(effects.count):
         if effects.limit[i] != 0:
             call(effects.limit[i], (values_of(effects, i), nodes_of(arm, work, i), scratch.longest))
         if effects.sweep[i] != 0:
-            scratch.meeting[0] = 1.0 if unforeseen else 0.0
+            scratch.contact.tunnelled[0] = 1.0 if unforeseen else 0.0
             before = Before(motion.clock[0], scratch.pose, scratch.base)
-            call(effects.sweep[i], (values_of(effects, i), before, nodes_of(arm, work, i), scratch.longest, scratch.meeting))
+            call(effects.sweep[i], (values_of(effects, i), before, nodes_of(arm, work, i), scratch.longest, scratch.contact))
 
 
 @kernel
@@ -130,8 +130,8 @@ def settle(arm, motion, step, touching, control, scratch):
     if limits_steps(arm.effects):
         unforeseen = work.touched[0] != 0.0 and not touching
         find_longest(arm, motion, scratch.v, scratch.state, step, unforeseen, control, scratch)
-        if scratch.meeting[0] != 0.0:
-            return OVERSHOT
+        if scratch.contact.tunnelled[0] != 0.0:
+            return PENETRATED
         keep_pose(scratch)
     copy(scratch.q, motion.q)
     copy(scratch.v, motion.q_dot)
@@ -179,7 +179,7 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
         limited, longest, touching = limits_steps(arm.effects), math.inf, False
         if limited:
             begin_limits(arm, motion, control, scratch)
-            longest, touching = scratch.longest[0], scratch.meeting[1] != 0.0
+            longest, touching = scratch.longest[0], scratch.contact.active[0] != 0.0
         if not control.adaptive:
             step = control.step  # what a row costs another would make results depend on how an input is cut into calls
         while begun < duration * (1.0 - 1e-12):
@@ -202,7 +202,7 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
                 status = settle(arm, motion, length, touching, control, scratch)
             if status != OK:
                 rejected += 1
-                touching = touching or status == OVERSHOT
+                touching = touching or status == PENETRATED or scratch.work.touched[0] != 0.0
                 smaller = next_step(aim, method.columns, length, attempt) if status == INACCURATE and aim.adaptive else length
                 step = min(0.5 * length, smaller)
                 if step < (SHORTEST_TOUCHING * control.step if touching else control.smallest):
@@ -211,7 +211,7 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
             begun += length
             motion.clock[0] = start + begun
             if limited:
-                longest, touching = scratch.longest[0], scratch.meeting[1] != 0.0
+                longest, touching = scratch.longest[0], scratch.contact.active[0] != 0.0
             if steps < scratch.taken.shape[0]:
                 scratch.taken[steps, 0], scratch.taken[steps, 1] = length, scratch.rows[0]
             steps += 1

@@ -7,6 +7,7 @@ import numpy as np
 from soft_tendon_env.mechanics.algebra.lanes import aligned_zeros
 from soft_tendon_env.mechanics.algebra.linear import row_stride
 from soft_tendon_env.mechanics.algebra.structs import Struct
+from soft_tendon_env.mechanics.effects import ContactFlags, make_contact_flags
 from soft_tendon_env.mechanics.types import Arm
 from soft_tendon_env.mechanics.workspace import Bounded, Workspace, make_bounded, make_workspace, zeros_of
 
@@ -72,7 +73,7 @@ class Scratch(Struct):
     error_v: np.ndarray
     state: np.ndarray  # (states)
     longest: np.ndarray  # (1) [s] the longest step from the motion that effects allow
-    meeting: np.ndarray  # (2) 1 where the step went through something, else 0; 1 where it ends touching something or about to
+    contact: ContactFlags
     pose: np.ndarray  # nodes x 12, of the motion, and its base (24): where effects look at the way of the arm
     base: np.ndarray
     acting: np.ndarray  # (n_a) the command that has arrived
@@ -94,7 +95,6 @@ def make_scratch(arm: Arm, columns: int, log: int = 0) -> Scratch:
         ((n_a,), "parts acting"),
         ((states,), "state"),
         ((1,), "held jolted until rows"),
-        ((2,), "meeting"),
         ((log, 2), "taken"),
         ((work.pose.size,), "pose"),
         ((work.base.size,), "base"),
@@ -107,5 +107,6 @@ def make_scratch(arm: Arm, columns: int, log: int = 0) -> Scratch:
         now=Balance(bounded=work.bounded, columns=work.tendon_columns, **now),
         start=Start(**{name: aligned_zeros(getattr(work, name).size if states else 0) for name in Start.__annotations__}),
         longest=np.full(1, np.inf),
+        contact=make_contact_flags(),
         **arrays,
     )

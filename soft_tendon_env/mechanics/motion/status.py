@@ -5,7 +5,7 @@ NO_STRAIN = 1
 NOT_POSITIVE = 2
 NOT_FINITE = 3
 INACCURATE = 4
-OVERSHOT = 5
+PENETRATED = 5
 CROWDED = 6
 FOLLOWS = 7
 
@@ -14,7 +14,7 @@ MESSAGES = {
     NOT_POSITIVE: "the mass or step matrix is not positive definite",
     NOT_FINITE: "the coordinates are not finite",
     INACCURATE: "the estimated error is too large",
-    OVERSHOT: "the arm is pressed through an obstacle, or too deep into it, in steps of any length",
+    PENETRATED: "the arm is pressed through an obstacle, or too deep into it, in steps of any length",
     CROWDED: "commands change more often than the delay of their path keeps, once every integrator.step",
     FOLLOWS: "internal states of effects follow the motion of the arm, through which there is no adjoint",
 }
