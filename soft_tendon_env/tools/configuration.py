@@ -274,7 +274,7 @@ def _allowed(error: ErrorDetails) -> str:
     if "error" in error.get("ctx", {}):
         return str(error["ctx"]["error"])  # a validator's own words
     message = re.sub(r"^\w+ should", "should", error["msg"])
-    return message.replace("tuple", "array").replace(" after validation", "")
+    return message.replace("tuple", "array").replace("a valid boolean", "true or false").replace(" after validation", "")
 
 
 def _choices(annotation: Any) -> list[type[Configuration]]:

@@ -80,6 +80,7 @@ REFUSED = [
         "should name strains that the rod has, bend_y; not stretch",
     ),
     ({"quadrature.intervals": 6.0}, "quadrature.intervals is 6.0: it should be a valid integer"),
+    ({"strain.include_loads": "x"}, "strain.include_loads is 'x': it should be true or false"),
     ({"quadratur.intervals": 6}, "quadratur is an unknown key (given {'intervals': 6}): did you mean 'quadrature'? valid: description"),
     ({"integrator": {"columns": 1, "tolerance": 1e-4}}, "integrator.tolerance is 0.0001: it needs the error estimate of at least 2"),
     ({"name.first": "x"}, "name.first cannot be set: name is 'test', not a table"),

@@ -67,7 +67,7 @@ solve_strain_at, strain_is_unique, strain_softest = _of_the_arm("solve"), _of_th
 strain_columns, strain_matrices, strain_rate = _of_the_arm("columns"), _of_the_arm("matrices"), _of_the_arm("rate")
 
 
-@kernel
+@kernel(inline=True)
 def strain_from_guess(arm, q, tolerance, work):
     """The strain at q into work.xi, from the guess there; -1, or the block at which it could not be found."""
     return solve_strain_at(arm, q, 1.0, tolerance, ANY, work)
@@ -103,6 +103,9 @@ def continue_strain(arm, begin, end, tolerance, work):
 @kernel(refcount=True)
 def strain_from_rest(arm, q, tolerance, work):
     """The strain at q on the branch on which coordinates and loads inside grow together from the stress-free rod; as continue_strain()."""
+    copy(arm.rod.reference_strain, work.xi)
+    if strain_is_unique(arm, q, work) and strain_from_guess(arm, q, tolerance, work) < 0:
+        return -1, 1.0
     copy(arm.rod.reference_strain, work.xi)
     return continue_strain(arm, (np.zeros(q.size), 0.0), (q, 1.0), tolerance, work)
 

@@ -39,8 +39,8 @@ from soft_tendon_env.mechanics.types import Loaded
 
 SHARPER = 1e-3  # part of the tolerance that the last correction may have: columns are as far off as the iterate before it
 ROUND_OFF = 1e-12  # relative size of corrections that rounding leaves
-STENCIL = (-2.0, -1.0 / 12.0), (-1.0, 4.0 / 3.0), (0.0, -2.5), (1.0, 4.0 / 3.0), (2.0, -1.0 / 12.0)  # steps, shares: second derivative
-ALONG = 0.01  # [rad] of a step, of the turn of the whole rod: errors of 1e-10 by truncation, less by rounding
+STENCIL = (-3.0, 1 / 90), (-2.0, -0.15), (-1.0, 1.5), (0.0, -49 / 18), (1.0, 1.5), (2.0, -0.15), (3.0, 1 / 90)  # of the second derivative
+ALONG = 0.05  # [rad] of a step, of the turn of the whole rod: errors of 1e-11 by truncation, less by rounding
 ITERATIONS = 8  # of the inverse iteration for the least eigenvalue
 
 
