@@ -90,7 +90,7 @@ class Kernel:
         @functools.wraps(function)
         def call(*arguments: Any) -> Any:  # a method takes as long again as numba's function does to begin
             nonlocal run
-            run = run or self.from_python
+            run = run or self._jitted("from_python")
             try:
                 return run(*arguments)
             except NotCompiledError:
@@ -101,13 +101,8 @@ class Kernel:
         lower_builtin(call, types.VarArg(types.Any))(self._emit)
 
     @functools.cached_property
-    def from_python(self) -> Any:
-        """numba's function that Python calls."""
-        return self._jitted("from_python")
-
-    @functools.cached_property
     def from_kernels(self) -> Any:
-        """The same without a way in from Python, which is a fifth of a compilation."""
+        """numba's function without a way in from Python, which is a fifth of a compilation."""
         return self._jitted("from_kernels", no_cpython_wrapper=True)
 
     def _jitted(self, below: str, **options: bool) -> Any:
