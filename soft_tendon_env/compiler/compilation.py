@@ -63,12 +63,12 @@ def kernel(function: Any = None, *, inline: bool = False, refcount: bool | None 
         return function
     own = is_of_package(function)
     options = {**OPTIONS, "forceinline": inline, "_nrt": not own if refcount is None else refcount}
-    return Kernel(function, options) if own else numba.njit(**options)(function)
+    return Kernel(function, options).call if own else numba.njit(**options)(function)
 
 
 def phase(function: Any) -> Any:
     """A kernel that returns nothing and that not every arm needs: compiled when it is first called, not with its callers."""
-    return function if config.DISABLE_JIT else Kernel(function, {**OPTIONS, "_nrt": False}, is_phase=True)
+    return function if config.DISABLE_JIT else Kernel(function, {**OPTIONS, "_nrt": False}, is_phase=True).call
 
 
 def is_of_package(named: Any) -> bool:
@@ -81,31 +81,28 @@ class NotCompiledError(RuntimeError):
 
 
 class Kernel:
-    """A kernel of the package: as Python calls it, and as other kernels do. keep: its machine code, for later processes."""
+    """A kernel of the package, `call`: as Python calls it, and as kernels do. keep: its machine code, for later processes."""
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any], is_phase: bool = False, keep: bool = True) -> None:
-        functools.update_wrapper(self, function)
-        self.py_func, self._options, self._is_phase, self._keep = function, options, is_phase, keep
-        type_callable(self)(self._typer)
-        lower_builtin(self, types.VarArg(types.Any))(self._emit)
+        self._function, self._options, self._is_phase, self._keep = function, options, is_phase, keep
+        run: Any = None
 
-    def __call__(self, *arguments: Any) -> Any:
-        try:
-            return self.from_python(*arguments)
-        except NotCompiledError:
-            raise _errors.pop() from None
+        @functools.wraps(function)
+        def call(*arguments: Any) -> Any:  # a method takes as long again as numba's function does to begin
+            nonlocal run
+            run = run or self._jitted("from_python")
+            try:
+                return run(*arguments)
+            except NotCompiledError:
+                raise _errors.pop() from None
 
-    def __reduce__(self) -> str:
-        return self.py_func.__qualname__
-
-    @functools.cached_property
-    def from_python(self) -> Any:
-        """numba's function that Python calls."""
-        return self._jitted("from_python")
+        call.kernel, call.py_func, self.call = self, function, call  # type: ignore[attr-defined]
+        type_callable(call)(self._typer)
+        lower_builtin(call, types.VarArg(types.Any))(self._emit)
 
     @functools.cached_property
     def from_kernels(self) -> Any:
-        """The same without a way in from Python, which is a fifth of a compilation."""
+        """numba's function without a way in from Python, which is a fifth of a compilation."""
         return self._jitted("from_kernels", no_cpython_wrapper=True)
 
     def _jitted(self, below: str, **options: bool) -> Any:
@@ -114,7 +111,7 @@ class Kernel:
         with _setting, contextlib.ExitStack() as after:
             after.callback(setattr, config, "CACHE_DIR", config.CACHE_DIR)
             config.CACHE_DIR = str(folder / below) if folder else ""
-            dispatcher = numba.njit(**self._options, **options, cache=folder is not None)(self.py_func)
+            dispatcher = numba.njit(**self._options, **options, cache=folder is not None)(self._function)
         compile = dispatcher.compile
 
         def compile_alone(kinds: tuple[types.Type, ...]) -> Any:
@@ -134,15 +131,15 @@ class Kernel:
         return self.from_kernels.overloads[kinds]
 
     def _with_defaults(self, kinds: tuple[types.Type, ...]) -> tuple[types.Type, ...]:
-        left_out = [*inspect.signature(self).parameters.values()][len(kinds) :]
+        left_out = [*inspect.signature(self._function).parameters.values()][len(kinds) :]
         return *kinds, *(types.Omitted(parameter.default) for parameter in left_out)
 
     def _typer(self, context: Any) -> Callable[..., types.Type]:
         def returned(*kinds: types.Type, **named: types.Type) -> types.Type:
-            given = inspect.signature(self).bind(*kinds, **named).args
+            given = inspect.signature(self._function).bind(*kinds, **named).args
             return types.none if self._is_phase else self.compiled(self._with_defaults(given)).signature.return_type
 
-        returned.__signature__ = inspect.signature(self)  # type: ignore[attr-defined]
+        returned.__signature__ = inspect.signature(self._function)  # type: ignore[attr-defined]
         return returned
 
     def _emit(self, context: Any, builder: ir.IRBuilder, signature: Any, given: Any) -> Any:
@@ -157,11 +154,11 @@ class Kernel:
         word.linkage, word.initializer = "internal", _WORD(0)
         with cgutils.if_unlikely(builder, cgutils.is_null(builder, builder.load(word))):
             find = cgutils.get_or_insert_function(builder.module, ir.FunctionType(ir.VoidType(), [_ADDRESS, _ADDRESS, _WORD]), FIND)
-            callee = cgutils.make_bytearray(pickle.dumps((self, kinds)))
+            callee = cgutils.make_bytearray(pickle.dumps((self.call, kinds)))
             places = (word, cgutils.global_constant(builder, "callee", callee))
             builder.call(find, [*(builder.bitcast(place, _ADDRESS) for place in places), _WORD(callee.type.count)])
             with cgutils.if_unlikely(builder, cgutils.is_null(builder, builder.load(word))):
-                context.call_conv.return_user_exc(builder, NotCompiledError, (f"{self.py_func.__name__} cannot be compiled",))
+                context.call_conv.return_user_exc(builder, NotCompiledError, (f"{self._function.__name__} cannot be compiled",))
         return emit_call_at(context, builder, builder.load(word), signature.return_type, kinds, given)
 
 
@@ -170,7 +167,7 @@ def _find(word: int, callee: int, size: int) -> None:
     """Write the address of a kernel into a caller's word, or keep the error: the caller finds the word empty."""
     try:
         called, kinds = pickle.loads(ctypes.string_at(callee, size))
-        ctypes.c_int64.from_address(word).value = address_of(called.compiled(kinds))
+        ctypes.c_int64.from_address(word).value = address_of(called.kernel.compiled(kinds))
     except BaseException as error:  # an interrupt too
         _errors.append(error)
 

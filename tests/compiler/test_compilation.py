@@ -22,9 +22,9 @@ PUBLIC = {"numba", "numba.extending", "numba.core.cgutils", "numba.core.event", 
 """What the package may import of numba: what its manual describes."""
 
 
-def own(function: Callable, **options) -> Kernel:
+def own(function: Callable, **options) -> Callable:
     """A kernel such as those of the package."""
-    return Kernel(function, {**OPTIONS, **options})
+    return Kernel(function, {**OPTIONS, **options}).call
 
 
 def scale(x, factor=2.0):
@@ -35,7 +35,7 @@ def fail(out):
     out[0] = "text"
 
 
-scale, fail = own(scale), Kernel(fail, OPTIONS, is_phase=True)
+scale, fail = own(scale), Kernel(fail, OPTIONS, is_phase=True).call
 
 
 @pytest.mark.no_jit
@@ -115,11 +115,11 @@ def test_a_second_process_compiles_nothing_until_a_kernel_in_another_file_change
 def test_machine_code_for_other_arguments_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(compilation, "cache_folder", lambda: tmp_path)
     for x in (1.0, 1):
-        own(inspect.unwrap(scale)).from_python(x, 2.0)
+        own(inspect.unwrap(scale))(x, 2.0)
     one, other = sorted(tmp_path.rglob("*.nbc"))
     other.write_bytes(one.read_bytes())
     with pytest.raises(RuntimeError, match="not what its name says: delete that folder"):
-        own(inspect.unwrap(scale)).from_python(1, 2.0)
+        own(inspect.unwrap(scale))(1, 2.0)
 
 
 def test_the_first_folder_that_can_be_written_is_taken_with_what_is_in_the_others(tmp_path, monkeypatch, capsys):

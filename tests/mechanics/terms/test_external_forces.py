@@ -173,9 +173,9 @@ def test_a_scene_without_effects_calls_and_compiles_none(build):
     bare, heavy = build("paper"), build("paper", {"effects.gravity.acceleration": [0.0, 0.0, -9.81]})
     assert bare.arm.effects.count == 0 and heavy.arm.effects.count == 1
     bare.terms(np.zeros(10), np.zeros(10))
-    before = dict(evaluate.from_kernels.overloads)
+    before = dict(evaluate.kernel.from_kernels.overloads)
     heavy.terms(np.zeros(10), np.zeros(10))
-    assert evaluate.from_kernels.overloads == before
+    assert evaluate.kernel.from_kernels.overloads == before
     assert not np.any(bare.terms(np.zeros(10), np.zeros(10)).external_force)
 
 
