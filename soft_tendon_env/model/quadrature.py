@@ -36,7 +36,8 @@ SETTLED = 6  # of the tensions tried, the worst, under which equilibria are solv
 HOPELESS = 96  # intervals from which on the search ends where twice as many do not even halve the error
 FARTHEST, MOST_HALVINGS = 2.0, 40  # lengths from the base beyond which no tip is; halvings of tensions that no strain balances
 MOST_LINEARISATIONS = 100  # on the path to an equilibrium
-FALL = 3.0  # [rad] along its softest mode by which an arm bends, to be looked at, where its path ends: there it falls over
+FALL, MARGIN = 3.0, 2.0
+"""Bend [rad] along its softest mode at which an arm is looked at whose path ends, where it falls over; factor for other such shapes."""
 
 
 class QuadratureWarning(UserWarning):
@@ -213,7 +214,7 @@ def _unloaded_share(coarse: Model, fine: Model, responses: list[Array], tension:
 
 def _share_at_rest(coarse: Model, fine: Model, tension: Array, guess: Array) -> tuple[float, Array]:
     """Distance of the tips on two quadratures at rest under tensions and loads, as a share of the length, and coordinates (n,) there. Where
-    the arm holds only a part of them, the distance in the same shape, into which it falls over; 0 where it has no strain."""
+    the arm holds only a part of them, the distance in the shape into which it falls over, with a margin; 0 where that has no strain."""
     with coarse.workspace() as work, fine.workspace() as fine_work:
         path, finer = LoadPath(Balance(coarse, tension, work), MOST_LINEARISATIONS), LoadPath(Balance(fine, tension, fine_work))
         found = path.equilibrium(guess, 1.0) if guess.any() else None
@@ -227,4 +228,4 @@ def _share_at_rest(coarse: Model, fine: Model, tension: Array, guess: Array) -> 
         apart = fine.tip_pose(q if near is None else near.at.q) - coarse.tip_pose(q)
     except StrainLimitError:
         return 0.0, guess
-    return float(np.linalg.norm(apart[:3, 3])) / coarse.length, q
+    return (MARGIN if fallen else 1.0) * float(np.linalg.norm(apart[:3, 3])) / coarse.length, q
