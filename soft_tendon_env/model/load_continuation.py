@@ -53,10 +53,13 @@ class End(NamedTuple):
 
 
 class LoadPath:
-    """The path of one arm under one load. `end` follows it; `settled` finds where an arm goes whose path ends."""
+    """The path of one arm under one load. `end` follows it; `settled` finds where an arm goes whose path ends.
 
-    def __init__(self, balance: Balance) -> None:
-        self.balance = balance
+    most: linearisations of the balance after which both give up.
+    """
+
+    def __init__(self, balance: Balance, most: int = MOST_LINEARISATIONS) -> None:
+        self.balance, self.most = balance, most
         model = balance.model
         # with the statics-based strain q = [u; 0] balances the tensions (34): what is left to find is the answer to the effects
         self._answer = model.arm.strain.rest_coordinates(balance.tension)
@@ -65,8 +68,17 @@ class LoadPath:
         """The unloaded arm."""
         return self._point(self.balance.unloaded)
 
-    def end(self, point: Point, most: int = MOST_LINEARISATIONS) -> End:
-        """Follow the path from `point` to the full load, or to where it ends, loses stability or takes more than `most` linearisations."""
+    def rest(self, settlings: int) -> End:
+        """Follow the path from the unloaded arm; where it ends let the arm go, at most so many times, and load it further."""
+        end = self.end(self.start())
+        for _ in range(settlings):
+            if not end.reason or (point := self.settled(end)) is None:
+                break
+            end = self.end(point)
+        return end
+
+    def end(self, point: Point) -> End:
+        """Follow the path from `point` to the full load, or to where it ends or loses stability."""
         moved = self.balance.angle(point.tangent - self._answer)
         step = 1.0 if moved <= FIRST_REACH else max(FIRST_REACH / moved, LEAST_LOAD)
         while point.at.part < 1.0:
@@ -78,8 +90,8 @@ class LoadPath:
             step = 0.5 * (aim - point.at.part)
             if step < max(SHORTEST * point.at.part, LEAST_LOAD):
                 return End(point, self._reason(point))
-            if self.balance.linearisations > most:
-                return End(point, f"{_beyond(point)}: the path is too winding, {most} iterations did not do")
+            if self.balance.linearisations > self.most:
+                return End(point, f"{_beyond(point)}: the path is too winding, {self.most} iterations did not do")
         return End(point, "")
 
     def step(self, point: Point, aim: float) -> Point | None:
@@ -136,7 +148,7 @@ class LoadPath:
         mode, h = end.point.stability.modes[:, 0], 0.1
         side = self.balance.product(mode, end.point.tangent) or mode[np.argmax(np.abs(mode))]
         here = self.balance.linearised(before.q + PUSH * np.copysign(1.0, side) * mode, part)
-        while here is not None and self.balance.linearisations < MOST_LINEARISATIONS:
+        while here is not None and self.balance.linearisations < self.most:
             if here.at.residual <= RESIDUAL:
                 found = self._point(here)
                 return found if self._holds(found.stability) else None

@@ -36,7 +36,8 @@ SETTLED = 6  # of the tensions tried, the worst, under which equilibria are solv
 HOPELESS = 96  # intervals from which on the search ends where twice as many do not even halve the error
 FARTHEST, MOST_HALVINGS = 2.0, 40  # lengths from the base beyond which no tip is; halvings of tensions that no strain balances
 MOST_LINEARISATIONS = 100  # on the path to an equilibrium
-BACK = 0.8  # part of the load at which a path ends, under which the arm is looked at
+FALL, MARGIN = 3.0, 2.0
+"""Bend [rad] along its softest mode at which an arm is looked at whose path ends, where it falls over; factor for other such shapes."""
 
 
 class QuadratureWarning(UserWarning):
@@ -212,20 +213,19 @@ def _unloaded_share(coarse: Model, fine: Model, responses: list[Array], tension:
 
 
 def _share_at_rest(coarse: Model, fine: Model, tension: Array, guess: Array) -> tuple[float, Array]:
-    """Distance of the tips on two quadratures at rest under tensions and loads, or the part of them that the arm holds, as a share of the
-    length, and coordinates (n,) there; 0 where it holds none."""
+    """Distance of the tips on two quadratures at rest under tensions and loads, as a share of the length, and coordinates (n,) there. Where
+    the arm holds only a part of them, the distance in the shape into which it falls over, with a margin; 0 where that has no strain."""
     with coarse.workspace() as work, fine.workspace() as fine_work:
-        path, finer = LoadPath(Balance(coarse, tension, work)), LoadPath(Balance(fine, tension, fine_work))
+        path, finer = LoadPath(Balance(coarse, tension, work), MOST_LINEARISATIONS), LoadPath(Balance(fine, tension, fine_work))
         found = path.equilibrium(guess, 1.0) if guess.any() else None
         if found is None or not found.stability.stable:
-            end = path.end(path.start(), MOST_LINEARISATIONS)
-            found = path.equilibrium(BACK * end.point.at.q, BACK * end.point.at.part) if end.reason else end.point
-        if found is None or found.at.part == 0.0:
-            return 0.0, guess
-        near = finer.equilibrium(found.at.q, found.at.part)
-    q = found.at.q
+            end = path.end(path.start())
+            found = end.point
+        fallen = found.at.part < 1.0
+        q = found.at.q + FALL * found.stability.modes[:, 0] if fallen else found.at.q
+        near = None if fallen else finer.equilibrium(q, 1.0)
     try:
         apart = fine.tip_pose(q if near is None else near.at.q) - coarse.tip_pose(q)
     except StrainLimitError:
         return 0.0, guess
-    return float(np.linalg.norm(apart[:3, 3])) / coarse.length, q
+    return (MARGIN if fallen else 1.0) * float(np.linalg.norm(apart[:3, 3])) / coarse.length, q

@@ -101,11 +101,7 @@ def _equilibrium(balance: Balance, guess: ArrayLike | None, settle: bool) -> Equ
         if at is not None and at.residual <= RESIDUAL:
             here = None if model.arm.strain.has_potential else balance.linearised(at.q, 1.0)
             return _found(balance, at, here is None or balance.stability(here).stable, "")
-    end = path.end(path.start())
-    for _ in range(MOST_SETTLINGS if settle else 0):
-        if not end.reason or (point := path.settled(end)) is None:
-            break
-        end = path.end(point)
+    end = path.rest(MOST_SETTLINGS if settle else 0)
     return _found(balance, end.point.at, end.point.stability.stable, end.reason)
 
 

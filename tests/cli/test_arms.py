@@ -28,7 +28,6 @@ def test_fields_that_ship_are_reported_and_not_made_again(command, capsys, few, 
     rows = [line.split("|")[1:3] for line in printed.splitlines() if line.startswith("|")]
     assert ["3", "0"] in [[cell.strip() for cell in row] for row in rows]
     assert 'passive = { type = "snapshots", fields = 6 }' in printed
-    assert printed.count("steps of 20 ms") == 6 and "NO" not in printed
 
 
 def test_an_arm_of_its_own_gets_fields_in_the_cache(command, capsys, few):
