@@ -48,7 +48,8 @@ class Fluid(Effect):
         pressure = 0.5 * self.density * rod.over_nodes(lambda arc_length: 2.0 * rod.radius(arc_length)[:, None])
         displaced = self.displaced_mass(rod)
         slices = displaced, self.added_mass * displaced, self.normal_drag * pressure, np.pi * self.tangential_drag * pressure
-        return FluidParameters(*(Vector(node_field(values)) for values in slices), self.current, _gravity(rod))
+        fluid, added, normal, tangential = (Vector(node_field(values)) for values in slices)
+        return FluidParameters(fluid, added, normal, tangential, self.current, _gravity(rod))
 
     def displaced_mass(self, rod: Discretisation) -> Array:
         """Mass (nodes, 1) [kg] of the fluid in whose place the slices are."""

@@ -7,6 +7,7 @@ from numba.extending import overload, register_jitable
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.contact import columns as at
+from soft_tendon_env.effects.contact.obstacle import Obstacle
 from soft_tendon_env.effects.contact.shapes import Box, Capsule, Cylinder, Plane, Sphere
 from soft_tendon_env.mechanics.algebra.lie import dot, minus, plus, rotate_back, times
 from soft_tendon_env.mechanics.effect_parameters import Matrix
@@ -24,7 +25,9 @@ class ContactParameters(NamedTuple):
     obstacles: Matrix  # (obstacles, 29)
     stiction_speed: float  # [m/s]
 
-    shapes = (Plane, Sphere, Capsule, Cylinder, Box)  # by the numbers in the obstacles' rows
+
+SHAPES_OF: dict[type, tuple[type[Obstacle], ...]] = {ContactParameters: (Plane, Sphere, Capsule, Cylinder, Box)}
+"""Shapes, by the numbers in the obstacles' rows, of every class of parameters."""
 
 
 class Body(NamedTuple):
@@ -64,13 +67,13 @@ def in_frame(body, x):
 def distance(body, x):
     """Signed distance [m] from a body's surface to x in its frame, negative inside, and its gradient: outwards, of length 1."""
     row = body.contact.obstacles[body.j]
-    return body.contact.shapes[int(row[at.KIND])].distance(tuple(row[at.SIZES : at.SIZES + at.MOST_SIZES].tolist()), x)
+    return SHAPES_OF[type(body.contact)][int(row[at.KIND])].distance(tuple(row[at.SIZES : at.SIZES + at.MOST_SIZES].tolist()), x)
 
 
 @overload(distance)
 def _distance_overload(body, x):
     """Calls the kernel of the body's shape, among those that the class of the parameters names."""
-    choose = _choice([shape.distance for shape in body.types[0].instance_class.shapes])
+    choose = _choice([shape.distance for shape in SHAPES_OF[body.types[0].instance_class]])
 
     def implementation(body, x):
         rows, j = body.contact.obstacles, body.j

@@ -1,14 +1,14 @@
 """Contact of a whole arm with obstacles as an effect: the table of the scene, its kernels and its potential energy."""
 
 import functools
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.compiler.code_digest import selects_code
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, Solid, register_effect
-from soft_tendon_env.effects.contact.bodies import ContactParameters, read_distances
+from soft_tendon_env.effects.contact.bodies import SHAPES_OF, ContactParameters, read_distances
 from soft_tendon_env.effects.contact.collision_check import check_collisions, limit_step
 from soft_tendon_env.effects.contact.forces import contact_wrench, read_contacts
 from soft_tendon_env.effects.contact.obstacle import AnyObstacle, Obstacle
@@ -23,10 +23,12 @@ from soft_tendon_env.tools.types import NotNegative, Positive
 @functools.cache
 def parameters_class(*own: type[Obstacle]) -> type[ContactParameters]:
     """Class of the parameters with shapes of a user's own besides the package's, for which the kernels of contact are compiled."""
-    name, kind = "_".join(["ContactParameters", *(shape.__name__ for shape in own)]), ContactParameters
+    kind: type[ContactParameters] = ContactParameters
+    name = "_".join(["ContactParameters", *(shape.__name__ for shape in own)])
     if own:
-        kind = type(name, (ContactParameters,), {"shapes": (*ContactParameters.shapes, *own), "__module__": __name__, "__slots__": ()})
+        kind = cast(type[ContactParameters], type(name, (ContactParameters,), {"__module__": __name__, "__slots__": ()}))
         globals()[name] = kind  # where pickle looks
+        SHAPES_OF[kind] = (*SHAPES_OF[ContactParameters], *own)
     for hook, function in ((adds_wrench, contact_wrench), (limits_step, limit_step), (sweeps_motion, check_collisions)):
         hook(kind)(function)
     for shape in own:
@@ -55,9 +57,9 @@ class Contact(Effect):
         return self._parameters(intervals, samples)
 
     def _parameters(self, intervals: Array, samples: Array) -> ContactParameters:
-        own = {type(obstacle) for obstacle in self.obstacles} - {*ContactParameters.shapes}
+        own = {type(obstacle) for obstacle in self.obstacles} - {*SHAPES_OF[ContactParameters]}
         kind = parameters_class(*sorted(own, key=lambda shape: shape.__name__))
-        rows = [obstacle.row(kind.shapes.index(type(obstacle)), self.friction, self.dissipation) for obstacle in self.obstacles]
+        rows = [obstacle.row(SHAPES_OF[kind].index(type(obstacle)), self.friction, self.dissipation) for obstacle in self.obstacles]
         return kind(Matrix(intervals), Matrix(samples), Matrix(np.array(rows)), self.stiction_speed)
 
     def sample_places(self, rod: Discretisation) -> Array:

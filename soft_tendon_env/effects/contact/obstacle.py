@@ -37,6 +37,7 @@ class Obstacle(Configuration):
     convex: ClassVar[bool] = True
     distance: ClassVar[Any]
 
+    type: str
     position: Triple = Field(description="place at time 0 [m], but for the amplitude, world frame")
     velocity: Triple = Field((0.0, 0.0, 0.0), description="constant velocity [m/s]")
     amplitude: Triple = Field((0.0, 0.0, 0.0), description="amplitude of a sinusoidal motion that comes to it [m]")
@@ -105,7 +106,7 @@ def register_shape(shape: Class) -> Class:
 
     Registering a class of the same module and name again replaces it. Raises ValueError for a name that is taken.
     """
-    (name,) = get_args(shape.model_fields["type"].annotation)
+    (name,) = get_args(shape.__pydantic_fields__["type"].annotation)
     present = SHAPES.get(name, shape)
     if (present.__module__, present.__qualname__) != (shape.__module__, shape.__qualname__):
         raise ValueError(f"the shape {name!r} is registered twice: {present.__module__}, {shape.__module__}")
