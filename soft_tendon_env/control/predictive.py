@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
-from soft_tendon_env.control.dynamics import DECADES, implicit_step
+from soft_tendon_env.control.dynamics import DECADES, implicit_inertia
 from soft_tendon_env.control.objectives import Objective
 from soft_tendon_env.control.protocol import FAILURES, Decision, InputError, Situation
 from soft_tendon_env.model.model import Model
@@ -90,7 +90,7 @@ class Predictive:
         self._effort, self._smoothness = tuning.effort**2, tuning.smoothness**2 * self._change.T
         self._penalty = self._effort * np.eye(self.horizon * size) + self._smoothness @ self._change
         rest = np.zeros(model.coordinate_count)
-        self._inertia = implicit_step(model.terms(rest, rest), rest, period).system
+        self._inertia = implicit_inertia(model.terms(rest, rest), period)
         self._simulation = Simulation(model)
 
     def act(self, now: Situation, memory: Plan | None = None) -> Decision:

@@ -75,8 +75,7 @@ class ShapeTracking:
         grip = (kd + h * kp) * project
         rates = np.linalg.solve(np.eye(now.q.size) + step.response @ grip, step.free + step.response @ goal)
         wanted = goal - grip @ rates
-        motion = step.response.T @ step.system @ step.response
-        motion += LOOSE * np.trace(motion) / wanted.size * np.eye(wanted.size)
+        motion = step.metric + LOOSE * np.trace(step.metric) / wanted.size * np.eye(wanted.size)
         found = allocate(motion, -motion @ wanted, self.least, self.greatest, memory)
         return Decision(found.x, found.multipliers, {"limited": found.limited, "singular": float(not found.solved)})
 

@@ -74,14 +74,14 @@ class TipTracking:
         last_velocity = 2.0 * aim.velocity - next_aim.velocity  # of the target over the period that has passed
         feedback = gains.kp * aim.error + gains.kd * (last_velocity - velocity) + gains.ki * integral
         wanted = velocity + h * feedback + aim.velocity - last_velocity
-        response, free, static = step.response, step.free, now.reference.tension
+        (free, response, metric), static = step, now.reference.tension
         if now.input_error is not None:
             gain, offset = now.input_error
-            response, free = response * gain, free + response @ offset
+            free, response, metric = free + response @ offset, response * gain, metric * gain * gain[:, None]
             static = None if static is None else (static - offset) / gain
         task = aim.jacobian @ response
         missing = wanted - aim.jacobian @ free - h * aim.bias
-        hessian, gradient = self._program(task, missing, response.T @ step.system @ response, static)
+        hessian, gradient = self._program(task, missing, metric, static)
         found = allocate(hessian, gradient, self.least, self.greatest, None if memory is None else memory.multipliers)
         ways, scale, _ = np.linalg.svd(task)
         open_ways = ways[:, : scale.size][:, scale > SINGULAR * scale[0]]  # directions in which tensions move the tip at all
