@@ -25,7 +25,7 @@ from soft_tendon_env.mechanics.motion.scratch import Motion
 from soft_tendon_env.mechanics.motion.stages import evaluate_force
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.motion.tape import Tape, make_tape, tape_border, tape_part
-from soft_tendon_env.mechanics.terms.strain_under_loads import combined_columns
+from soft_tendon_env.mechanics.terms.dynamics import combined_columns
 from soft_tendon_env.mechanics.terms.tendons import tendon_forces
 from soft_tendon_env.mechanics.terms.transmission import ON_PARTS, delivered, makes_tensions, transmit, transmitted
 from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector

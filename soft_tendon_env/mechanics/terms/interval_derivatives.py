@@ -9,27 +9,16 @@ T^T psi = psi - a k x psi + b k x (k x psi).
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lie import (
     ad_apply,
-    coad_apply,
-    cross,
     dot,
     matrix_scaled,
     matrix_sum,
-    minus,
-    plus,
-    rotate_back,
     skew_times,
     third_coefficients,
-    times,
     times_skew,
     twist_scaled,
     twist_sum,
 )
-
-
-@kernel(inline=True)
-def dual_times(s, x):
-    """Product of a dual number (real, dual) and a dual vector."""
-    return times(s[0], x[0]), plus(times(s[0], x[1]), times(s[1], x[0]))
+from soft_tendon_env.mechanics.terms.transposed_kinematics import dual_times, swapped
 
 
 @kernel(inline=True)
@@ -48,28 +37,6 @@ def dual_product(s, t):
 def dual_sum(s, t):
     """Sum of dual numbers."""
     return s[0] + t[0], s[1] + t[1]
-
-
-@kernel(inline=True)
-def swapped(x):
-    """Wrench (moment, force) as the dual vector force + eps moment, and back."""
-    return x[1], x[0]
-
-
-@kernel(inline=True)
-def wrench_at_start(R, r, total):
-    """Wrench at the interval's start, in its frame, Ad_g^T of one in the base frame."""
-    return rotate_back(R, minus(total[0], cross(r, total[1]))), rotate_back(R, total[1])
-
-
-@kernel(inline=True)
-def transposed_dexp(Omega, c, psi):
-    """Transposed tangent operator times a wrench, T^T psi."""
-    kp, w = dot(Omega[0], Omega[1]), swapped(psi)
-    once = ad_apply(Omega, w)
-    twice = ad_apply(Omega, once)
-    t = twist_sum(w, twist_sum(dual_times((-c.a, -c.a1 * kp), once), dual_times((c.b, c.b1 * kp), twice)))
-    return swapped(t)
 
 
 @kernel(inline=True)
@@ -117,12 +84,6 @@ def zanna_times(mu, xi, D):
         matrix_sum(A, matrix_scaled(-mu, skew_times(xi[0], A))),
         matrix_sum(C, matrix_scaled(-mu, matrix_sum(skew_times(xi[0], C), skew_times(xi[1], A)))),
     )
-
-
-@kernel(inline=True)
-def zanna_transposed(mu, xi, t):
-    """Product (1 + mu ad_xi)^T t with a wrench."""
-    return twist_sum(t, twist_scaled(-mu, coad_apply(xi, t)))
 
 
 @kernel(inline=True)

@@ -13,14 +13,12 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, scaled, s
 from soft_tendon_env.mechanics.terms.interval_derivatives import (
     dexp_curvature,
     times_zanna,
-    transposed_dexp,
-    wrench_at_start,
     zanna_times,
-    zanna_transposed,
 )
 from soft_tendon_env.mechanics.terms.kinematics import KAPPA, interval_operators, load_pose
 from soft_tendon_env.mechanics.terms.statics_newton import passive_wrench
 from soft_tendon_env.mechanics.terms.tendons import pull
+from soft_tendon_env.mechanics.terms.transposed_kinematics import transposed_dexp, wrench_at_start, zanna_transposed
 from soft_tendon_env.mechanics.workspace import ROW
 
 

@@ -16,13 +16,13 @@ from nothing, or along a motion; where the Hessian loses its positive pivots the
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load, spread, store
+from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load
 from soft_tendon_env.mechanics.algebra.lie import ad_apply, coad_apply, coefficients, dot, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, scaled, squared_norm, store6, zero6
-from soft_tendon_env.mechanics.terms.dynamics import cross_gram, damping_matrix, point_rows
+from soft_tendon_env.mechanics.terms.dynamics import combined_columns, cross_gram, damping_matrix, point_rows
 from soft_tendon_env.mechanics.terms.hessian_solve import columns_under_loads, factorise_hessian, press, release, solve_hessian
-from soft_tendon_env.mechanics.terms.interval_derivatives import transposed_dexp_jet, wrench_at_start, zanna_transposed
+from soft_tendon_env.mechanics.terms.interval_derivatives import transposed_dexp_jet
 from soft_tendon_env.mechanics.terms.interval_hessian import read_rows, write_rows
 from soft_tendon_env.mechanics.terms.kinematics import KAPPA, load_pose, magnus, zanna
 from soft_tendon_env.mechanics.terms.load_riccati import motion_of_nodes, total_load_rates
@@ -39,6 +39,7 @@ from soft_tendon_env.mechanics.terms.statics_newton import (
     chords_stay,
     strain_tension,
 )
+from soft_tendon_env.mechanics.terms.transposed_kinematics import wrench_at_start, zanna_transposed
 from soft_tendon_env.mechanics.types import Loaded
 
 SHARPER = 1e-3
@@ -135,16 +136,6 @@ def follow_loads(arm, q_from, part_from, q, tolerance, most, work):
                 copy(last_good, work.xi)
                 return max(failed, 0), reached, softest
     return -1, 1.0, softest
-
-
-@kernel
-def combined_columns(Phi, q_dot, xi_dot):
-    """Strain rate xi_dot = Phi q_dot."""
-    for m in range(0, xi_dot.size, LANES):
-        total = spread(0.0)
-        for j in range(q_dot.size):
-            total = total + q_dot[j] * load(Phi, j * xi_dot.size + m)
-        store(xi_dot, m, total)
 
 
 @kernel(inline=True)

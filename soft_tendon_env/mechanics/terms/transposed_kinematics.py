@@ -1,19 +1,70 @@
 """Transposed forward kinematics: stresses that do the work of wrenches at the nodes, in one sweep from tip to base.
 
-A generalised force J^T f is Phi^T of such a stress field: the body Jacobian J of every coordinate is not formed. The stresses are those
-on the two strains of an interval, weights included, see interval_derivatives.
+A generalised force J^T f is Phi^T of such a stress field: the body Jacobian J of every coordinate is not formed.
+
+The displacement of an interval's end in the frame of its start is T Z(delta xi), see kinematics, so that a wrench psi there does the work
+t . Z(delta xi) with t = T^T psi. Over the weight h / 2, Z_1 = 1 - mu ad_xi2 and Z_2 = 1 + mu ad_xi1, mu = sqrt(3) h / 6. As in algebra/lie
+the formulas are those of SO(3) over the dual numbers: a wrench (m, f) is the dual vector f + eps m, and
+T^T psi = psi - a k x psi + b k x (k x psi).
 """
 
 import math
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, prefix_sum, spread
-from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, dot, exp_se3, plus, rotate, rotate_back, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import (
+    ad_apply,
+    coad_apply,
+    coefficients,
+    cross,
+    dot,
+    exp_se3,
+    minus,
+    plus,
+    rotate,
+    rotate_back,
+    times,
+    twist_scaled,
+    twist_sum,
+)
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store6
 from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
-from soft_tendon_env.mechanics.terms.interval_derivatives import transposed_dexp, wrench_at_start, zanna_transposed
 from soft_tendon_env.mechanics.terms.kinematics import KAPPA, load_pose, magnus, start_of, strains_of_part
 from soft_tendon_env.mechanics.terms.tendons import wrench_column
+
+
+@kernel(inline=True)
+def dual_times(s, x):
+    """Product of a dual number (real, dual) and a dual vector."""
+    return times(s[0], x[0]), plus(times(s[0], x[1]), times(s[1], x[0]))
+
+
+@kernel(inline=True)
+def swapped(x):
+    """Wrench (moment, force) as the dual vector force + eps moment, and back."""
+    return x[1], x[0]
+
+
+@kernel(inline=True)
+def wrench_at_start(R, r, total):
+    """Wrench at the interval's start, in its frame, Ad_g^T of one in the base frame."""
+    return rotate_back(R, minus(total[0], cross(r, total[1]))), rotate_back(R, total[1])
+
+
+@kernel(inline=True)
+def transposed_dexp(Omega, c, psi):
+    """Transposed tangent operator times a wrench, T^T psi."""
+    kp, w = dot(Omega[0], Omega[1]), swapped(psi)
+    once = ad_apply(Omega, w)
+    twice = ad_apply(Omega, once)
+    t = twist_sum(w, twist_sum(dual_times((-c.a, -c.a1 * kp), once), dual_times((c.b, c.b1 * kp), twice)))
+    return swapped(t)
+
+
+@kernel(inline=True)
+def zanna_transposed(mu, xi, t):
+    """Product (1 + mu ad_xi)^T t with a wrench."""
+    return twist_sum(t, twist_scaled(-mu, coad_apply(xi, t)))
 
 
 @kernel(inline=True)

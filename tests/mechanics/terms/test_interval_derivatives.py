@@ -8,12 +8,10 @@ from soft_tendon_env.mechanics.algebra.lie import coefficients, dexp_operator
 from soft_tendon_env.mechanics.terms.interval_derivatives import (
     dexp_curvature,
     times_zanna,
-    transposed_dexp,
     transposed_dexp_jet,
-    wrench_at_start,
     zanna_times,
-    zanna_transposed,
 )
+from soft_tendon_env.mechanics.terms.transposed_kinematics import transposed_dexp, wrench_at_start, zanna_transposed
 
 pytestmark = pytest.mark.no_jit
 SIZES = (0.0, 1e-3, 0.3, 1.5, 4.0)  # [rad], on both sides of the series' limit
