@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.compiler.cache_folder import PACKAGE
-from soft_tendon_env.control import CONTROLLERS, Decision
+from soft_tendon_env.control import CONTROLLERS, ControllerOutput
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.envs import IDS, TARGETS, TASKS
 from soft_tendon_env.envs.rewards import OWN_TERMS
@@ -215,7 +215,8 @@ def slowly():
     """
 
     def changed(script: str, seconds: float, together: int = 1, **constants: float) -> str:
-        return f"""
+        return (
+            f"""
 import os, pathlib, time
 from numba.core import event
 from soft_tendon_env.compiler import kernel_folder
@@ -232,7 +233,9 @@ folder = pathlib.Path(__file__).parent
 (folder / f"ready-{{os.getpid()}}").touch()
 while len(list(folder.glob("ready-*"))) < {together}:
     time.sleep(0.01)
-""" + script
+"""
+            + script
+        )
 
     return changed
 
@@ -303,7 +306,7 @@ class Probe:
         self.seen.append((now, memory))
         told = (now.q, now.q_dot, now.tip_pose, now.tension, now.reference.tip_pose, now.reference.tip_position, now.reference.q)
         phase = (memory or 0) + sum(values.sum() for values in told if values is not None)
-        return Decision(self.least + 0.5 * self.span * (1.0 + np.sin(self.weights * phase)), (memory or 0) + 1)
+        return ControllerOutput(self.least + 0.5 * self.span * (1.0 + np.sin(self.weights * phase)), (memory or 0) + 1)
 
 
 @pytest.fixture(scope="session")

@@ -65,11 +65,11 @@ def slowest_mode(model: Model) -> Mode:
 
 
 class Gains(NamedTuple):
-    """Feedback gains for an error e in the task's unit: acceleration = kp e + kd e_dot + ki (integral of e)."""
+    """Feedback gains for an error e: acceleration = kp e + kd e_dot + ki (integral of e)."""
 
     kp: float  # [1/s^2]
     kd: float  # [1/s]
-    ki: float  # [1/s^3]
+    ki: float = 0.0  # [1/s^3]
 
 
 def discrete_gains(settling_time: float, damping: float, period: float, integral_time: float | None = None) -> Gains:
