@@ -109,9 +109,12 @@ PRESETS: dict[str, tuple[str, str, dict[str, float]]] = {
     "robust_predictive": ("predictive", ROBUST, {"settling_time": 0.41, "effort": 1e-3, "smoothness": 1.13}),
     "long_horizon_predictive": ("predictive", LATE, {"settling_time": 0.4, "horizon": 12, "hold": 2, "smoothness": 1.5}),
 }
-"""Tuned controllers: which one, what its description adds, and its numbers. The robust ones were found by a search like that of
-configs/tune_predictive.toml, but for the smoothness, which fell with the default one when linearisations became more accurate. The long
-horizon was tried in water, where six periods end before the arm has moved: horizons of 0.12, 0.24 and 0.48 s have 66, 33 and 22 mm there."""
+"""Tuned controllers: which one, what its description adds, and its numbers.
+
+The robust ones were found by a search like that of configs/tune_predictive.toml, but for the smoothness, which fell with the default one
+when linearisations became more accurate. The long horizon was tried in water, where six periods end before the arm has moved: horizons
+of 0.12, 0.24 and 0.48 s have 66, 33 and 22 mm there.
+"""
 TIP = _tip_controllers(tip_pose_objective)
 POSITION = entry_of("(39) at the control period, within limits, with integral; the position alone", partial(_tracking, _tip_position))
 TIGHT = replace(TIP["tracking"].with_parameters({"tight": 0.1}), description=f"{TIP['tracking'].description}; tendons kept tight")

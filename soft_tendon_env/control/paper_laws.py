@@ -43,14 +43,6 @@ class TipPoseTarget(NamedTuple):
     acceleration: Array  # (6,), the twist's derivative
 
 
-class TipPositionTarget(NamedTuple):
-    """A point in motion, in the base frame."""
-
-    position: Array  # (3,) [m]
-    velocity: Array  # (3,) [m/s]
-    acceleration: Array  # (3,) [m/s^2]
-
-
 def shape_tension(model: Model, q: Array, q_dot: Array, wanted: ShapeTarget, gains: Gains) -> Array:
     """Tensions (n_a,) [N] of (37), or of (38) where the coordinates q (n,) are not just the tensions.
 
@@ -93,7 +85,7 @@ def tip_pose_tension(
     twist_bar, acceleration_bar = seen_from(terms.tip_pose, twist, wanted)
     error = pose_error(terms.tip_pose, wanted.pose)
     acceleration = acceleration_bar + gains.kd * (twist_bar - twist) + gains.kp * error
-    return _accelerating_tension(terms, q_dot, slice(0, 6), acceleration, left_inverse)
+    return accelerating_tension(terms, q_dot, slice(0, 6), acceleration, left_inverse)
 
 
 def seen_from(pose: Array, twist: Array, wanted: TipPoseTarget) -> tuple[Array, Array]:
@@ -106,21 +98,8 @@ def seen_from(pose: Array, twist: Array, wanted: TipPoseTarget) -> tuple[Array, 
     return seen, adjoint_of_twist(seen - twist) @ seen + into @ wanted.acceleration
 
 
-def tip_position_tension(
-    terms: Terms, q_dot: Array, wanted: TipPositionTarget, gains: Gains, left_inverse: LeftInverse = energy_left_inverse
-) -> Array:
-    """Tensions (n_a,) [N] of (39) for the tip's position alone; arguments and errors as those of `tip_pose_tension`, with three directions.
-
-    With full actuation the error e in space then obeys e_ddot + kd e_dot + kp e = 0.
-    """
-    angular, linear = np.split(terms.tip_jacobian @ q_dot, 2)
-    R, r = terms.tip_pose[:3, :3], terms.tip_pose[:3, 3]
-    r_ddot = wanted.acceleration + gains.kd * (wanted.velocity - R @ linear) + gains.kp * (wanted.position - r)
-    return _accelerating_tension(terms, q_dot, slice(3, 6), R.T @ r_ddot - np.cross(angular, linear), left_inverse)
-
-
-def _accelerating_tension(terms: Terms, q_dot: Array, rows: slice, acceleration: Array, left_inverse: LeftInverse) -> Array:
-    """u = B^+ J^T Omega (eta_dot + J M^-1 (C q_dot + D q_dot + K - F) - J_dot q_dot) for these rows of eta_dot, see (39)."""
+def accelerating_tension(terms: Terms, q_dot: Array, rows: slice, acceleration: Array, left_inverse: LeftInverse) -> Array:
+    """Tensions B^+ J^T Omega (eta_dot + J M^-1 (C q_dot + D q_dot + K - F) - J_dot q_dot) (n_a,) for these rows of eta_dot, see (39)."""
     J, M, B = terms.tip_jacobian[rows], terms.mass, terms.actuation
     J_over_M = np.linalg.solve(M, J.T).T
     rank = np.linalg.matrix_rank(J_over_M @ B, rtol=DEPENDENT)

@@ -5,7 +5,7 @@ import pytest
 
 from soft_tendon_env.control import ControllerInput, Reference, tip_tracking
 from soft_tendon_env.control.objectives import TipPose, TipPosition
-from soft_tendon_env.control.paper_laws import Gains, TipPoseTarget, TipPositionTarget, tip_pose_tension, tip_position_tension
+from soft_tendon_env.control.paper_laws import Gains, TipPoseTarget, accelerating_tension, energy_left_inverse, tip_pose_tension
 from soft_tendon_env.control.rigid_motions import adjoint, inverse_pose, moved_pose
 from soft_tendon_env.control.tip_tracking import TipTracking
 
@@ -33,8 +33,11 @@ def pose_law(terms, q_dot, pose, twist):
 
 
 def position_law(terms, q_dot, pose, twist):
-    velocity = pose[:3, :3] @ twist[3:]
-    return tip_position_tension(terms, q_dot, TipPositionTarget(pose[:3, 3], velocity, np.zeros(3)), PAPER_GAINS)
+    """(39) for the position alone, whose error in space obeys e_ddot + kd e_dot + kp e = 0."""
+    angular, linear = np.split(terms.tip_jacobian @ q_dot, 2)
+    R, r = terms.tip_pose[:3, :3], terms.tip_pose[:3, 3]
+    r_ddot = PAPER_GAINS.kd * (pose[:3, :3] @ twist[3:] - R @ linear) + PAPER_GAINS.kp * (pose[:3, 3] - r)
+    return accelerating_tension(terms, q_dot, slice(3, 6), R.T @ r_ddot - np.cross(angular, linear), energy_left_inverse)
 
 
 @pytest.mark.parametrize("seed", range(3))

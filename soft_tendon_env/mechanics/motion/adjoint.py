@@ -2,9 +2,9 @@
 commands.
 
 A tape holds where every part of a period began. Backward, a part has the linear map of period_map, its matrices of one evaluation in the
-middle of the way. The gradient of the forces that these matrices leave out is taken along one direction, see force_gradient. Where stiff tendons
-hang slack or give way, the evaluation is that at the end, as the integrator has it: between the ends no tension is that of the motion.
-There, and where a part is long beside the slowest vibration, it is integrated anew in pieces, each of which is then a part.
+middle of the way. The gradient of the forces that these matrices leave out is taken along one direction, see force_gradient. Where stiff
+tendons hang slack or give way, the evaluation is that at the end, as the integrator has it: between the ends no tension is that of the
+motion. There, and where a part is long beside the slowest vibration, it is integrated anew in pieces, each of which is then a part.
 """
 
 import math
@@ -121,7 +121,9 @@ def adjoint_rows(batch, scheme, tape, members, cotangents, scratch, memory):
         part, status = tape.duration.shape[1] - 1, OK
         rate = memory.rate * own.rod.root_stiffness[0] / batch.arm.rod.root_stiffness[0]
         if has_failed(tape.duration[row]):
-            clear_row(cotangents, row)
+            for values in (cotangents.q[row], cotangents.q_dot[row], cotangents.state[row]):
+                values[:] = 0.0
+            cotangents.command[row, :, :] = 0.0
         else:
             status = read_adjoint(own, batch.places, tape, cotangents, row, scratch.work, memory)
             transmitted(own, tape.command[row, part], scratch.work)
@@ -139,15 +141,6 @@ def has_failed(durations):
         if duration < 0.0:
             return True
     return False
-
-
-@kernel
-def clear_row(cotangents, row):
-    """Zeroes what goes back from a row."""
-    cotangents.q[row, :] = 0.0
-    cotangents.q_dot[row, :] = 0.0
-    cotangents.state[row, :] = 0.0
-    cotangents.command[row, :, :] = 0.0
 
 
 @kernel

@@ -7,8 +7,8 @@ inertial wrenches, alpha = J a + J_dot q_dot (M_s the screw inertia), a change d
 
 since the body Jacobian J is a derivative of poses and the order of two derivatives may be changed. So the gradient is made of generalised
 forces J^T (a frozen wrench) differentiated along w and along the motion: central differences between five configurations. The elastic
-force is conservative, so its stiffness is symmetric: its product with w is a difference along w too. Wrenches of effects may be any function
-of pose and twist of a node: their derivatives are differences by the six components of each, all nodes at once.
+force is conservative, so its stiffness is symmetric: its product with w is a difference along w too. Wrenches of effects may be any
+function of pose and twist of a node: their derivatives are differences by the six components of each, all nodes at once.
 """
 
 import math
@@ -21,18 +21,19 @@ from soft_tendon_env.mechanics.algebra.lie import ad_apply, coad_apply, dot, twi
 from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, scaled, store6
+from soft_tendon_env.mechanics.effects import call
 from soft_tendon_env.mechanics.terms.dynamics import combined_columns, node_rows, project
-from soft_tendon_env.mechanics.terms.external_forces import effect_loads
+from soft_tendon_env.mechanics.terms.external_forces import effect_loads, nodes_of
 from soft_tendon_env.mechanics.terms.kinematics import poses
 from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess
-from soft_tendon_env.mechanics.terms.transmission import transmitted
+from soft_tendon_env.mechanics.terms.transmission import transmitted, values_of
 from soft_tendon_env.mechanics.terms.transposed_kinematics import add_wrench_stress, stress_force
 from soft_tendon_env.mechanics.types import Arm, FloatVector
 from soft_tendon_env.mechanics.workspace import zeros_of
 
 TOLERANCE = 1e-9  # of the strain's Newton, so that second differences are smooth
 ALONG_MOTION = 0.1  # of the period, the time of the differences along the motion
-NODE_SHARE = 1e-6  # of a radian, of the length, and of those a second: differences of what effects do at the nodes
+NODE_SHARE = 1e-7  # of a radian, of the length, and of those a second: differences of what effects do at the nodes
 SMALL_STRAIN = 1e-4  # the largest strain, curvatures times the length, of the differences along w
 
 
@@ -156,14 +157,11 @@ def differ_at_nodes(arm, work, memory):
     for k in range(6):
         way = NODE_SHARE * (1.0 if k < 3 else total(arm.rod.length))
         displace(work.pose, k, way)
-        effect_loads(arm, work)
-        power_change(work.wrench, k, way, memory, memory.displaced)
+        power_change(arm, k, way, work, memory, memory.displaced)
         copy(memory.field, work.pose)
-        for pack in range(arm.rod.packs):
-            at = (6 * pack + k) * LANES
+        for at in range(k * LANES, work.eta.size, 6 * LANES):
             store(work.eta, at, load(work.eta, at) + way)
-        effect_loads(arm, work)
-        power_change(work.wrench, k, -way, memory, memory.kappa)
+        power_change(arm, k, -way, work, memory, memory.kappa)
         copy(memory.wrench, work.eta)
 
 
@@ -184,12 +182,16 @@ def displace(pose, k, way):
 
 
 @kernel
-def power_change(wrench, k, way, memory, out):
-    """Change, over a way, of the power that wrenches at the nodes have along zeta, into the k-th component of out (nodes x 6)."""
-    for at in range(0, wrench.size, 6 * LANES):
+def power_change(arm, k, way, work, memory, out):
+    """Change, over a way, of the power that the effects' wrenches have along zeta, into the k-th component of out (nodes x 6)."""
+    work.wrench[:] = 0.0
+    for i in range(arm.effects.count):
+        if arm.effects.wrench[i] != 0:
+            call(arm.effects.wrench[i], (values_of(arm.effects, i), nodes_of(arm, work, i)))
+    for at in range(0, out.size, 6 * LANES):
         change = spread(0.0)
         for m in range(at, at + 6 * LANES, LANES):
-            change = change + load(memory.zeta, m) * (load(wrench, m) - load(memory.inertial, m))
+            change = change + load(memory.zeta, m) * (load(work.wrench, m) - load(memory.inertial, m))
         store(out, at + k * LANES, (1.0 / way) * change)
 
 
@@ -253,7 +255,7 @@ def differ_along_motion(arm, u, motion, time, work, memory):
 
 @kernel
 def differ_along_w(arm, u, motion, work, memory):
-    """Derivative along w of the elastic force at rest and of the generalised force of the frozen wrenches and stresses, into memory.by_q."""
+    """Derivative along w of the elastic force at rest and of the force of the frozen wrenches and stresses, added to memory.by_q."""
     strained = largest_strain(arm.rod, memory.along)
     if not strained > 0.0:
         return

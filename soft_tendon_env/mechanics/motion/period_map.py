@@ -111,7 +111,7 @@ def transposed_map(balance, period, own, q, v, impulse):
 
 @kernel
 def add_jacobian(balance, h, count, share, forces, own, out):
-    """Adds a share of the Jacobian (2 n, 2 n + k) of `count` steps of length h by (q, v) and by what multiplies the columns of forces (n, k).
+    """Adds a share of the Jacobian (2 n, 2 n + k) of `count` steps of length h by (q, v) and by factors of the columns of forces (n, k).
 
     Its rows of v' go back from unit cotangents. Those of q' are sums of them over the steps, as q' is q + h sum v'.
     """
@@ -151,7 +151,7 @@ class Plan(Struct):
     state: np.ndarray  # (N + 1, states) of the effects
     tip_pose: np.ndarray  # (N + 1, 4, 4)
     tip_jacobian: np.ndarray  # (N + 1, 6, n)
-    tip_bias: np.ndarray  # (N + 1, 6)
+    tip_bias: np.ndarray  # (6) of the last one
     jacobian: np.ndarray  # (N, 2 n, 2 n + k) of (q', v') by (q, v, forces)
     command: np.ndarray  # (N, parts, n_a) that is played
     duration: FloatVector  # (parts) [s] of the parts of a period
@@ -161,20 +161,14 @@ class Plan(Struct):
 
 def make_plan(arm: Arm, periods: int, parts: int, forces: np.ndarray) -> Plan:
     """Zeroed Plan for an arm, with forces (n, k - n_a) besides those of the tendons."""
-    n, n_a, inputs = arm.strain.size, arm.tendons.size, arm.tendons.size + forces.shape[1]
-    arrays = zeros_of(
-        ((periods + 1, n), "q q_dot"),
-        ((periods + 1, arm.effects.state.size), "state"),
-        ((periods + 1, 4, 4), "tip_pose"),
-        ((periods + 1, 6, n), "tip_jacobian"),
-        ((periods + 1, 6), "tip_bias"),
-        ((periods, 2 * n, 2 * n + inputs), "jacobian"),
-        ((periods, parts, n_a), "command"),
-        ((parts,), "duration"),
-        ((n, inputs), "forces"),
-    )
-    arrays["forces"][:, n_a:] = forces
-    return Plan(map=make_period_map(n, n), **arrays)
+    n, n_a, begins = arm.strain.size, arm.tendons.size, periods + 1
+    inputs = n_a + forces.shape[1]
+    motion = (((begins, n), "q q_dot"), ((begins, arm.effects.state.size), "state"))
+    tip = (((begins, 4, 4), "tip_pose"), ((begins, 6, n), "tip_jacobian"), ((6,), "tip_bias"))
+    played = (((periods, parts, n_a), "command"), ((parts,), "duration"), ((n, inputs), "forces"))
+    plan = Plan(map=make_period_map(n, n), **zeros_of(*motion, *tip, *played, ((periods, 2 * n, 2 * n + inputs), "jacobian")))
+    plan.forces[:, n_a:] = forces
+    return plan
 
 
 class Tip(NamedTuple):
@@ -186,20 +180,6 @@ class Tip(NamedTuple):
 
 
 @kernel
-def begin_period(arm, method, command, motion, k, scratch, plan):
-    """Evaluates the motion under a command (n_a) and keeps it as the beginning of the k-th period; a status."""
-    copy(motion.xi, scratch.work.xi)
-    u = delivered(arm.effects, command, False, motion.clock[0], motion.state, scratch.acting, scratch.until)
-    status = evaluate_force(arm, method, u, motion.q, motion.q_dot, motion.state, motion.clock[0], scratch)
-    if status == OK:
-        copy(motion.q, plan.q[k])
-        copy(motion.q_dot, plan.q_dot[k])
-        copy(motion.state, plan.state[k])
-        copy_tip(scratch.work, Tip(plan.tip_pose[k], plan.tip_jacobian[k], plan.tip_bias[k]))
-    return status
-
-
-@kernel
 def linearised_rollout(arm, scheme, motion, steps, scratch, plan):
     """Play plan.command from the motion, in place, and fill the plan with what happens and with the Jacobians by `steps` steps a period.
 
@@ -207,17 +187,25 @@ def linearised_rollout(arm, scheme, motion, steps, scratch, plan):
     """
     method, step, none = scheme.method, scheme.control.step, Record(plan.q[:0], plan.q_dot[:0], plan.tip_pose[:0])
     periods, length = plan.command.shape[0], total(plan.duration)
-    for k in range(periods):
-        status = begin_period(arm, method, plan.command[k, 0], motion, k, scratch, plan)
+    for k in range(periods + 1):
+        command, clock = plan.command[k, 0] if k < periods else plan.command[periods - 1, -1], motion.clock[0]
+        copy(motion.xi, scratch.work.xi)
+        u = delivered(arm.effects, command, False, clock, motion.state, scratch.acting, scratch.until)
+        status = evaluate_force(arm, method, u, motion.q, motion.q_dot, motion.state, clock, scratch)
         if status != OK:
             return status, k
-        matrices_of_motion(arm, method, scratch)
-        actuation_matrix(arm.rod, arm.tendons, arm.strain, scratch.work, plan.forces)
-        plan.jacobian[k] = 0.0
-        add_jacobian(scratch.first, 0.5 * length / steps, 2 * steps, 2.0, plan.forces, plan.map, plan.jacobian[k])
-        add_jacobian(scratch.first, length / steps, steps, -1.0, plan.forces, plan.map, plan.jacobian[k])
-        done = advance(arm, scheme, plan.command[k], plan.duration, motion, step, scratch, none)
-        if done.status != OK:
-            return done.status, k
-        step = done.step
-    return begin_period(arm, method, plan.command[periods - 1, -1], motion, periods, scratch, plan), periods
+        copy(motion.q, plan.q[k])
+        copy(motion.q_dot, plan.q_dot[k])
+        copy(motion.state, plan.state[k])
+        copy_tip(scratch.work, Tip(plan.tip_pose[k], plan.tip_jacobian[k], plan.tip_bias))
+        if k < periods:
+            matrices_of_motion(arm, method, scratch)
+            actuation_matrix(arm.rod, arm.tendons, arm.strain, scratch.work, plan.forces)
+            plan.jacobian[k] = 0.0
+            add_jacobian(scratch.first, 0.5 * length / steps, 2 * steps, 2.0, plan.forces, plan.map, plan.jacobian[k])
+            add_jacobian(scratch.first, length / steps, steps, -1.0, plan.forces, plan.map, plan.jacobian[k])
+            done = advance(arm, scheme, plan.command[k], plan.duration, motion, step, scratch, none)
+            if done.status != OK:
+                return done.status, k
+            step = done.step
+    return OK, periods
