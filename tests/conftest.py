@@ -215,8 +215,7 @@ def slowly():
     """
 
     def changed(script: str, seconds: float, together: int = 1, **constants: float) -> str:
-        return (
-            f"""
+        return f"""
 import os, pathlib, time
 from numba.core import event
 from soft_tendon_env.compiler import kernel_folder
@@ -233,9 +232,7 @@ folder = pathlib.Path(__file__).parent
 (folder / f"ready-{{os.getpid()}}").touch()
 while len(list(folder.glob("ready-*"))) < {together}:
     time.sleep(0.01)
-"""
-            + script
-        )
+""" + script
 
     return changed
 

@@ -56,7 +56,7 @@ class Anchored:
     tracking: TipTracking
 
     def act(self, now: ControllerInput, memory: tuple[int, Any, Any] | None = None) -> ControllerOutput:
-        """ControllerOutput of the tracking law. memory: number of calls, and what statics and tracking remember."""
+        """Output of the tracking law. memory: number of calls, and what statics and tracking remember."""
         remembered: tuple[int, Any, Any] = memory or (0, None, None)
         calls, statics, before = remembered
         if calls % ANCHORED == 0:
