@@ -3,7 +3,7 @@
 import gymnasium as gym
 import numpy as np
 
-from soft_tendon_env.control import Decision, Situation, register_controller
+from soft_tendon_env.control import ControllerInput, ControllerOutput, register_controller
 from soft_tendon_env.policies import make_policy, observation_options
 
 
@@ -15,13 +15,13 @@ class ResolvedRate:
         self.model, self.gain = model, rate * period
         self.least, self.greatest = limits.T
 
-    def act(self, now: Situation, memory=None) -> Decision:
+    def act(self, now: ControllerInput, memory=None) -> ControllerOutput:
         terms = self.model.terms(now.q, now.q_dot)
         error = now.tip_pose[:3, :3].T @ (now.reference.tip_position[0] - now.tip_pose[:3, 3])  # [m], tip frame
         jacobian = terms.tip_jacobian[3:] @ np.linalg.solve(terms.stiffness, terms.actuation)  # [m/N]
         wanted = now.tension + self.gain * np.linalg.pinv(jacobian) @ error
         tension = np.clip(wanted, self.least, self.greatest)
-        return Decision(tension, report={"limited": float(np.mean(tension != wanted)), "singular": 0.0})
+        return ControllerOutput(tension, report={"limited": float(np.mean(tension != wanted)), "singular": 0.0})
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import CONTROLLERS, Decision
+from soft_tendon_env.control import CONTROLLERS, ControllerOutput
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.envs import IDS, TARGETS, TASKS
 from soft_tendon_env.envs.rewards import OWN_TERMS
@@ -246,7 +246,7 @@ class Probe:
         self.seen.append((now, memory))
         told = (now.q, now.q_dot, now.tip_pose, now.tension, now.reference.tip_pose, now.reference.tip_position, now.reference.q)
         phase = (memory or 0) + sum(values.sum() for values in told if values is not None)
-        return Decision(self.least + 0.5 * self.span * (1.0 + np.sin(self.weights * phase)), (memory or 0) + 1)
+        return ControllerOutput(self.least + 0.5 * self.span * (1.0 + np.sin(self.weights * phase)), (memory or 0) + 1)
 
 
 @pytest.fixture(scope="session")

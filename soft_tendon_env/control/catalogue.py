@@ -5,7 +5,7 @@ A controller is made from a model, which is what it believes of the arm, and fro
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -21,16 +21,6 @@ from soft_tendon_env.tools.types import Array
 
 LOOKS_AHEAD = 2
 """Control periods ahead for which laws of feedback need the reference: the velocity at the end of this one."""
-INTEGRAL_TIME = 0.5  # [s] of the tip trackers
-ROBUST = "; tuned on arms that differ from the model, under noise"
-ROBUST_TUNING = DEFAULT._replace(settling_time=0.41, effort=1e-3, smoothness=1.13)
-ROBUST_GAINS = {"settling_time": 0.8, "damping": 1.5, "integral_time": 0.4}
-"""Tuning of the predictive and gains of the tracking controller, as a search like that of configs/tune_predictive.toml found them, but
-for the smoothness, which fell with the default one when linearisations became more accurate."""
-LONG_HORIZON = "; half a second ahead, for arms that answer late"
-LONG_HORIZON_TUNING = DEFAULT._replace(settling_time=0.4, horizon=12, hold=2, smoothness=1.5)
-"""Tried in water, where six periods end before the arm has moved: horizons of 0.12, 0.24 and 0.48 s have 66, 33 and 22 mm there."""
-TIGHT = 0.1  # of the greatest tension: what co-contraction keeps
 
 
 @dataclass(frozen=True)
@@ -38,25 +28,25 @@ class Entry:
     """A controller of the catalogue.
 
     make: from a model, limits (n_a, 2) [N] and the control period [s]. looks_ahead: control periods ahead for which it needs the
-    reference, besides now. parameters: numbers that can be tuned, by name. change: the entry with other parameters, as keyword arguments.
+    reference, besides now. parameters: numbers that can be tuned, by name, which `make` takes as keyword arguments.
     """
 
     description: str
-    make: Callable[[Model, Array, float], Controller]
+    make: Callable[..., Controller]
     looks_ahead: int = LOOKS_AHEAD
     parameters: Mapping[str, float] = field(default_factory=dict)
-    change: Callable[..., "Entry"] | None = None
 
     def with_parameters(self, parameters: Mapping[str, float]) -> "Entry":
         """The controller with some of its `parameters` changed."""
-        return self.change(**parameters) if self.change is not None and parameters else self
+        numbers: dict[str, Any] = {**self.parameters, **parameters}
+        ahead = Tuning(**numbers).looks_ahead if numbers.keys() == DEFAULT._asdict().keys() else self.looks_ahead
+        return replace(self, make=partial(self.make, **parameters), looks_ahead=ahead, parameters=numbers)
 
 
 def entry_of(description: str, make: Callable[..., Controller], looks_ahead: int = LOOKS_AHEAD) -> Entry:
     """An entry whose parameters are the keyword arguments of `make` that are numbers by default."""
     arguments = [*inspect.signature(make).parameters.values()][3:]
-    parameters = {argument.name: argument.default for argument in arguments if type(argument.default) in (int, float)}
-    return Entry(description, make, looks_ahead, parameters, lambda **changed: entry_of(description, partial(make, **changed), looks_ahead))
+    return Entry(description, make, looks_ahead, {own.name: own.default for own in arguments if type(own.default) in (int, float)})
 
 
 def tip_pose_objective(model: Model) -> TipPose:
@@ -68,80 +58,80 @@ def _tip_position(model: Model) -> TipPosition:
     return TipPosition()
 
 
-def _statics(objective: Callable[[Model], Objective]) -> Entry:
-    return Entry(
-        "inverse statics along the target, nothing measured",
-        lambda model, limits, period: StaticFeedforward(model, limits, period, objective(model)),
-    )
+Objectives = Callable[[Model], Objective]
 
 
-def tracking_entry(objective: Callable[[Model], Objective], description: str = "", **changed: float) -> Entry:
-    """Tip tracking with a reference governor. changed: its parameters, see TipTracking, and `tight`, see StaticFeedforward."""
-
-    def make(
-        model: Model,
-        limits: Array,
-        period: float,
-        *,
-        settling_time: float = 0.2,
-        damping: float = 1.0,
-        integral_time: float = INTEGRAL_TIME,
-        tight: float = 0.0,
-    ) -> Controller:
-        aim = objective(model)
-        tracking = TipTracking(model, limits, period, aim, settling_time=settling_time, damping=damping, integral_time=integral_time)
-        return ReferenceGovernor(StaticFeedforward(model, limits, period, aim, tight=tight), tracking)
-
-    numbers: Any = changed
-    return entry_of("(39) at the control period, within limits, with integral" + description, partial(make, **numbers))
+def _feedforward(objective: Objectives, model: Model, limits: Array, period: float) -> Controller:
+    return StaticFeedforward(model, limits, period, objective(model))
 
 
-def predictive_entry(objective: Callable[[Model], Objective], tuning: Tuning = DEFAULT, description: str = "") -> Entry:
-    """Model-predictive control of the tip with a reference governor. Its parameters are those of the tuning."""
-
-    def make(model: Model, limits: Array, period: float, tuning: Tuning) -> Controller:
-        aim = objective(model)
-        return ReferenceGovernor(StaticFeedforward(model, limits, period, aim), Predictive(model, limits, period, aim, tuning))
-
-    return _predictive(make, tuning, description)
-
-
-def _predictive(make: Callable[[Model, Array, float, Tuning], Controller], tuning: Tuning, description: str = "") -> Entry:
-    return Entry(
-        "model-predictive control" + description,
-        lambda model, limits, period: make(model, limits, period, tuning),
-        tuning.looks_ahead,
-        tuning._asdict(),
-        lambda **changed: _predictive(make, tuning._replace(**changed), description),
-    )
+def _tracking(
+    objective: Objectives,
+    model: Model,
+    limits: Array,
+    period: float,
+    *,
+    settling_time: float = 0.2,
+    damping: float = 1.0,
+    integral_time: float = 0.5,
+    tight: float = 0.0,
+) -> Controller:
+    aim = objective(model)
+    tracking = TipTracking(model, limits, period, aim, settling_time=settling_time, damping=damping, integral_time=integral_time)
+    return ReferenceGovernor(StaticFeedforward(model, limits, period, aim, tight=tight), tracking)
 
 
+def _predictive(objective: Objectives, model: Model, limits: Array, period: float, **tuning: Any) -> Controller:
+    aim = objective(model)
+    predictive = Predictive(model, limits, period, aim, Tuning(**tuning))
+    return predictive if isinstance(aim, Shape) else ReferenceGovernor(StaticFeedforward(model, limits, period, aim), predictive)
+
+
+def _tip_controllers(objective: Objectives) -> dict[str, Entry]:
+    """Controllers of the tip with their presets."""
+    tracking = entry_of("(39) at the control period, within limits, with integral", partial(_tracking, objective))
+    predictive = Entry("model-predictive control", partial(_predictive, objective), DEFAULT.looks_ahead, DEFAULT._asdict())
+    found = {
+        "feedforward": Entry("inverse statics along the target, nothing measured", partial(_feedforward, objective)),
+        "tracking": tracking,
+        "predictive": predictive,
+    }
+    for name, (base, description, parameters) in PRESETS.items():
+        preset = found[base].with_parameters(parameters)
+        found[name] = replace(preset, description=preset.description + description)
+    return found
+
+
+ROBUST = "; tuned on arms that differ from the model, under noise"
+LATE = "; half a second ahead, for arms that answer late"
+PRESETS: dict[str, tuple[str, str, dict[str, float]]] = {
+    "robust_tracking": ("tracking", ROBUST, {"settling_time": 0.8, "damping": 1.5, "integral_time": 0.4}),
+    "robust_predictive": ("predictive", ROBUST, {"settling_time": 0.41, "effort": 1e-3, "smoothness": 1.13}),
+    "long_horizon_predictive": ("predictive", LATE, {"settling_time": 0.4, "horizon": 12, "hold": 2, "smoothness": 1.5}),
+}
+"""Tuned controllers: which one, what its description adds, and its numbers.
+
+The robust ones were found by a search like that of configs/tune_predictive.toml, but for the smoothness, which fell with the default one
+when linearisations became more accurate. The long horizon was tried in water, where six periods end before the arm has moved: horizons
+of 0.12, 0.24 and 0.48 s have 66, 33 and 22 mm there.
+"""
+TIP = _tip_controllers(tip_pose_objective)
+POSITION = entry_of("(39) at the control period, within limits, with integral; the position alone", partial(_tracking, _tip_position))
+TIGHT = replace(TIP["tracking"].with_parameters({"tight": 0.1}), description=f"{TIP['tracking'].description}; tendons kept tight")
 CONTROLLERS: dict[str, dict[str, Entry]] = {
     "TipPose": {
         "paper": Entry("(39) as printed, kp = 10,000 and kd = 1,000", PaperTipPose),
-        "feedforward": _statics(tip_pose_objective),
-        "tracking": tracking_entry(tip_pose_objective),
-        "tracking_position": tracking_entry(_tip_position, "; the position alone"),
-        "tracking_co_contraction": tracking_entry(tip_pose_objective, "; tendons kept tight", tight=TIGHT),
-        "predictive": predictive_entry(tip_pose_objective),
-        "robust_tracking": tracking_entry(tip_pose_objective, ROBUST, **ROBUST_GAINS),
-        "robust_predictive": predictive_entry(tip_pose_objective, ROBUST_TUNING, ROBUST),
-        "long_horizon_predictive": predictive_entry(tip_pose_objective, LONG_HORIZON_TUNING, LONG_HORIZON),
+        **TIP,
+        "tracking_position": POSITION,
+        "tracking_co_contraction": TIGHT,
     },
     "Shape": {
         "paper": Entry("(37) or (38) as printed, kp = 1,000 and kd = 100", PaperShape),
         "feedforward": Entry("u = q_a_bar, nothing measured", ShapeFeedforward),
         "tracking": entry_of("(37) or (38) at the control period, within limits", ShapeTracking),
-        "predictive": _predictive(lambda model, limits, period, tuning: Predictive(model, limits, period, Shape(model), tuning), DEFAULT),
+        "predictive": Entry("model-predictive control", partial(_predictive, Shape), DEFAULT.looks_ahead, DEFAULT._asdict()),
     },
-    "Reach": {
-        "feedforward": _statics(_tip_position),
-        "tracking": tracking_entry(_tip_position),
-        "predictive": predictive_entry(_tip_position),
-        "robust_tracking": tracking_entry(_tip_position, ROBUST, **ROBUST_GAINS),
-        "robust_predictive": predictive_entry(_tip_position, ROBUST_TUNING, ROBUST),
-        "long_horizon_predictive": predictive_entry(_tip_position, LONG_HORIZON_TUNING, LONG_HORIZON),
-    },
+    "Reach": _tip_controllers(_tip_position),
 }
 """Controllers by the name of their task, then by their own."""
 

@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.mechanics.algebra.linear import solve_symmetric
+from soft_tendon_env.mechanics.motion.period_map import step_matrix
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.tools.checks import checked_number
@@ -18,23 +20,31 @@ DECADES = 4.0  # time constants until an error has settled to 2 %
 class ImplicitStep(NamedTuple):
     """One linearly implicit Euler step of (23) over a period h: v+ = free + response u, q+ = q + h v+, n coordinates, n_a tendons.
 
-    It is the step of the integrator, stable at any h: S = M + h D + h^2 G, free = v + S^-1 h (F - K - C v - D v - h G v),
-    response = S^-1 h B, where G is with the stiffness of the effects, and D in S with their damping.
+    It is the step of the integrator, stable at any h: A = M + h D + h^2 G, free = v + A^-1 h (F - K - C v - D v - h G v),
+    response = A^-1 h B, where G is with the stiffness of the effects, and D in A with their damping.
     """
 
-    system: Array  # S (n, n)
     free: Array  # (n,)
     response: Array  # (n, n_a)
+    metric: Array  # (n_a, n_a) response^T A response, in which motions by tensions are measured
+
+
+def implicit_inertia(terms: Terms, period: float) -> Array:
+    """A = M + h D + h^2 G (n, n) of the implicit step over a period."""
+    out = np.empty_like(terms.mass)
+    step_matrix(terms.mass, terms.damping + terms.external_damping, terms.stiffness + terms.external_stiffness, period, out)
+    return out
 
 
 def implicit_step(terms: Terms, q_dot: Array, period: float) -> ImplicitStep:
-    """The step from where `terms` were computed. Raises LinAlgError if S is singular."""
-    damping, stiffness = terms.damping + terms.external_damping, terms.stiffness + terms.external_stiffness
-    system = terms.mass + period * (damping + period * stiffness)
+    """The step from where `terms` were computed. Raises LinAlgError if A is singular."""
     force = terms.external_force + terms.external_damping @ q_dot - terms.elastic_force - terms.bias
-    momentum = terms.mass @ q_dot + period * force
-    solved = np.asarray(np.linalg.solve(system, np.column_stack([momentum, period * terms.actuation])), dtype=np.float64)
-    return ImplicitStep(system, solved[:, 0], solved[:, 1:])
+    impulses = np.column_stack([terms.mass @ q_dot + period * force, period * terms.actuation])
+    rates = impulses.copy()
+    solve_symmetric(implicit_inertia(terms, period), rates)
+    if not np.isfinite(rates).all():
+        raise np.linalg.LinAlgError("the matrix of the implicit step is singular")
+    return ImplicitStep(rates[:, 0], rates[:, 1:], impulses[:, 1:].T @ rates[:, 1:])
 
 
 class Mode(NamedTuple):
@@ -55,11 +65,11 @@ def slowest_mode(model: Model) -> Mode:
 
 
 class Gains(NamedTuple):
-    """Feedback gains for an error e in the task's unit: acceleration = kp e + kd e_dot + ki (integral of e)."""
+    """Feedback gains for an error e: acceleration = kp e + kd e_dot + ki (integral of e)."""
 
     kp: float  # [1/s^2]
     kd: float  # [1/s]
-    ki: float  # [1/s^3]
+    ki: float = 0.0  # [1/s^3]
 
 
 def discrete_gains(settling_time: float, damping: float, period: float, integral_time: float | None = None) -> Gains:

@@ -11,7 +11,7 @@ import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.objectives import Objective
-from soft_tendon_env.control.protocol import Controller, Decision, Reference, Situation
+from soft_tendon_env.control.protocol import Controller, ControllerInput, ControllerOutput, ModelController, Reference
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.statics import ChordSolver, static_equilibrium
 from soft_tendon_env.tools.types import Array
@@ -37,7 +37,7 @@ class StaticMemory(NamedTuple):
     multipliers: Array
 
 
-class StaticFeedforward:
+class StaticFeedforward(ModelController):
     """Feedforward by inverse statics. `limits` (n_a, 2) [N]; the reference is that one `period` [s] ahead, when tensions have acted.
 
     tight: what the null space of the task is used for: of the tensions that do equally well those nearest to this share of their
@@ -45,11 +45,11 @@ class StaticFeedforward:
     """
 
     def __init__(self, model: Model, limits: Array, period: float, objective: Objective, *, tight: float = 0.0) -> None:
-        self.model, self.period, self.objective = model, period, objective
-        self.least, self.greatest = limits.T.copy()
+        super().__init__(model, limits, period)
+        self.objective = objective
         self.preferred = np.clip(tight * np.maximum(self.greatest, 0.0), self.least, self.greatest)
 
-    def act(self, now: Situation, memory: StaticMemory | None = None) -> Decision:
+    def act(self, now: ControllerInput, memory: StaticMemory | None = None) -> ControllerOutput:
         """Tensions of the equilibrium nearest to the target; one that cannot be reached is followed as near as the statics come."""
         at, steps = memory, STEPS
         if at is None:
@@ -59,19 +59,16 @@ class StaticFeedforward:
         limited = 0.0
         for _ in range(steps):
             at, limited = self._improved(at, now.reference)
-        return Decision(at.tension, at, {"limited": limited, "singular": 0.0})
+        return ControllerOutput(at.tension, at, {"limited": limited, "singular": 0.0})
 
-    def distance(self, at: StaticMemory, reference: Reference) -> float:
-        """How far the target, when the tensions will have acted, is from the equilibrium, in the objective's metres."""
-        return float(np.linalg.norm(self._error(at, reference)))
-
-    def _error(self, at: StaticMemory, reference: Reference) -> Array:
+    def error(self, at: StaticMemory, reference: Reference) -> Array:
+        """Error (k,) of the equilibrium from the target when the tensions will have acted, in the objective's metres."""
         return self.objective.error(at.q, at.tip_pose, reference, self.period)
 
     def _improved(self, at: StaticMemory, reference: Reference) -> tuple[StaticMemory, float]:
         """One Gauss-Newton step, halved until it leads to an equilibrium that is nearer."""
         model, u, near = self.model, at.tension, ChordSolver(self.model, at.q, at.tension)
-        away = self._error(at, reference)
+        away = self.error(at, reference)
         error = away * min(1.0, STRIDE * model.length / max(float(np.linalg.norm(away)), 1e-12))
         task = self.objective.jacobian(near.terms.tip_jacobian) @ near.answer
         cost = EFFORT**2 * np.trace(task.T @ task)
@@ -84,18 +81,11 @@ class StaticFeedforward:
             trial = u + part * found.x
             if (there := near.at(trial)) is not None:
                 moved = StaticMemory(trial, *there, found.multipliers)
-                left = self._error(moved, reference)
+                left = self.error(moved, reference)
                 if left @ left + cost * np.sum((trial - self.preferred) ** 2) <= present:
                     return moved, found.limited
             part *= 0.5
         return at, found.limited
-
-
-class ReferenceGovernorMemory(NamedTuple):
-    """Memories of the statics and of the controller behind."""
-
-    statics: StaticMemory | None
-    controller: Any
 
 
 @dataclass(frozen=True)
@@ -110,13 +100,13 @@ class ReferenceGovernor:
     statics: StaticFeedforward
     controller: Controller
 
-    def act(self, now: Situation, memory: ReferenceGovernorMemory | None = None) -> Decision:
-        """Tensions of the controller for a target within reach. `report` also has "out_of_reach" [m]."""
-        before = memory or ReferenceGovernorMemory(None, None)
-        at: StaticMemory = self.statics.act(now, before.statics).memory
-        away = self.statics.distance(at, now.reference)
+    def act(self, now: ControllerInput, memory: tuple[StaticMemory, Any] | None = None) -> ControllerOutput:
+        """Tensions of the controller for a target within reach; memory: of statics and controller. `report` also has "out_of_reach" [m]."""
+        of_statics, of_controller = memory or (None, None)
+        at: StaticMemory = self.statics.act(now, of_statics).memory
+        away = float(np.linalg.norm(self.statics.error(at, now.reference)))
         beyond = max(away - MARGIN * self.statics.model.length, 0.0)
         if beyond > 0.0:
             now = now._replace(reference=self.statics.objective.moved_back(now.reference, at.tip_pose, self.statics.period, beyond / away))
-        decision = self.controller.act(now._replace(reference=now.reference._replace(tension=at.tension)), before.controller)
-        return replace(decision, memory=ReferenceGovernorMemory(at, decision.memory), report={**decision.report, "out_of_reach": beyond})
+        decision = self.controller.act(now._replace(reference=now.reference._replace(tension=at.tension)), of_controller)
+        return replace(decision, memory=(at, decision.memory), report={**decision.report, "out_of_reach": beyond})

@@ -36,33 +36,22 @@ class Uncertainty(NamedTuple):
     """Standard deviations of what the model does not know: at the beginning, and of their change in 1 s, unless said otherwise.
 
     Tensions are in units of those of a single tendon that bend the arm by 1 rad.
-
-    Attributes:
-        force: of white generalised forces, held over a period each, as a share of those that bend the arm by 1 rad.
-        tension: of white tensions, held over a period each.
-        timing: of more white tensions, as a share of how far those asked for have moved while they could have arrived, where the latency
-            is uncertain by a period, and in proportion: what is not linear in it.
-        offset, offset_start: of the tensions that are added, which forget with offset_time [s].
-        gain, gain_start: of the tendons' gains, which forget with gain_time [s].
-        tip, tip_start: of the displacement of the tip, as a share of the rod's length; a radian counts as this length.
-        latency, latency_start: [s].
-        state_start: of coordinates at the beginning, in `coordinate_scale`s; of their rates ten times that.
     """
 
-    force: float = 1.5e-3
-    tension: float = 2e-3
-    timing: float = 0.15
-    offset: float = 0.02
+    force: float = 1.5e-3  # white generalised forces, held over a period each, as a share of those that bend the arm by 1 rad
+    tension: float = 2e-3  # white tensions, held over a period each
+    timing: float = 0.15  # more white tensions, as a share of the change of commands that may arrive in a period of uncertain latency
+    offset: float = 0.02  # tensions that are added
     offset_start: float = 0.01
-    offset_time: float = 5.0
-    gain: float = 0.025
+    offset_time: float = 5.0  # [s] in which they are forgotten
+    gain: float = 0.025  # gains of the tendons
     gain_start: float = 0.15
-    gain_time: float = 30.0
-    tip: float = 1.5e-3
+    gain_time: float = 30.0  # [s] in which they are forgotten
+    tip: float = 1.5e-3  # displacement of the tip, as a share of the rod's length; a radian counts as this length
     tip_start: float = 2e-3
-    latency: float = 5e-3
+    latency: float = 5e-3  # [s]
     latency_start: float = 2e-2
-    state_start: float = 1e-2
+    state_start: float = 1e-2  # coordinates, in units of `coordinate_scale`; their rates ten times that
 
 
 USUAL = Uncertainty()

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from soft_tendon_env.control.protocol import Measurement
 from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
-from soft_tendon_env.control.sensor_noise import Deviation, SensorNoise
+from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.checks import checked_array
 from soft_tendon_env.tools.types import Array
@@ -33,18 +33,6 @@ class Sensing(NamedTuple):
     noise: SensorNoise = EXACT
 
 
-class MeasurementNoise(SensorNoise):
-    """Noise on everything that a state estimator can be told, which environments tell without noise for the most part.
-
-    `angular` [rad/s] and `linear` [m/s] of the tip's twist, `coordinate`, in `Model.coordinate_scale`s, and `rate` [1/s] of coordinates.
-    """
-
-    angular: Deviation = 0.0
-    linear: Deviation = 0.0
-    coordinate: Deviation = 0.0
-    rate: Deviation = 0.0
-
-
 class Layout(NamedTuple):
     """Slices of the filter's state, of m = 2 n + 2 n_a + 7 entries."""
 
@@ -56,21 +44,21 @@ class Layout(NamedTuple):
     latency: slice  # (1,) [s]
 
 
-def model_noise(length: float) -> MeasurementNoise:
-    """Noise that stands for what a reduced model of a rod of this length [m] does not know of exact measurements."""
-    return MeasurementNoise(
-        position=1e-4 * length,
-        rotation=1e-3,
-        angular=1e-2,
-        linear=1e-3 * length,
-        length=1e-4 * length,
-        curvature=2e-2 / length,
-        stretch=2e-4,
-        curvature_rate=0.2 / length,
-        stretch_rate=2e-3,
-        coordinate=1e-4,
-        rate=1e-3,
-    )
+def noise_variances(model: Model, noise: SensorNoise, sensors: int) -> dict[str, Array]:
+    """Variances of measurements by their fields in Measurement: those of the sensors, and of what a reduced model does not know."""
+    told: dict[str, Array | float] = {"tip_pose": np.repeat([noise.rotation, noise.position], 3), "tendon_length": noise.length}
+    told |= {"strain": noise.of_strains(sensors), "strain_rate": noise.of_strain_rates(sensors)}
+    length, inside = model.length, np.repeat([1.0 / model.length, 1e-2], 3)
+    own: dict[str, Array | float] = {
+        "tip_pose": np.repeat([1e-3, 1e-4 * length], 3),
+        "tip_twist": np.repeat([1e-2, 1e-3 * length], 3),
+        "tendon_length": 1e-4 * length,
+        "strain": np.tile(2e-2 * inside, sensors),
+        "strain_rate": np.tile(0.2 * inside, sensors),
+        "q": 1e-4,
+        "q_dot": 1e-3,
+    }
+    return {name: np.asarray(told.get(name, 0.0)) ** 2 + np.asarray(value) ** 2 for name, value in own.items()}
 
 
 class MeasurementModel:
@@ -86,20 +74,7 @@ class MeasurementModel:
         rest = np.zeros(n)
         self._scale, self._rest_lengths = model.coordinate_scale(), model.tendon_lengths(rest)
         self._stress_free = model.strain_at(rest, self.sensors)[0]
-        told, own = (self._deviations(noise) for noise in (MeasurementNoise(**dict(sensing.noise)), model_noise(model.length)))
-        self._variance = {name: value**2 + own[name] ** 2 for name, value in told.items()}
-
-    def _deviations(self, noise: MeasurementNoise) -> dict[str, Array]:
-        """Standard deviations of the fields of Measurement, by their names."""
-        return {
-            "tip_pose": np.repeat([noise.rotation, noise.position], 3),
-            "tip_twist": np.repeat([noise.angular, noise.linear], 3),
-            "tendon_length": np.full(self.model.tendon_count, noise.length),
-            "strain": noise.of_strains(self.sensors.size),
-            "strain_rate": noise.of_strain_rates(self.sensors.size),
-            "q": np.full(self._scale.size, noise.coordinate),
-            "q_dot": np.full(self._scale.size, noise.rate),
-        }
+        self._variance = noise_variances(model, sensing.noise, self.sensors.size)
 
     def compared(self, mean: Array, measured: Measurement) -> tuple[Array, Array, Array]:
         """Innovations (k,), the Jacobian (k, m) of what was expected of the state `mean` (m,), and the variances (k,) of the noise."""

@@ -55,81 +55,65 @@ class Objective(Protocol):
 
 
 @dataclass(frozen=True)
-class TipPose:
-    """The SE(3) logarithm from tip to target; a radian is worth `angle_weight` metres."""
+class TipPose(Objective):
+    """The SE(3) logarithm from tip to target; a radian is worth `angle_weight` metres. Targets are moved by body displacements."""
 
     angle_weight: float = 0.1
-
-    def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
-        """Error of the pose, a radian as `angle_weight` metres."""
-        assert reference.tip_pose is not None
-        return self._weight * pose_error(tip_pose, pose_at(reference.ahead, reference.tip_pose, time))
-
-    def jacobian(self, tip_jacobian: Array) -> Array:
-        """Jacobian of the body twist, a radian as `angle_weight` metres."""
-        return self._weight[:, None] * tip_jacobian
-
-    def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
-        """Error of the pose, target velocity, Jacobian and bias, a radian as `angle_weight` metres."""
-        assert reference.tip_pose is not None
-        terms = motion.terms
-        now, then = (pose_at(reference.ahead, reference.tip_pose, t) for t in (time, time + period))
-        twist = adjoint(inverse_pose(terms.tip_pose) @ then) @ pose_error(now, then) / period
-        error, jacobian = self.error(motion.q, terms.tip_pose, reference, time), self.jacobian(terms.tip_jacobian)
-        turning = adjoint_of_twist(terms.tip_jacobian @ motion.q_dot) @ twist  # the frame moves, the target's own twist is not the tip's
-        return Aim(error, self._weight * twist, jacobian, self._weight * (terms.tip_bias + turning))
-
-    def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
-        """The target displaced as the model's tip is from the measured one: by the same body displacement everywhere."""
-        return self._displaced(reference, pose_error(measured_pose, model_pose))
-
-    def moved_back(self, reference: Reference, nearest: Array, time: float, share: float) -> Reference:
-        """The target moved by a share of the way to a pose, by the same body displacement everywhere."""
-        assert reference.tip_pose is not None
-        return self._displaced(reference, share * pose_error(pose_at(reference.ahead, reference.tip_pose, time), nearest))
 
     @cached_property
     def _weight(self) -> Array:
         return np.repeat([self.angle_weight, 1.0], 3)
 
-    def _displaced(self, reference: Reference, twist: Array) -> Reference:
-        assert reference.tip_pose is not None
-        return reference._replace(tip_pose=np.stack([moved_pose(pose, twist) for pose in reference.tip_pose]))
+    def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
+        return self._weight * pose_error(tip_pose, _pose(reference, time))
+
+    def jacobian(self, tip_jacobian: Array) -> Array:
+        return self._weight[:, None] * tip_jacobian
+
+    def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
+        terms, now, then = motion.terms, _pose(reference, time), _pose(reference, time + period)
+        twist = adjoint(inverse_pose(terms.tip_pose) @ then) @ pose_error(now, then) / period
+        error, jacobian = self._weight * pose_error(terms.tip_pose, now), self.jacobian(terms.tip_jacobian)
+        turning = adjoint_of_twist(terms.tip_jacobian @ motion.q_dot) @ twist  # the frame moves, the target's own twist is not the tip's
+        return Aim(error, self._weight * twist, jacobian, self._weight * (terms.tip_bias + turning))
+
+    def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
+        return _displaced(reference, pose_error(measured_pose, model_pose))
+
+    def moved_back(self, reference: Reference, nearest: Array, time: float, share: float) -> Reference:
+        return _displaced(reference, share * pose_error(_pose(reference, time), nearest))
 
 
 @dataclass(frozen=True)
-class TipPosition:
-    """The way from tip to target in the tip frame; the tip may point anywhere."""
+class TipPosition(Objective):
+    """The way from tip to target in the tip frame; the tip may point anywhere. Targets are moved in the world frame."""
 
     def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
-        """Error of the position in the tip frame."""
         return np.asarray(tip_pose[:3, :3].T @ (value_at(reference.ahead, _positions(reference), time) - tip_pose[:3, 3]))
 
     def jacobian(self, tip_jacobian: Array) -> Array:
-        """Jacobian of the tip's velocity in its frame."""
         return tip_jacobian[3:]
 
     def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
-        """Error of the position, target velocity, Jacobian and bias, in the tip frame."""
         now, then = (value_at(reference.ahead, _positions(reference), t) for t in (time, time + period))
         terms, back = motion.terms, motion.terms.tip_pose[:3, :3].T
         angular, linear = np.split(terms.tip_jacobian @ motion.q_dot, 2)
         bias = terms.tip_bias[3:] + np.cross(angular, linear)  # the frame turns, the target's axes do not
-        error, jacobian = self.error(motion.q, terms.tip_pose, reference, time), self.jacobian(terms.tip_jacobian)
-        return Aim(error, back @ (then - now) / period, jacobian, bias)
+        return Aim(back @ (now - terms.tip_pose[:3, 3]), back @ (then - now) / period, self.jacobian(terms.tip_jacobian), bias)
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
-        """The target moved as far as the model's tip is from the measured one."""
         return reference._replace(tip_position=_positions(reference) + model_pose[:3, 3] - measured_pose[:3, 3])
 
     def moved_back(self, reference: Reference, nearest: Array, time: float, share: float) -> Reference:
-        """The target moved by a share of the way to a pose."""
         positions = _positions(reference)
         return reference._replace(tip_position=positions + share * (nearest[:3, 3] - value_at(reference.ahead, positions, time)))
 
 
-class Shape:
-    """Coordinates, in the norm of the energy that holds them apart; bending the rod by an angle of 1 counts as half its length."""
+class Shape(Objective):
+    """Coordinates, in the norm of the energy that holds them apart; bending the rod by an angle of 1 counts as half its length.
+
+    Targets stay where they are: shapes are made of tensions, and within reach.
+    """
 
     def __init__(self, model: Model) -> None:
         n = model.coordinate_count
@@ -137,28 +121,31 @@ class Shape:
         self._root = np.asarray(0.5 * model.length * np.linalg.cholesky(stiffness / model.bending_energy).T, dtype=np.float64)
 
     def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
-        """Error of the coordinates, in metres."""
         assert reference.q is not None
         return np.asarray(self._root @ (value_at(reference.ahead, reference.q, time) - q))
 
     def jacobian(self, tip_jacobian: Array) -> Array:
-        """Root of the metric: coordinates are the task."""
         return self._root
 
     def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
-        """Error of the coordinates, target velocity and Jacobian, in metres."""
-        assert reference.q is not None
-        now, then = (value_at(reference.ahead, reference.q, t) for t in (time, time + period))
-        error = self.error(motion.q, motion.terms.tip_pose, reference, time)
-        return Aim(error, self._root @ (then - now) / period, self._root, np.zeros(now.size))
+        error, then = (self.error(motion.q, motion.terms.tip_pose, reference, t) for t in (time, time + period))
+        return Aim(error, (then - error) / period, self._root, np.zeros(error.size))
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
-        """The target itself: coordinates are what they are."""
         return reference
 
     def moved_back(self, reference: Reference, nearest: Array, time: float, share: float) -> Reference:
-        """The target itself: shapes are made of tensions, and within reach."""
         return reference
+
+
+def _pose(reference: Reference, time: float) -> Array:
+    assert reference.tip_pose is not None
+    return pose_at(reference.ahead, reference.tip_pose, time)
+
+
+def _displaced(reference: Reference, twist: Array) -> Reference:
+    assert reference.tip_pose is not None
+    return reference._replace(tip_pose=np.stack([moved_pose(pose, twist) for pose in reference.tip_pose]))
 
 
 def _positions(reference: Reference) -> Array:

@@ -1,10 +1,9 @@
 """The control laws (37) to (39) of the paper's Section IV, as pure functions and as controllers at a control period.
 
-The functions have no memory, no limits of the tensions, and are continuous in time. With the paper's gains their closed loops are too
-fast for tensions that are held over control periods: they are for integrators of stiff differential equations, and for comparison.
-The controllers hold them over a control period and cut them off at the tension limits: at the 20 ms of the environments they are
-unstable, which comparisons show. Make them with a period of a millisecond or less, or use `TipTracking` and `ShapeTracking`, their
-sampled forms. n coordinates, n_a tendons; g and eta are pose and body twist of the tip.
+The functions are continuous in time, without limits of the tensions: with the paper's gains they are for integrators of stiff differential
+equations. The controllers hold them over a control period within the tension limits. At the 20 ms of the environments they are unstable,
+which comparisons show: make them with a period of a millisecond or less, or use `TipTracking` and `ShapeTracking`, their sampled forms.
+n coordinates, n_a tendons; g and eta are pose and body twist of the tip.
 """
 
 from collections.abc import Callable
@@ -12,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.control.protocol import FAILURES, Decision, Situation
+from soft_tendon_env.control.dynamics import Gains
+from soft_tendon_env.control.protocol import FAILURES, ControllerInput, ControllerOutput, ModelController
 from soft_tendon_env.control.rigid_motions import adjoint, adjoint_of_twist, inverse_pose, pose_at, pose_error, value_at
 from soft_tendon_env.control.shape_tracking import tensions_of
 from soft_tendon_env.model.model import Model
@@ -24,15 +24,8 @@ DEPENDENT = 1e-9
 """Relative singular value up to which directions count as dependent, as the pulls of redundant tendons are."""
 
 
-class Gains(NamedTuple):
-    """kp and kd, both 0 for the feedforward alone. Units: of (39) 1/s^2 and 1/s, of (37) 1 and s, of (38) those over B's."""
-
-    proportional: float
-    derivative: float
-
-
-TIP_GAINS = Gains(1e4, 1e3)
-SHAPE_GAINS = Gains(1e3, 1e2)
+TIP_GAINS = Gains(1e4, 1e3)  # of (39), [1/s^2] and [1/s]
+SHAPE_GAINS = Gains(1e3, 1e2)  # of (37), [1] and [s]; of (38) those over B's units
 
 
 class ShapeTarget(NamedTuple):
@@ -50,14 +43,6 @@ class TipPoseTarget(NamedTuple):
     acceleration: Array  # (6,), the twist's derivative
 
 
-class TipPositionTarget(NamedTuple):
-    """A point in motion, in the base frame."""
-
-    position: Array  # (3,) [m]
-    velocity: Array  # (3,) [m/s]
-    acceleration: Array  # (3,) [m/s^2]
-
-
 def shape_tension(model: Model, q: Array, q_dot: Array, wanted: ShapeTarget, gains: Gains) -> Array:
     """Tensions (n_a,) [N] of (37), or of (38) where the coordinates q (n,) are not just the tensions.
 
@@ -66,7 +51,7 @@ def shape_tension(model: Model, q: Array, q_dot: Array, wanted: ShapeTarget, gai
     """
     error = model.rest_coordinates(wanted.tension) - checked_array("q", q, (model.coordinate_count,))
     error_dot = model.rest_coordinates(wanted.tension_rate) - checked_array("q_dot", q_dot, (model.coordinate_count,))
-    push = gains.derivative * error_dot + gains.proportional * error
+    push = gains.kd * error_dot + gains.kp * error
     return np.asarray(wanted.tension + (push if model.arm.strain.is_tensions else model.terms(q, q_dot).actuation.T @ push))
 
 
@@ -99,8 +84,8 @@ def tip_pose_tension(
     twist = terms.tip_jacobian @ q_dot
     twist_bar, acceleration_bar = seen_from(terms.tip_pose, twist, wanted)
     error = pose_error(terms.tip_pose, wanted.pose)
-    acceleration = acceleration_bar + gains.derivative * (twist_bar - twist) + gains.proportional * error
-    return _accelerating_tension(terms, q_dot, slice(0, 6), acceleration, left_inverse)
+    acceleration = acceleration_bar + gains.kd * (twist_bar - twist) + gains.kp * error
+    return accelerating_tension(terms, q_dot, slice(0, 6), acceleration, left_inverse)
 
 
 def seen_from(pose: Array, twist: Array, wanted: TipPoseTarget) -> tuple[Array, Array]:
@@ -113,21 +98,8 @@ def seen_from(pose: Array, twist: Array, wanted: TipPoseTarget) -> tuple[Array, 
     return seen, adjoint_of_twist(seen - twist) @ seen + into @ wanted.acceleration
 
 
-def tip_position_tension(
-    terms: Terms, q_dot: Array, wanted: TipPositionTarget, gains: Gains, left_inverse: LeftInverse = energy_left_inverse
-) -> Array:
-    """Tensions (n_a,) [N] of (39) for the tip's position alone; arguments and errors as those of `tip_pose_tension`, with three directions.
-
-    With full actuation the error e in space then obeys e_ddot + kd e_dot + kp e = 0.
-    """
-    angular, linear = np.split(terms.tip_jacobian @ q_dot, 2)
-    R, r = terms.tip_pose[:3, :3], terms.tip_pose[:3, 3]
-    r_ddot = wanted.acceleration + gains.derivative * (wanted.velocity - R @ linear) + gains.proportional * (wanted.position - r)
-    return _accelerating_tension(terms, q_dot, slice(3, 6), R.T @ r_ddot - np.cross(angular, linear), left_inverse)
-
-
-def _accelerating_tension(terms: Terms, q_dot: Array, rows: slice, acceleration: Array, left_inverse: LeftInverse) -> Array:
-    """u = B^+ J^T Omega (eta_dot + J M^-1 (C q_dot + D q_dot + K - F) - J_dot q_dot) for these rows of eta_dot, see (39)."""
+def accelerating_tension(terms: Terms, q_dot: Array, rows: slice, acceleration: Array, left_inverse: LeftInverse) -> Array:
+    """Tensions B^+ J^T Omega (eta_dot + J M^-1 (C q_dot + D q_dot + K - F) - J_dot q_dot) (n_a,) for these rows of eta_dot, see (39)."""
     J, M, B = terms.tip_jacobian[rows], terms.mass, terms.actuation
     J_over_M = np.linalg.solve(M, J.T).T
     rank = np.linalg.matrix_rank(J_over_M @ B, rtol=DEPENDENT)
@@ -138,14 +110,10 @@ def _accelerating_tension(terms: Terms, q_dot: Array, rows: slice, acceleration:
     return np.asarray(left_inverse(terms) @ force)
 
 
-class PaperTipPose:
-    """(39) for the tip's pose, limits (n_a, 2) [N]; the target's twist and its derivative from its poses within two periods [s]."""
+class PaperTipPose(ModelController):
+    """(39) for the tip's pose; the target's twist and its derivative from its poses within two periods."""
 
-    def __init__(self, model: Model, limits: Array, period: float) -> None:
-        self.model, self.period = model, period
-        self.least, self.greatest = limits.T.copy()
-
-    def act(self, now: Situation, memory: None = None) -> Decision:
+    def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
         """Tensions of (39); where it has no solution the last ones are held."""
         assert now.reference.tip_pose is not None
         poses = [pose_at(now.reference.ahead, now.reference.tip_pose, k * self.period) for k in range(3)]
@@ -154,31 +122,24 @@ class PaperTipPose:
         wanted = TipPoseTarget(poses[0], first - 0.5 * self.period * acceleration, acceleration)
         try:
             terms = self.model.terms(now.q, now.q_dot, time=now.time)._replace(tip_pose=now.tip_pose)
-            tension = tip_pose_tension(terms, now.q_dot, wanted, TIP_GAINS)
+            return self.within_limits(tip_pose_tension(terms, now.q_dot, wanted, TIP_GAINS))
         except (*FAILURES, ValueError):
-            return _within(now.tension, self.least, self.greatest, 1.0)
-        return _within(tension, self.least, self.greatest, 0.0)
+            return self.hold(now)
 
 
-class PaperShape:
-    """(37) or (38), limits (n_a, 2) [N]. Raises ValueError for models whose coordinates are not tensions."""
+class PaperShape(ModelController):
+    """(37) or (38). Raises ValueError as `tensions_of`."""
 
     def __init__(self, model: Model, limits: Array, period: float) -> None:
-        self.model, self.period = model, period
+        super().__init__(model, limits, period)
         self._tensions = tensions_of(model)
-        self.least, self.greatest = limits.T.copy()
 
-    def act(self, now: Situation, memory: None = None) -> Decision:
+    def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
         """Tensions of (37) or (38); where the model has no strain the last ones are held."""
         assert now.reference.q is not None
         here, then = (self._tensions @ value_at(now.reference.ahead, now.reference.q, time) for time in (0.0, self.period))
+        wanted = ShapeTarget(here, (then - here) / self.period)
         try:
-            tension = shape_tension(self.model, now.q, now.q_dot, ShapeTarget(here, (then - here) / self.period), SHAPE_GAINS)
+            return self.within_limits(shape_tension(self.model, now.q, now.q_dot, wanted, SHAPE_GAINS))
         except (*FAILURES, ValueError):
-            return _within(now.tension, self.least, self.greatest, 1.0)
-        return _within(tension, self.least, self.greatest, 0.0)
-
-
-def _within(tension: Array, least: Array, greatest: Array, singular: float) -> Decision:
-    held = np.clip(tension, least, greatest)
-    return Decision(held, None, {"limited": float(np.mean(held != tension)), "singular": singular})
+            return self.hold(now)

@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
-from soft_tendon_env.control.dynamics import DECADES, implicit_step
+from soft_tendon_env.control.dynamics import DECADES, implicit_inertia
 from soft_tendon_env.control.objectives import Objective
-from soft_tendon_env.control.protocol import FAILURES, Decision, InputError, Situation
+from soft_tendon_env.control.protocol import FAILURES, ControllerInput, ControllerOutput, InputError, ModelController
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.rollout import Rollout
 from soft_tendon_env.model.simulation import Simulation
@@ -26,39 +26,25 @@ from soft_tendon_env.tools.types import Array
 
 
 class Plan(NamedTuple):
-    """A plan, kept from period to period.
+    """A plan, kept from period to period."""
 
-    tension (N, n_a) [N] from the period that has passed on, the multipliers of their program, the disturbance (n_a,) [N], the response
-    (n, n_a) of the rates now to tensions over that period, and the rates (n,) and internal states (m,) of the effects predicted for now,
-    if they could be.
-    """
-
-    tension: Array
-    multipliers: Array
-    disturbance: Array
-    response: Array
-    rates: Array | None
-    effects: Array | None
+    tension: Array  # (N, n_a) [N] from the period that has passed on
+    multipliers: Array  # of their program
+    disturbance: Array  # (n_a,) [N]
+    response: Array  # (n, n_a) of the rates now to tensions over the period that has passed
+    rates: Array | None  # (n,) predicted for now, if they could be
+    effects: Array | None  # (m,) internal states of the effects likewise
 
 
 class Tuning(NamedTuple):
-    """Weights and horizon of a model-predictive controller.
+    """Weights and horizon of a model-predictive controller; efforts and errors are measured by what they do to the task."""
 
-    Attributes:
-        settling_time: [s], within which errors that are there now are planned to fall to 2 %.
-        horizon: intervals to plan.
-        hold: control periods that an interval lasts, in which tensions stay as they are (move blocking).
-        effort: weight of tensions against that of errors, where both are measured by what they do to the task.
-        smoothness: the same of changes from period to period.
-        observer: share of the unexplained motion that is taken for a disturbance every period, 0 to 1.
-    """
-
-    settling_time: float = 0.3
-    horizon: int = 6
-    hold: int = 1
-    effort: float = 3e-3
-    smoothness: float = 0.42
-    observer: float = 0.25
+    settling_time: float = 0.3  # [s] within which errors that are there now are planned to fall to 2 %
+    horizon: int = 6  # intervals to plan
+    hold: int = 1  # control periods that an interval lasts, in which tensions stay as they are (move blocking)
+    effort: float = 3e-3  # weight of tensions against that of errors
+    smoothness: float = 0.42  # the same of their changes from period to period
+    observer: float = 0.25  # share of the unexplained motion that is taken for a disturbance every period, 0 to 1
 
     @property
     def looks_ahead(self) -> int:
@@ -69,20 +55,12 @@ class Tuning(NamedTuple):
 DEFAULT = Tuning()
 
 
-class Predictive:
-    """Model-predictive controller by real-time iterations, for an arm of n_a tendons.
-
-    Args:
-        model: what the controller believes.
-        limits: (n_a, 2) least and greatest tension [N].
-        period: [s] of control.
-        objective: the error to drive to zero.
-        tuning: weights and horizon.
-    """
+class Predictive(ModelController):
+    """Model-predictive controller by real-time iterations: `objective` is the error to drive to zero, `tuning` has weights and horizon."""
 
     def __init__(self, model: Model, limits: Array, period: float, objective: Objective, tuning: Tuning = DEFAULT) -> None:
-        self.model, self.period, self.objective, self.horizon = model, period, objective, tuning.horizon
-        self.least, self.greatest = limits.T.copy()
+        super().__init__(model, limits, period)
+        self.objective, self.horizon = objective, tuning.horizon
         self._hold, self._interval = tuning.hold, tuning.hold * period
         self.observer, self._decay = tuning.observer, np.exp(-DECADES * self._interval / tuning.settling_time)
         size = self.least.size
@@ -90,10 +68,10 @@ class Predictive:
         self._effort, self._smoothness = tuning.effort**2, tuning.smoothness**2 * self._change.T
         self._penalty = self._effort * np.eye(self.horizon * size) + self._smoothness @ self._change
         rest = np.zeros(model.coordinate_count)
-        self._inertia = implicit_step(model.terms(rest, rest), rest, period).system
+        self._inertia = implicit_inertia(model.terms(rest, rest), period)
         self._simulation = Simulation(model)
 
-    def act(self, now: Situation, memory: Plan | None = None) -> Decision:
+    def act(self, now: ControllerInput, memory: Plan | None = None) -> ControllerOutput:
         """First tensions of the improved plan. Where the model cannot follow its plan, the last ones are held and the plan begins anew."""
         size, N = self.least.size, self.horizon
         last = np.clip(now.tension, self.least, self.greatest)
@@ -104,7 +82,7 @@ class Predictive:
             with erring_actuators():
                 rollout = self._simulation.rollout(error.gain * plan + error.offset, self._interval)
         except FAILURES:
-            return Decision(last, None, {"limited": 1.0, "singular": 1.0})
+            return self.hold(now)
         hessian, gradient = self._program(rollout, error.gain, now)
         offset = plan.ravel()
         change = self._change @ offset
@@ -118,9 +96,9 @@ class Predictive:
         report = {"limited": found.limited, "singular": float(not found.solved), "disturbance": float(np.abs(error.offset).max())}
         rates, effects = self._predicted(error.gain * better[0] + error.offset)
         response = rollout.by_tension[0, now.q.size :] / self._hold
-        return Decision(better[0], Plan(better, found.multipliers, error.offset, response, rates, effects), report)
+        return ControllerOutput(better[0], Plan(better, found.multipliers, error.offset, response, rates, effects), report)
 
-    def _observed(self, memory: Plan, now: Situation) -> Array:
+    def _observed(self, memory: Plan, now: ControllerInput) -> Array:
         """The disturbance, moved by the share of the last period's unexplained change of momentum that tensions explain."""
         if memory.rates is None:
             return memory.disturbance
@@ -138,7 +116,7 @@ class Predictive:
         state = self._simulation.state
         return state.q_dot, state.effects
 
-    def _program(self, rollout: Rollout, gain: Array, now: Situation) -> tuple[Array, Array]:
+    def _program(self, rollout: Rollout, gain: Array, now: ControllerInput) -> tuple[Array, Array]:
         """Hessian and gradient of the squared errors by changes of the plan (N * n_a,)."""
         n, size, N, aim = now.q.size, gain.size, self.horizon, self.objective
         reference = aim.seen_from(rollout.tip_pose[0], now.reference, now.tip_pose)

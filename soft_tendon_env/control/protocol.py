@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.tools.types import Array
@@ -36,7 +37,7 @@ class InputError(NamedTuple):
     offset: Array  # (n_a,) [N]
 
 
-class Situation(NamedTuple):
+class ControllerInput(NamedTuple):
     """Measured or estimated state of one arm and its reference at the beginning of a control period, n coordinates, n_a tendons."""
 
     q: Array  # (n,)
@@ -49,7 +50,7 @@ class Situation(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Decision:
+class ControllerOutput:
     """Tensions (n_a,) [N] to hold over the control period, the memory to give back next time, and numbers to look at.
 
     `report` has at least "limited", the share of tendons held by their limits, and "singular", 1.0 where the task could not be
@@ -64,8 +65,25 @@ class Decision:
 class Controller(Protocol):
     """A feedback or feedforward law: tensions from the measured state and the reference."""
 
-    def act(self, now: Situation, memory: Any = None) -> Decision:
-        """The tensions of this period. `memory` is the last decision's, None when an episode begins. Raises nothing for finite arrays."""
+    def act(self, now: ControllerInput, memory: Any = None) -> ControllerOutput:
+        """The tensions of this period. `memory` is the last output's, None when an episode begins. Raises nothing for finite arrays."""
+
+
+class ModelController:
+    """What the controllers of this package have in common: a model, limits (n_a, 2) [N] of tensions, and the control period [s]."""
+
+    def __init__(self, model: Model, limits: Array, period: float) -> None:
+        self.model, self.period = model, period
+        self.least, self.greatest = limits.T.copy()
+
+    def hold(self, now: ControllerInput, memory: Any = None) -> ControllerOutput:
+        """The last tensions: where the model has no motion, or the task no solution."""
+        return ControllerOutput(np.clip(now.tension, self.least, self.greatest), memory, {"limited": 1.0, "singular": 1.0})
+
+    def within_limits(self, tension: Array) -> ControllerOutput:
+        """Tensions (n_a,) [N] cut off at their limits."""
+        held = np.clip(tension, self.least, self.greatest)
+        return ControllerOutput(held, None, {"limited": float(np.mean(held != tension)), "singular": 0.0})
 
 
 class Measurement(NamedTuple):

@@ -12,19 +12,15 @@ Deviation = Annotated[float, Field(ge=0, le=1e6)]
 
 
 class SensorNoise(Configuration):
-    """Standard deviations of Gaussian noise on what is observed; rewards and errors are the true ones.
+    """Standard deviations of Gaussian noise on what is observed; rewards and errors are the true ones."""
 
-    `position` [m] and `rotation` [rad] of the tip, `length` of tendons [m], `curvature` (torsion and bending) [1/m] and `stretch`
-    (stretch and shear) [-] of strain sensors, `curvature_rate` [1/(m s)] and `stretch_rate` [1/s] of their rates.
-    """
-
-    position: Deviation = 0.0
-    rotation: Deviation = 0.0
-    length: Deviation = 0.0
-    curvature: Deviation = 0.0
-    stretch: Deviation = 0.0
-    curvature_rate: Deviation = 0.0
-    stretch_rate: Deviation = 0.0
+    position: Deviation = 0.0  # [m] of the tip
+    rotation: Deviation = 0.0  # [rad] of the tip
+    length: Deviation = 0.0  # [m] of tendons
+    curvature: Deviation = 0.0  # [1/m] torsion and bending at strain sensors
+    stretch: Deviation = 0.0  # [-] stretch and shear there
+    curvature_rate: Deviation = 0.0  # [1/(m s)]
+    stretch_rate: Deviation = 0.0  # [1/s]
 
     def of_strains(self, sensors: int) -> Array:
         """Deviations (6 sensors,) of the strains at so many sensors."""

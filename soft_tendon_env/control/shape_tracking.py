@@ -9,7 +9,7 @@ import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.dynamics import implicit_step, natural_frequency, slowest_mode
-from soft_tendon_env.control.protocol import FAILURES, Decision, Situation
+from soft_tendon_env.control.protocol import FAILURES, ControllerInput, ControllerOutput, ModelController
 from soft_tendon_env.control.rigid_motions import value_at
 from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.model.model import Model
@@ -19,66 +19,49 @@ LOOSE = 1e-6
 """Weight of the tensions themselves against that of the motion they make, which decides where tendons are redundant."""
 
 
-class ShapeFeedforward:
-    """u = q_a_bar, the tensions that hold the shape wanted at the end of the period, within limits (n_a, 2) [N].
-
-    Raises ValueError for models whose coordinates are not tensions.
-    """
+class ShapeFeedforward(ModelController):
+    """u = q_a_bar, the tensions that hold the shape wanted at the end of the period, within limits. Raises ValueError as `tensions_of`."""
 
     def __init__(self, model: Model, limits: Array, period: float) -> None:
+        super().__init__(model, limits, period)
         self._tensions = tensions_of(model)
-        self.period = period
-        self.least, self.greatest = limits.T.copy()
 
-    def act(self, now: Situation, memory: None = None) -> Decision:
+    def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
         """Tensions that hold the shape wanted, within limits."""
         assert now.reference.q is not None
-        wanted = self._tensions @ value_at(now.reference.ahead, now.reference.q, self.period)
-        tension = np.clip(wanted, self.least, self.greatest)
-        return Decision(tension, None, {"limited": float(np.mean(tension != wanted)), "singular": 0.0})
+        return self.within_limits(self._tensions @ value_at(now.reference.ahead, now.reference.q, self.period))
 
 
-class ShapeTracking:
-    """Shape tracking by implicit feedback and tension allocation, for an arm of n_a tendons.
+class ShapeTracking(ModelController):
+    """Shape tracking by implicit feedback and tension allocation. Raises ValueError as `tensions_of` and `natural_frequency`.
 
-    Args:
-        model: what the controller believes.
-        limits: (n_a, 2) least and greatest tension [N].
-        period: [s] of control.
-        settling_time, damping: of the arm's slowest mode: [s] to 2 %, and the ratio. Faster modes settle at the rate
-            (1 + kp) / kd at least. With 0.4 and 10 the gains are about the paper's, kp = 1,000 and kd = 100.
-
-    Raises ValueError for models whose coordinates are not tensions.
+    settling_time, damping: of the arm's slowest mode: [s] to 2 %, and the ratio. Faster modes settle at the rate (1 + kp) / kd at least.
+    With 0.4 and 10 the gains are about the paper's, kp = 1,000 and kd = 100.
     """
 
     def __init__(self, model: Model, limits: Array, period: float, *, settling_time: float = 0.4, damping: float = 10.0) -> None:
-        self.model, self.period = model, period
+        super().__init__(model, limits, period)
         self._tensions = tensions_of(model)
-        self.least, self.greatest = limits.T.copy()
         self.kp, self.kd = shape_gains(model, settling_time, damping)
 
-    def act(self, now: Situation, memory: Array | None = None) -> Decision:
-        """Tensions of the implicit law. Where the model has no strain at the measured coordinates, the last ones are held.
-
-        memory: multipliers (n_a,) of the last allocation.
-        """
+    def act(self, now: ControllerInput, memory: Array | None = None) -> ControllerOutput:
+        """Tensions of the implicit law; memory: multipliers (n_a,) of the last allocation."""
         assert now.reference.q is not None
         h, kp, kd = self.period, self.kp, self.kd
         try:
             terms = self.model.terms(now.q, now.q_dot, time=now.time)
             step = implicit_step(terms, now.q_dot, h)
         except FAILURES:
-            return Decision(np.clip(now.tension, self.least, self.greatest), memory, {"limited": 1.0, "singular": 1.0})
+            return self.hold(now, memory)
         q, then = (value_at(now.reference.ahead, now.reference.q, time) for time in (0.0, h))
         project = np.linalg.pinv(self._tensions @ terms.stiffness @ self._tensions.T) @ self._tensions @ terms.stiffness
         goal = self._tensions @ then + project @ (kd * (then - q) / h + kp * (then - now.q))
         grip = (kd + h * kp) * project
         rates = np.linalg.solve(np.eye(now.q.size) + step.response @ grip, step.free + step.response @ goal)
         wanted = goal - grip @ rates
-        motion = step.response.T @ step.system @ step.response
-        motion += LOOSE * np.trace(motion) / wanted.size * np.eye(wanted.size)
+        motion = step.metric + LOOSE * np.trace(step.metric) / wanted.size * np.eye(wanted.size)
         found = allocate(motion, -motion @ wanted, self.least, self.greatest, memory)
-        return Decision(found.x, found.multipliers, {"limited": found.limited, "singular": float(not found.solved)})
+        return ControllerOutput(found.x, found.multipliers, {"limited": found.limited, "singular": float(not found.solved)})
 
 
 def tensions_of(model: Model) -> Array:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from soft_tendon_env.control.protocol import FAILURES, Situation
+from soft_tendon_env.control.protocol import FAILURES, ControllerInput
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.tension_limits import erring_actuators
@@ -31,9 +31,12 @@ class SmithPredictor:
         self._model, self._simulation = model, Simulation(model)
         self.history = whole_periods(latency, period)[0] + 1
 
-    def predicted(self, now: Situation, sent: tuple[Array, ...], latency: float | None = None) -> Situation:
-        """The situation when what is decided now arrives, `latency` [s] later, as known by default; as it is now where the model has no
-        such motion. sent: tensions (n_a,) [N] asked for in the periods before, the newest last, of which the last `history` matter."""
+    def predicted(self, now: ControllerInput, sent: tuple[Array, ...], latency: float | None = None) -> ControllerInput:
+        """Predicted controller input at the time when the command issued now takes effect; the present one if the simulation fails.
+
+        sent: tensions (n_a,) [N] of the periods before, the newest last, of which the last `history` matter. latency: [s], as known by
+        default.
+        """
         latency = self.latency if latency is None else latency
         periods, rest = whole_periods(latency, self._period)
         waiting = sent[-periods - 1 :]

@@ -14,7 +14,7 @@ import numpy as np
 from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.dynamics import discrete_gains, implicit_step
 from soft_tendon_env.control.objectives import Dynamics, Objective
-from soft_tendon_env.control.protocol import FAILURES, Decision, Situation
+from soft_tendon_env.control.protocol import FAILURES, ControllerInput, ControllerOutput, ModelController
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 
@@ -31,17 +31,10 @@ class TipMemory(NamedTuple):
     multipliers: Array
 
 
-class TipTracking:
-    """Tip tracking by implicit feedback linearisation and tension allocation, for an arm of n_a tendons.
+class TipTracking(ModelController):
+    """Tip tracking by implicit feedback linearisation and tension allocation.
 
-    Args:
-        model: what the controller believes.
-        limits: (n_a, 2) least and greatest tension [N].
-        period: [s] of control.
-        objective: pose or position of the tip.
-        settling_time, damping, integral_time: see `discrete_gains`.
-
-    Raises ValueError for bad gains.
+    objective: pose or position of the tip. settling_time, damping, integral_time: see `discrete_gains`. Raises ValueError for bad gains.
     """
 
     def __init__(
@@ -55,18 +48,18 @@ class TipTracking:
         damping: float = 1.0,
         integral_time: float | None = None,
     ) -> None:
-        self.model, self.period, self.objective = model, period, objective
-        self.least, self.greatest = limits.T.copy()
+        super().__init__(model, limits, period)
+        self.objective = objective
         self.gains = discrete_gains(settling_time, damping, period, integral_time)
 
-    def act(self, now: Situation, memory: TipMemory | None = None) -> Decision:
-        """Tensions of the implicit law. Where the model has no strain at the measured coordinates, the last ones are held."""
+    def act(self, now: ControllerInput, memory: TipMemory | None = None) -> ControllerOutput:
+        """Tensions of the implicit law."""
         h, gains = self.period, self.gains
         try:
             terms = self.model.terms(now.q, now.q_dot, time=now.time)
             step = implicit_step(terms, now.q_dot, h)
         except FAILURES:
-            return Decision(np.clip(now.tension, self.least, self.greatest), memory, {"limited": 1.0, "singular": 1.0})
+            return self.hold(now, memory)
         motion = Dynamics(now.q, now.q_dot, terms._replace(tip_pose=now.tip_pose))
         aim, next_aim = (self.objective.aim(motion, now.reference, time, h) for time in (0.0, h))
         integral = np.zeros_like(aim.error) if memory is None else memory.integral
@@ -74,14 +67,14 @@ class TipTracking:
         last_velocity = 2.0 * aim.velocity - next_aim.velocity  # of the target over the period that has passed
         feedback = gains.kp * aim.error + gains.kd * (last_velocity - velocity) + gains.ki * integral
         wanted = velocity + h * feedback + aim.velocity - last_velocity
-        response, free, static = step.response, step.free, now.reference.tension
+        (free, response, metric), static = step, now.reference.tension
         if now.input_error is not None:
             gain, offset = now.input_error
-            response, free = response * gain, free + response @ offset
+            free, response, metric = free + response @ offset, response * gain, metric * gain * gain[:, None]
             static = None if static is None else (static - offset) / gain
         task = aim.jacobian @ response
         missing = wanted - aim.jacobian @ free - h * aim.bias
-        hessian, gradient = self._program(task, missing, response.T @ step.system @ response, static)
+        hessian, gradient = self._program(task, missing, metric, static)
         found = allocate(hessian, gradient, self.least, self.greatest, None if memory is None else memory.multipliers)
         ways, scale, _ = np.linalg.svd(task)
         open_ways = ways[:, : scale.size][:, scale > SINGULAR * scale[0]]  # directions in which tensions move the tip at all
@@ -89,7 +82,7 @@ class TipTracking:
         integral = integral + h * (open_ways @ (open_ways.T @ aim.error) - refused / gains.kp)  # no wind-up by what cannot be done
         singular = not found.solved or open_ways.shape[1] < task.shape[0]
         report = {"limited": found.limited, "singular": float(singular), "refused": float(np.linalg.norm(refused))}
-        return Decision(found.x, TipMemory(integral, found.multipliers), report)
+        return ControllerOutput(found.x, TipMemory(integral, found.multipliers), report)
 
     def _program(self, task: Array, missing: Array, constraint: Array, static: Array | None) -> tuple[Array, Array]:
         """Hessian and gradient of |task u - missing|^2 and, with less weight, of the motion (n_a, n_a) added by tensions other than

@@ -6,7 +6,7 @@ except ModuleNotFoundError as error:
     raise ModuleNotFoundError('gradients need PyTorch: pip install "soft_tendon_env[gradients]"') from error
 
 from soft_tendon_env.differentiable.accuracy import GradientAccuracy, GradientWarning, gradient_accuracy
-from soft_tendon_env.differentiable.clip import inward_clip
+from soft_tendon_env.differentiable.actuation import inward_clip
 from soft_tendon_env.differentiable.period import ArmTensors, arm_tensors, control_period
 from soft_tendon_env.differentiable.poses import pose_logarithm
 from soft_tendon_env.differentiable.rollout import Trajectories, rollout

@@ -1,10 +1,12 @@
 """Accuracy of gradients through an arm: the adjoint's beside central differences of the same rollout."""
 
 import warnings
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import torch
 
+from soft_tendon_env.differentiable.period import arm_tensors, control_period
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.model.model import Model
@@ -65,28 +67,15 @@ def gradient_accuracy(model: Model, period: float, least: Array, greatest: Array
     walks = begin + np.cumsum(random.uniform(-1.0, 1.0, (2, PERIODS, reach.size)) * np.minimum(change, 0.5 * (high - low)), axis=1)
     walks = low + np.abs((walks - low + (high - low)) % (2.0 * (high - low)) - (high - low))  # reflected at both ends
     ways = random.normal(size=(DIRECTIONS, PERIODS, reach.size)) * WAY * reach
-    commands = np.concatenate([walks, walks[0] + ways, walks[0] - ways])
-    arms, first = Arms(model, len(commands), period, np.zeros(0), np.zeros(0)), np.arange(1)
-    every = np.arange(arms.size)
-    arms.place(every, np.tile(Simulation(model).reset_at_rest().q, (arms.size, 1)))
-    costs, tapes, pulls = np.zeros(arms.size), [arms.make_tape(arms.substeps) for _ in range(PERIODS)], []
-    for k, tape in enumerate(tapes):
-        arms.step(np.repeat(commands[:, k : k + 1], arms.substeps, axis=1), every, tape=tape)
-        pose = arms.reading.tip_pose
-        away = pose[:, :3, 3] - pose[1, :3, 3]
-        costs += 0.5 * (away * away).sum(axis=1)
-        pulls.append(pose[0, :3, :3].T @ away[0])
-    moved = costs[2 : 2 + DIRECTIONS] - costs[2 + DIRECTIONS :]
-    found = 2.0 * np.einsum("dka,ka->d", ways, _gradient(arms, tapes, pulls, first))
+    commands = torch.tensor(np.concatenate([walks, walks[0] + ways, walks[0] - ways]), requires_grad=True)
+    arms, costs = Arms(model, len(commands), period, np.zeros(0), np.zeros(0)), torch.zeros(len(commands))
+    arms.place(np.arange(arms.size), np.tile(Simulation(model).reset_at_rest().q, (arms.size, 1)))
+    now = arm_tensors(arms)
+    for k in range(PERIODS):
+        now = control_period(arms, now, commands[:, k : k + 1].expand(-1, arms.substeps, -1))
+        costs = costs + 0.5 * (now.tip_pose[:, :3, 3] - now.tip_pose[1, :3, 3].detach()).square().sum(dim=1)
+    (gradient,) = torch.autograd.grad(costs[0], commands)
+    moved = (costs[2 : 2 + DIRECTIONS] - costs[2 + DIRECTIONS :]).detach().numpy()
+    found = 2.0 * np.einsum("dka,ka->d", ways, gradient[0].numpy())
     sizes = np.linalg.norm(found), np.linalg.norm(moved)
     return GradientAccuracy(float(found @ moved / np.prod(sizes)), float(sizes[0] / sizes[1]))
-
-
-def _gradient(arms: Arms, tapes: list[Any], pulls: list[Array], first: Any) -> Array:
-    """Gradient (periods, n_a) of the first row's cost, whose derivatives by the tip's displacements in its frame are `pulls` (3,)."""
-    cotangents, found = arms.make_cotangents(arms.substeps), []
-    for tape, pull in zip(tapes[::-1], pulls[::-1], strict=True):
-        cotangents.tip_pose[0, 3:] = pull
-        arms.adjoint(tape, first, cotangents)
-        found.append(cotangents.command[0].sum(axis=0))
-    return np.array(found[::-1])

@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import torch
 from gymnasium.error import ResetNeeded
 
-from soft_tendon_env.differentiable.actuation import TensorActuation
-from soft_tendon_env.differentiable.clip import inward_clip
+from soft_tendon_env.differentiable.actuation import TensorActuation, inward_clip
 from soft_tendon_env.differentiable.observation import TensorObservation, check_groups
 from soft_tendon_env.differentiable.period import arm_tensors, control_period
 from soft_tendon_env.differentiable.poses import pose_logarithm

@@ -24,7 +24,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from soft_tendon_env.control.catalogue import tip_pose_objective
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.objectives import TipPosition
-from soft_tendon_env.control.protocol import Controller, Decision, Reference, Situation
+from soft_tendon_env.control.protocol import Controller, ControllerInput, ControllerOutput, Reference
 from soft_tendon_env.control.shape_tracking import ShapeTracking
 from soft_tendon_env.control.smith_predictor import whole_periods
 from soft_tendon_env.control.tip_tracking import TipTracking
@@ -55,8 +55,8 @@ class Anchored:
     statics: StaticFeedforward
     tracking: TipTracking
 
-    def act(self, now: Situation, memory: tuple[int, Any, Any] | None = None) -> Decision:
-        """Decision of the tracking law. memory: number of calls, and what statics and tracking remember."""
+    def act(self, now: ControllerInput, memory: tuple[int, Any, Any] | None = None) -> ControllerOutput:
+        """Output of the tracking law. memory: number of calls, and what statics and tracking remember."""
         remembered: tuple[int, Any, Any] = memory or (0, None, None)
         calls, statics, before = remembered
         if calls % ANCHORED == 0:
@@ -98,7 +98,7 @@ class Teacher:
             if law is None or begins:
                 law = self._begun(row)
             reference, time = self._reference(row, target, ahead - late[row]), float(episodes.arms.rows.clock[row, 0]) + late[row]
-            now = Situation(q[row], q_dot[row], tip_pose[row], sent[row, -1], reference, time)
+            now = ControllerInput(q[row], q_dot[row], tip_pose[row], sent[row, -1], reference, time)
             decision = law.act(now, None if begins else self.memories[row])
             self._laws[row], self.memories[row] = law, decision.memory
             tensions[row] = actuation.commanded(decision.tension, row)

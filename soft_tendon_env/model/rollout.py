@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.mechanics.motion.advance import Scheme
-from soft_tendon_env.mechanics.motion.linearised_rollout import Plan, linearised_rollout, make_plan
+from soft_tendon_env.mechanics.motion.period_map import Plan, linearised_rollout, make_plan
 from soft_tendon_env.mechanics.motion.scratch import Motion, Scratch
 from soft_tendon_env.mechanics.types import Arm
 from soft_tendon_env.model.model import Model

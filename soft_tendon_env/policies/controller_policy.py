@@ -15,7 +15,16 @@ from numpy.typing import NDArray
 from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.control.catalogue import CONTROLLERS, LOOKS_AHEAD, Entry
 from soft_tendon_env.control.kalman import USUAL, Uncertainty
-from soft_tendon_env.control.protocol import FAILURES, Controller, Decision, Estimate, Estimator, Measurement, Reference, Situation
+from soft_tendon_env.control.protocol import (
+    FAILURES,
+    Controller,
+    ControllerInput,
+    ControllerOutput,
+    Estimate,
+    Estimator,
+    Measurement,
+    Reference,
+)
 from soft_tendon_env.control.smith_predictor import SAME, SmithPredictor, whole_periods
 from soft_tendon_env.envs.actuation import ActionScale
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
@@ -51,7 +60,7 @@ class Interface(NamedTuple):
 class RowMemory(NamedTuple):
     """State of a controller's policy for one row, from one call of `predict` to the next."""
 
-    decision: Decision | None
+    decision: ControllerOutput | None
     tension: Array  # (n_a,) [N] asked for last
     command: Array  # (n_a,) given for that: the same, or displacements [m]
     estimate: Estimate | None
@@ -267,7 +276,7 @@ class ControllerPolicy:
                 q=target_coordinates(own, len(self.interface.ahead)),
             )
             q, q_dot, pose = estimate.q, estimate.q_dot, poses[row] if estimate.tip_pose is None else estimate.tip_pose
-            now = Situation(q, q_dot, pose, memory.tension, target, memory.periods * self.interface.period, estimate.input_error)
+            now = ControllerInput(q, q_dot, pose, memory.tension, target, memory.periods * self.interface.period, estimate.input_error)
             if self.predictor is not None:
                 now = self.predictor.predicted(now, memory.sent, estimate.latency)
             decision = self.controller.act(now, None if memory.decision is None else memory.decision.memory)

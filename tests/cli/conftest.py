@@ -6,7 +6,7 @@ import gymnasium as gym
 import pytest
 
 from soft_tendon_env.cli.main import main
-from soft_tendon_env.control import Decision
+from soft_tendon_env.control import ControllerOutput
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.learning import train
 from soft_tendon_env.learning.config import read_training
@@ -97,7 +97,7 @@ class Share:
         return self
 
     def act(self, now, memory=None):
-        return Decision(self._tension)
+        return ControllerOutput(self._tension)
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import CONTROLLERS, Reference, Situation
+from soft_tendon_env.control import CONTROLLERS, ControllerInput, Reference
 from soft_tendon_env.model.simulation import Simulation
 
 CATALOGUE = [(task, name) for task, entries in CONTROLLERS.items() for name in entries]
@@ -43,7 +43,7 @@ def drive():
         for k in range(periods):
             state = simulation.state
             wanted = target(k) if callable(target) else target
-            decision = controller.act(Situation(state.q, state.q_dot, model.tip_pose(state.q), tension, wanted), memory)
+            decision = controller.act(ControllerInput(state.q, state.q_dot, model.tip_pose(state.q), tension, wanted), memory)
             tension, memory = decision.tension, decision.memory
             simulation.step(act(tension), period)
             tensions.append(tension)

@@ -1,11 +1,10 @@
 """What every controller of the catalogue keeps to, on arms with few and many tendons; controllers from outside by name."""
 
-
 import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import CONTROLLERS, Decision, Reference, Situation, register_controller
+from soft_tendon_env.control import CONTROLLERS, ControllerInput, ControllerOutput, Reference, register_controller
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.paper_laws import PaperShape
 from soft_tendon_env.control.rigid_motions import moved_pose
@@ -24,7 +23,7 @@ def situation(model, random_state, seed):
     poses = np.stack([moved_pose(model.tip_pose(goal), rng.normal(size=6) * np.repeat([0.2, 0.05 * model.length], 3)) for goal in goals])
     measured = moved_pose(model.tip_pose(q), rng.normal(size=6) * np.repeat([0.02, 0.01 * model.length], 3))
     target = Reference(np.array([0.0, 0.15]), poses, poses[:, :3, 3], goals)
-    return Situation(q, q_dot, measured, rng.random(model.tendon_count), target)
+    return ControllerInput(q, q_dot, measured, rng.random(model.tendon_count), target)
 
 
 def assert_sound(decision, limits):
@@ -100,7 +99,7 @@ class Half:
         self.greatest = limits[:, 1]
 
     def act(self, now, memory=None):
-        return Decision(0.5 * self.greatest, report={"limited": 0.0, "singular": 0.0})
+        return ControllerOutput(0.5 * self.greatest, report={"limited": 0.0, "singular": 0.0})
 
 
 @pytest.fixture

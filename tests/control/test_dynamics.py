@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import soft_tendon_env as ste
-from soft_tendon_env.control.dynamics import DECADES, discrete_gains, implicit_step
+from soft_tendon_env.control.dynamics import DECADES, discrete_gains, implicit_inertia, implicit_step
 from soft_tendon_env.control.rigid_motions import moved_pose, pose_at, pose_error, value_at
 
 AHEAD = np.array([0.0, 0.02, 0.1])
@@ -79,7 +79,8 @@ def test_the_step_is_the_formula(arm, random_state, period):
     step = implicit_step(terms, q_dot, period)
     S = terms.mass + period * terms.damping + period**2 * terms.stiffness
     force = terms.external_force - terms.elastic_force - terms.bias - terms.damping @ q_dot - period * terms.stiffness @ q_dot
-    np.testing.assert_allclose(step.system, S, rtol=1e-12)
+    np.testing.assert_allclose(implicit_inertia(terms, period), S, rtol=1e-12)
+    np.testing.assert_allclose(step.metric, step.response.T @ S @ step.response, rtol=1e-9, atol=1e-12 * np.abs(step.metric).max())
     np.testing.assert_allclose(step.free, q_dot + np.linalg.solve(S, period * force), rtol=1e-7, atol=1e-9 * np.abs(q_dot).max())
     np.testing.assert_allclose(S @ step.response, period * terms.actuation, atol=1e-10 * np.abs(period * terms.actuation).max())
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import soft_tendon_env  # noqa: F401
-from soft_tendon_env.control import Reference, Situation
+from soft_tendon_env.control import ControllerInput, Reference
 from soft_tendon_env.control.objectives import TipPosition
 from soft_tendon_env.control.predictive import Predictive
 from soft_tendon_env.evaluation import evaluate, summarise
@@ -40,7 +40,7 @@ def test_what_is_predicted_is_what_happens(model):
     for _ in range(25):
         state = simulation.state
         reference = Reference(np.zeros(1), tip_position=target)
-        decision = controller.act(Situation(state.q, state.q_dot, simulation.tip_pose, tension, reference, state.time), memory)
+        decision = controller.act(ControllerInput(state.q, state.q_dot, simulation.tip_pose, tension, reference, state.time), memory)
         memory, tension = decision.memory, decision.tension
         simulation.step(tension + memory.disturbance, PERIOD)  # what the controller takes for granted
         np.testing.assert_allclose(memory.rates, simulation.state.q_dot, atol=1e-6 * np.abs(simulation.state.q_dot).max())

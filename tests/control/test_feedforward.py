@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from soft_tendon_env.control import CONTROLLERS, Reference, Situation
+from soft_tendon_env.control import CONTROLLERS, ControllerInput, Reference
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.objectives import Dynamics, TipPose, TipPosition
 from soft_tendon_env.model.inverse_statics import tension_for_tip_pose
@@ -32,7 +32,7 @@ def decided(controller, model, targets):
     rng, memory, path = np.random.default_rng(0), None, []
     for target in targets:
         q = rng.normal(size=model.coordinate_count)
-        memory = controller.act(Situation(q, q, np.eye(4), np.zeros(model.tendon_count), target), memory).memory
+        memory = controller.act(ControllerInput(q, q, np.eye(4), np.zeros(model.tendon_count), target), memory).memory
         path.append(memory.q)
     return np.array(path)
 
@@ -76,7 +76,7 @@ def test_decisions_are_the_equilibrium_s_tensions(build, limits_of, holding):
     model = build("three_tendon")
     target = holding(model, [2.0, 0.5, 0.1])
     decision = StaticFeedforward(model, limits_of(model), PERIOD, TipPosition()).act(
-        Situation(np.zeros(3), np.zeros(3), np.eye(4), np.zeros(3), target)
+        ControllerInput(np.zeros(3), np.zeros(3), np.eye(4), np.zeros(3), target)
     )
     np.testing.assert_allclose(model.rest_coordinates(decision.tension), decision.memory.q, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(decision.tension, [2.0, 0.5, 0.1], atol=0.1)

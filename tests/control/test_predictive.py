@@ -6,7 +6,7 @@ Controllers that are told of the errors of the inputs that an estimator has foun
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import InputError, Reference, Situation
+from soft_tendon_env.control import ControllerInput, InputError, Reference
 from soft_tendon_env.control.objectives import Shape, TipPose, TipPosition
 from soft_tendon_env.control.predictive import Predictive, Tuning
 from soft_tendon_env.control.smith_predictor import SmithPredictor
@@ -37,7 +37,7 @@ def near(model, holding, seed):
     tension = rng.uniform(5.0, 20.0, 10)
     q = model.rest_coordinates(tension)
     target = holding(model, tension + rng.uniform(-4.0, 4.0, 10))
-    return Situation(q, np.zeros(10), model.tip_pose(q), tension, target)
+    return ControllerInput(q, np.zeros(10), model.tip_pose(q), tension, target)
 
 
 def predicted_cost(model, objective, now, plan, settling_time=0.3):
@@ -157,7 +157,7 @@ def test_the_smith_predictor_acts_by_the_inputs_that_the_arm_gets(model, holding
     arm, predictor = Simulation(model), SmithPredictor(model, 0.05, PERIOD)
     sent = tuple(HELD * share for share in (0.2, 0.5, 1.0))
     state = arm.state
-    now = Situation(state.q, state.q_dot, model.tip_pose(state.q), sent[-1], holding(model, HELD), input_error=ERROR)
+    now = ControllerInput(state.q, state.q_dot, model.tip_pose(state.q), sent[-1], holding(model, HELD), input_error=ERROR)
     predicted = predictor.predicted(now, sent)
     for tension, seconds in zip(sent, (0.01, PERIOD, PERIOD), strict=True):
         arm.step(ERROR.gain * tension + ERROR.offset, seconds)

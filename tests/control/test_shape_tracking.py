@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import Reference, Situation
+from soft_tendon_env.control import ControllerInput, Reference
 from soft_tendon_env.control.dynamics import slowest_mode
 from soft_tendon_env.control.paper_laws import energy_left_inverse
 from soft_tendon_env.control.shape_tracking import ShapeFeedforward, ShapeTracking, shape_gains
@@ -32,7 +32,7 @@ def situation(model, random_state, period):
     q, q_dot = random_state(model, 0)
     goal, rates = random_state(model, 1)
     path = np.stack([goal, goal + period * rates])
-    return Situation(q, q_dot, model.tip_pose(q), np.zeros(model.tendon_count), Reference(np.array([0.0, period]), q=path)), rates
+    return ControllerInput(q, q_dot, model.tip_pose(q), np.zeros(model.tendon_count), Reference(np.array([0.0, period]), q=path)), rates
 
 
 def test_short_periods_give_the_paper_s_law(model, random_state):
@@ -53,7 +53,7 @@ def test_short_periods_give_the_paper_s_law(model, random_state):
 def test_at_the_target_tensions_are_those_that_hold_it(model, holding):
     tension = 0.5 + 0.1 * np.arange(model.tendon_count)
     target = holding(model, tension)
-    now = Situation(target.q[0], np.zeros_like(target.q[0]), target.tip_pose[0], tension, target)
+    now = ControllerInput(target.q[0], np.zeros_like(target.q[0]), target.tip_pose[0], tension, target)
     for controller in (ShapeTracking(model, wide(model), 0.02), ShapeFeedforward(model, wide(model), 0.02)):
         held = model.rest_coordinates(controller.act(now).tension)
         np.testing.assert_allclose(held, target.q[0], atol=1e-4 * np.abs(target.q).max())

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import Reference, Situation, tip_tracking
+from soft_tendon_env.control import ControllerInput, Reference, tip_tracking
 from soft_tendon_env.control.objectives import TipPose, TipPosition
-from soft_tendon_env.control.paper_laws import Gains, TipPoseTarget, TipPositionTarget, tip_pose_tension, tip_position_tension
+from soft_tendon_env.control.paper_laws import Gains, TipPoseTarget, accelerating_tension, energy_left_inverse, tip_pose_tension
 from soft_tendon_env.control.rigid_motions import adjoint, inverse_pose, moved_pose
 from soft_tendon_env.control.tip_tracking import TipTracking
 
@@ -33,8 +33,11 @@ def pose_law(terms, q_dot, pose, twist):
 
 
 def position_law(terms, q_dot, pose, twist):
-    velocity = pose[:3, :3] @ twist[3:]
-    return tip_position_tension(terms, q_dot, TipPositionTarget(pose[:3, 3], velocity, np.zeros(3)), PAPER_GAINS)
+    """(39) for the position alone, whose error in space obeys e_ddot + kd e_dot + kp e = 0."""
+    angular, linear = np.split(terms.tip_jacobian @ q_dot, 2)
+    R, r = terms.tip_pose[:3, :3], terms.tip_pose[:3, 3]
+    r_ddot = PAPER_GAINS.kd * (pose[:3, :3] @ twist[3:] - R @ linear) + PAPER_GAINS.kp * (pose[:3, 3] - r)
+    return accelerating_tension(terms, q_dot, slice(3, 6), R.T @ r_ddot - np.cross(angular, linear), energy_left_inverse)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -53,7 +56,7 @@ def test_short_periods_give_the_paper_s_law(model, random_state, monkeypatch, ob
     expected, off = law(terms, q_dot, pose, twist), []
     for period in (1e-5, 1e-6, 1e-7):
         poses = np.stack([moved_pose(pose, k * period * twist) for k in range(3)])
-        now = Situation(q, q_dot, terms.tip_pose, np.zeros(10), Reference(period * np.arange(3.0), poses, poses[:, :3, 3]))
+        now = ControllerInput(q, q_dot, terms.tip_pose, np.zeros(10), Reference(period * np.arange(3.0), poses, poses[:, :3, 3]))
         found = TipTracking(model, np.tile([-1e6, 1e6], (10, 1)), period, objective, settling_time=SETTLING).act(now).tension
         off.append(np.linalg.norm(found - expected) / np.linalg.norm(expected))
     assert off[0] < 0.1 and off[1] < 0.15 * off[0] + 1e-4 and off[2] < 2e-3
@@ -83,7 +86,7 @@ def test_the_integral_removes_what_weak_tendons_leave(model, near, drive):
 def test_a_task_with_more_directions_than_tendons_is_singular(build, holding):
     arm = build("three_tendon")
     target = holding(arm, np.array([1.0, 0.5, 0.2]))
-    now = Situation(target.q[0], np.zeros(3), target.tip_pose[0], np.zeros(3), target)
+    now = ControllerInput(target.q[0], np.zeros(3), target.tip_pose[0], np.zeros(3), target)
     limits = np.tile([0.0, 5.0], (3, 1))
     singular = [TipTracking(arm, limits, PERIOD, objective).act(now).report["singular"] for objective in (TipPose(0.03), TipPosition())]
     assert singular == [1.0, 0.0]
@@ -91,6 +94,6 @@ def test_a_task_with_more_directions_than_tendons_is_singular(build, holding):
 
 def test_known_static_tensions_are_kept_at_the_target(model, near):
     """Nothing to do: what holds the target goes on."""
-    now = Situation(near.q[0], np.zeros(10), near.tip_pose[0], HELD, near)
+    now = ControllerInput(near.q[0], np.zeros(10), near.tip_pose[0], HELD, near)
     decision = TipTracking(model, WIDE, PERIOD, TipPose(0.1)).act(now)
     np.testing.assert_allclose(decision.tension, HELD, rtol=1e-6)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from gymnasium.wrappers import TimeLimit
 
-from soft_tendon_env.control import Decision
+from soft_tendon_env.control import ControllerOutput
 from soft_tendon_env.envs import IDS, TipPoseEnv
 from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, MODEL_ERRORS, evaluate, evaluate_rows, model_error, settings, summarise
@@ -198,7 +198,7 @@ class Pull:
         self.tension = np.array(tension)
 
     def act(self, now, memory=None):
-        return Decision(self.tension)
+        return ControllerOutput(self.tension)
 
 
 @pytest.mark.parametrize("share, violations", [((0.0, 0.5, 1.0), 0), ((0.0, 0.5, 1.01), STEPS), ((-0.01, 0.5, 1.0), STEPS)])

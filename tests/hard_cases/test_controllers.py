@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import Reference, Situation, tip_tracking
+from soft_tendon_env.control import ControllerInput, Reference, tip_tracking
 from soft_tendon_env.control.objectives import TipPose
 from soft_tendon_env.control.paper_laws import Gains, TipPoseTarget, tip_pose_tension
 from soft_tendon_env.control.rigid_motions import moved_pose
@@ -28,7 +28,7 @@ def test_target_with_a_twist_of_its_own(build, random_state, monkeypatch, measur
         off = []
         for period in PERIODS:
             poses = np.stack([moved_pose(pose, k * period * twist) for k in range(3)])
-            now = Situation(q, q_dot, terms.tip_pose, np.zeros(10), Reference(period * np.arange(3.0), poses))
+            now = ControllerInput(q, q_dot, terms.tip_pose, np.zeros(10), Reference(period * np.arange(3.0), poses))
             tracking = TipTracking(model, np.tile([-1e9, 1e9], (10, 1)), period, TipPose(0.1), settling_time=0.2)
             off.append(np.linalg.norm(tracking.act(now).tension - expected) / np.linalg.norm(expected))
         measured("off (39) at 0.1 microseconds", off[-1])

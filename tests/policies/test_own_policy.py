@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import CONTROLLERS, Decision, Entry
+from soft_tendon_env.control import CONTROLLERS, ControllerOutput, Entry
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.evaluation import evaluate, evaluate_rows
@@ -180,7 +180,7 @@ def test_a_controller_of_ones_own_gets_copies(monkeypatch):
 
         def act(self, now, memory=None):
             now.tension[:] = 7.0
-            return Decision(np.ones(3), report={})
+            return ControllerOutput(np.ones(3), report={})
 
     monkeypatch.setitem(CONTROLLERS["TipPose"], "greedy", Entry("takes", Greedy))
     env = gym.make(IDS["TipPose"], max_episode_steps=10, **policy_options("greedy", "TipPose", ARM))

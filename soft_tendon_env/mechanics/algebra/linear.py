@@ -76,20 +76,6 @@ def solve_positive_definite(a, n, x):
 
 
 @kernel
-def solve_factored(a, n, x):
-    """Overwrite a further right-hand side x (n) by its solution, of the system that solve_positive_definite() has eliminated."""
-    stride = row_stride(n + 1)
-    for j in range(n):
-        share = a[j * stride + j] * x[j]
-        for i in range(j + 1, n):
-            x[i] -= a[j * stride + i] * share
-    for i in range(n - 1, -1, -1):
-        x[i] *= a[i * stride + i]
-        for k in range(i):
-            x[k] -= a[k * stride + i] * x[i]
-
-
-@kernel
 def add_product(a, b, out):
     """Adds the matrix product a b to out."""
     for i in range(a.shape[0]):
@@ -100,15 +86,27 @@ def add_product(a, b, out):
 
 
 @kernel
-def solve_columns(a, x):
-    """Solutions of a symmetric positive definite system in place of its right-hand sides x (n, m); a (n, n), of which the upper triangle is
-    read, is overwritten."""
+def factorise(a):
+    """Eliminates a symmetric matrix (n, n) in place, of which the upper triangle is read: that of L D L^T with the inverse of D in the
+    diagonal; whether it is positive definite."""
+    n, positive = a.shape[0], True
+    for j in range(n):
+        positive = positive and a[j, j] > 0.0
+        a[j, j] = 1.0 / a[j, j]
+        for i in range(j + 1, n):
+            share = a[j, i] * a[j, j]
+            for k in range(i, n):
+                a[i, k] -= share * a[j, k]
+    return positive
+
+
+@kernel
+def solve_factored(a, x):
+    """Solutions in place of right-hand sides x (n, m), of the system that factorise() has eliminated."""
     n, m = x.shape
     for j in range(n):
         for i in range(j + 1, n):
-            share = a[j, i] / a[j, j]
-            for k in range(i, n):
-                a[i, k] -= share * a[j, k]
+            share = a[j, i] * a[j, j]
             for k in range(m):
                 x[i, k] -= share * x[j, k]
     for i in range(n - 1, -1, -1):
@@ -116,4 +114,11 @@ def solve_columns(a, x):
             for k in range(m):
                 x[i, k] -= a[i, j] * x[j, k]
         for k in range(m):
-            x[i, k] /= a[i, i]
+            x[i, k] *= a[i, i]
+
+
+@kernel
+def solve_symmetric(a, x):
+    """Solutions in place of right-hand sides x (n, m) of a symmetric system a (n, n), which is eliminated."""
+    factorise(a)
+    solve_factored(a, x)

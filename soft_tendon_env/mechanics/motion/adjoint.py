@@ -1,8 +1,8 @@
 """Adjoint of control periods over rows: cotangents of the state after a period and of its reading to those of the state before and of the
 commands.
 
-A tape holds where every part of a period began. Backward, a part has the linear map of implicit_map, its matrices of one evaluation in the
-middle of the way, with the gradient of the forces that these matrices leave out taken along one direction, see force_gradient. Where stiff
+A tape holds where every part of a period began. Backward, a part has the linear map of period_map, its matrices of one evaluation in the
+middle of the way. The gradient of the forces that these matrices leave out is taken along one direction, see force_gradient. Where stiff
 tendons hang slack or give way, the evaluation is that at the end, as the integrator has it: between the ends no tension is that of the
 motion. There, and where a part is long beside the slowest vibration, it is integrated anew in pieces, each of which is then a part.
 """
@@ -12,24 +12,26 @@ import math
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
+from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix, product
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 from soft_tendon_env.mechanics.motion.advance import Record, Scheme, advance
 from soft_tendon_env.mechanics.motion.batch import Places
-from soft_tendon_env.mechanics.motion.force_gradient import GradientMemory, corrected, force_gradient, make_gradient_memory
-from soft_tendon_env.mechanics.motion.implicit_map import MapMemory, linearise, make_map_memory, tensions_by_command, transposed_map
+from soft_tendon_env.mechanics.motion.force_gradient import GradientMemory, force_gradient, make_gradient_memory
 from soft_tendon_env.mechanics.motion.path_adjoint import PathMemory, begin_path, make_path_memory, path_adjoint
+from soft_tendon_env.mechanics.motion.period_map import PeriodMap, make_period_map, matrices_of_motion, transposed_map
 from soft_tendon_env.mechanics.motion.reading_adjoint import read_adjoint
 from soft_tendon_env.mechanics.motion.scratch import Motion
+from soft_tendon_env.mechanics.motion.stages import evaluate_force
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.motion.tape import Tape, make_tape, tape_border, tape_part
 from soft_tendon_env.mechanics.terms.dynamics import combined_columns
 from soft_tendon_env.mechanics.terms.tendons import tendon_forces
-from soft_tendon_env.mechanics.terms.transmission import ON_PARTS, delivered, transmitted
+from soft_tendon_env.mechanics.terms.transmission import ON_PARTS, delivered, makes_tensions, transmit, transmitted
 from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector
 from soft_tendon_env.mechanics.workspace import zeros_of
 
 MOST_PIECES = 16  # of a part
+COMMAND_SHARE = 1e-6  # of the largest command, or 1: the difference by which what effects make of commands is differentiated
 STIFF_PIECES = 2  # of a part where tendons are stiff: with one, cosines with differences are 0.86 to 0.99, with two 0.93 to 0.99
 
 
@@ -69,7 +71,7 @@ def make_cotangents(arm: Arm, places: Places, rows: int, parts: int) -> Cotangen
 class AdjointMemory(Struct):
     """Arrays that the adjoint of one row fills besides the scratch of a step."""
 
-    map: MapMemory
+    map: PeriodMap
     gradient: GradientMemory
     path: PathMemory
     tape: Tape  # of one row: a part in pieces
@@ -77,6 +79,9 @@ class AdjointMemory(Struct):
     share: FloatVector  # (1) of a part, where its matrices are evaluated
     middle: FloatVector  # (n)
     rates: FloatVector  # (n)
+    q: FloatVector  # (n) cotangents that go back through a part
+    v: FloatVector  # (n)
+    impulse: np.ndarray  # (2, n) of forces in the halves of a piece
     xi: FloatVector  # points x 6
     state: FloatVector  # (states)
     clock: FloatVector  # (1)
@@ -84,21 +89,25 @@ class AdjointMemory(Struct):
     poses: np.ndarray  # (0, 4, 4) of no samples
     still: np.ndarray  # (n_a) zeros
     pull: np.ndarray  # (2, n_a) cotangents of the tensions in the halves of a piece
+    command: FloatVector  # (n_a)
+    by_command: np.ndarray  # (n_a, n_a) of a tension by a command
 
 
 def make_adjoint_memory(arm: Arm, state_tendons: IntVector | None, rate: float) -> AdjointMemory:
     """Zeroed AdjointMemory for one arm. state_tendons: see make_path_memory; rate: [1/s] of pieces that resolve the slowest vibration."""
     n, n_a, points = arm.strain.size, arm.tendons.size, 2 * arm.rod.length.size
     arrays = zeros_of(
-        ((n,), "middle rates"),
+        ((n,), "middle rates q v"),
         ((points * 6,), "xi"),
         ((arm.effects.state.size,), "state"),
         ((1,), "clock share lasting"),
         ((0, 4, 4), "poses"),
-        ((n_a,), "still"),
+        ((n_a,), "still command"),
+        ((2, n), "impulse"),
         ((2, n_a), "pull"),
+        ((n_a, n_a), "by_command"),
     )
-    own = {"map": make_map_memory(arm), "gradient": make_gradient_memory(arm), "path": make_path_memory(arm, state_tendons)}
+    own = {"map": make_period_map(n, 1), "gradient": make_gradient_memory(arm), "path": make_path_memory(arm, state_tendons)}
     return AdjointMemory(tape=make_tape(arm, 1, MOST_PIECES), rate=rate, **own, **arrays)
 
 
@@ -111,7 +120,9 @@ def adjoint_rows(batch, scheme, tape, members, cotangents, scratch, memory):
         part, status = tape.duration.shape[1] - 1, OK
         rate = memory.rate * own.rod.root_stiffness[0] / batch.arm.rod.root_stiffness[0]
         if has_failed(tape.duration[row]):
-            clear_row(cotangents, row)
+            for values in (cotangents.q[row], cotangents.q_dot[row], cotangents.state[row]):
+                values[:] = 0.0
+            cotangents.command[row, :, :] = 0.0
         else:
             status = read_adjoint(own, batch.places, tape, cotangents, row, scratch.work, memory)
             transmitted(own, tape.command[row, part], scratch.work)
@@ -129,15 +140,6 @@ def has_failed(durations):
         if duration < 0.0:
             return True
     return False
-
-
-@kernel
-def clear_row(cotangents, row):
-    """Zeroes what goes back from a row."""
-    cotangents.q[row, :] = 0.0
-    cotangents.q_dot[row, :] = 0.0
-    cotangents.state[row, :] = 0.0
-    cotangents.command[row, :, :] = 0.0
 
 
 @kernel
@@ -163,23 +165,22 @@ def part_adjoint(arm, scheme, tape, place, rate, cotangents, scratch, memory):
     It goes back in as many pieces as its slowest vibration or stiff tendons call for.
     """
     row, part = place
-    duration, own, command = tape.duration[row, part], memory.map, cotangents.command[row, part]
+    duration, command, state = tape.duration[row, part], cotangents.command[row, part], cotangents.state[row]
     command[:] = 0.0
     if duration == 0.0:
         return OK
-    copy(cotangents.q[row], own.q)
-    copy(cotangents.q_dot[row], own.v)
+    copy(cotangents.q[row], memory.q)
+    copy(cotangents.q_dot[row], memory.v)
     status, least = OK, STIFF_PIECES if memory.share[0] == 1.0 else 1
     count = min(max(least, math.ceil(duration * rate)), MOST_PIECES)
     if count == 1 or not cut_part(arm, scheme, tape, place, count, scratch, memory):
-        status = piece_adjoint(arm, scheme.method, tape, place, cotangents.state[row], command, scratch, memory)
+        status = piece_adjoint(arm, scheme.method, tape, place, state, command, scratch, memory)
     else:
         for back in range(count):
             if status == OK:
-                last = 0, count - 1 - back
-                status = piece_adjoint(arm, scheme.method, memory.tape, last, cotangents.state[row], command, scratch, memory)
-    copy(own.q, cotangents.q[row])
-    copy(own.v, cotangents.q_dot[row])
+                status = piece_adjoint(arm, scheme.method, memory.tape, (0, count - 1 - back), state, command, scratch, memory)
+    copy(memory.q, cotangents.q[row])
+    copy(memory.v, cotangents.q_dot[row])
     return status
 
 
@@ -209,31 +210,58 @@ def cut_part(arm, scheme, tape, place, count, scratch, memory):
 
 @kernel
 def piece_adjoint(arm, method, tape, place, state, command, scratch, memory):
-    """Cotangents memory.map.q, memory.map.v and `state` (states) from the end of a part on a tape to its beginning, in place, and those
-    added to `command` (n_a), which was held; place: row and part; a status."""
+    """Cotangents memory.q, memory.v and `state` (states) from the end of a part on a tape to its beginning, in place, and those added to
+    `command` (n_a), which was held; place: row and part; a status."""
     row, part = place
-    work, own, gradient, path, h = scratch.work, memory.map, memory.gradient, memory.path, tape.duration[row, part]
+    work, gradient, path, h = scratch.work, memory.gradient, memory.path, tape.duration[row, part]
     has_states = path.start.size > 0
     if has_states:
         begin_path(arm, tape, place, scratch, path)
     motion = motion_within(tape, row, part, memory)
+    copy(motion.xi, work.xi)
     u = delivered(arm.effects, tape.command[row, part], False, motion.clock[0], motion.state, scratch.acting, scratch.until)
-    status = linearise(arm, method, u, motion, h, scratch, own)
+    status = evaluate_force(arm, method, u, motion.q, motion.q_dot, motion.state, motion.clock[0], scratch)
     if status != OK:
         return status
     work.driven[0] = ON_PARTS
-    transposed_map(method.with_inertia, scratch.first, h, own)
+    matrices_of_motion(arm, method, scratch)
+    status = transposed_map(scratch.first, h, memory.map, memory.q, memory.v, memory.impulse)
+    if status != OK:
+        return status
     for side in range(2):
-        combined_columns(work.Phi, own.impulse[side], gradient.along)
+        combined_columns(work.Phi, memory.impulse[side], gradient.along)
         tendon_forces(arm.rod, arm.tendons, work.share, work.tangent, gradient.along, memory.pull[side])
     if not has_states:
-        tensions_by_command(arm, u, work, own.command, own.by_command)
+        tensions_by_command(arm, u, work, memory.command, memory.by_command)
         for i in range(command.size):
             for j in range(command.size):
-                command[j] += (memory.pull[0, i] + memory.pull[1, i]) * own.by_command[i, j]
+                command[j] += (memory.pull[0, i] + memory.pull[1, i]) * memory.by_command[i, j]
     for i in range(gradient.w.size):
-        gradient.w[i] = own.impulse[0, i] + own.impulse[1, i]
+        gradient.w[i] = memory.impulse[0, i] + memory.impulse[1, i]
     force_gradient(arm, u, motion, h, method.with_inertia, work, gradient)
-    corrected(scratch.first, gradient, own.q, own.v)
+    for i in range(memory.q.size):
+        memory.q[i] += gradient.by_q[i] + product(scratch.first.stiffness[i], gradient.w)
+        memory.v[i] += gradient.by_rate[i]
     copy_matrix(memory.pull, path.force)
     return path_adjoint(arm, tape.clock[row, part : part + 2], scratch, path, state, command) if has_states else OK
+
+
+@kernel
+def tensions_by_command(arm, u, work, command, out):
+    """Derivative out (n_a, n_a) of the tensions (rows) by the command u (n_a), of what effects make of it in the present configuration."""
+    for i in range(u.size):
+        for j in range(u.size):
+            out[i, j] = 1.0 if i == j else 0.0
+    if not makes_tensions(arm.effects, work):
+        return
+    largest = 1.0
+    for i in range(u.size):
+        largest = max(largest, abs(u[i]))
+    small = COMMAND_SHARE * largest
+    for j in range(u.size):
+        copy(u, command)
+        for side in (1.0, -1.0):
+            command[j] = u[j] + side * small
+            transmit(arm, command, work)
+            for i in range(u.size):
+                out[i, j] = (work.tension[i] if side > 0.0 else out[i, j] - work.tension[i]) / (1.0 if side > 0.0 else 2.0 * small)

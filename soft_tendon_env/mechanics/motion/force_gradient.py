@@ -6,9 +6,9 @@ inertial wrenches, alpha = J a + J_dot q_dot (M_s the screw inertia), a change d
     delta zeta = (D_w J) delta + ad_zeta J delta,    delta eta = J_dot delta + ad_eta J delta,    delta alpha = d/dt delta eta,
 
 since the body Jacobian J is a derivative of poses and the order of two derivatives may be changed. So the gradient is made of generalised
-forces J^T (a frozen wrench) differentiated along w and along the motion: central differences between five configurations. Forces at rest
-count as conservative, whose stiffness is symmetric: its product with w is a difference along w too. What damps has -d(wrench) / d(twist)
-of the effects.
+forces J^T (a frozen wrench) differentiated along w and along the motion: central differences between five configurations. The elastic
+force is conservative, so its stiffness is symmetric: its product with w is a difference along w too. Wrenches of effects may be any
+function of pose and twist of a node: their derivatives are differences by the six components of each, all nodes at once.
 """
 
 import math
@@ -16,22 +16,24 @@ import math
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load, store
+from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load, spread, store
 from soft_tendon_env.mechanics.algebra.lie import ad_apply, coad_apply, dot, twist_scaled, twist_sum
-from soft_tendon_env.mechanics.algebra.linear import copy, product, total
+from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, scaled, store6
+from soft_tendon_env.mechanics.effects import call
 from soft_tendon_env.mechanics.terms.dynamics import combined_columns, node_rows, project
-from soft_tendon_env.mechanics.terms.external_forces import effect_loads
+from soft_tendon_env.mechanics.terms.external_forces import effect_loads, nodes_of
 from soft_tendon_env.mechanics.terms.kinematics import poses
 from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess
-from soft_tendon_env.mechanics.terms.transmission import transmitted
+from soft_tendon_env.mechanics.terms.transmission import transmitted, values_of
 from soft_tendon_env.mechanics.terms.transposed_kinematics import add_wrench_stress, stress_force
 from soft_tendon_env.mechanics.types import Arm, FloatVector
 from soft_tendon_env.mechanics.workspace import zeros_of
 
 TOLERANCE = 1e-9  # of the strain's Newton, so that second differences are smooth
 ALONG_MOTION = 0.1  # of the period, the time of the differences along the motion
+NODE_SHARE = 1e-7  # of a radian, of the length, and of those a second: differences of what effects do at the nodes
 SMALL_STRAIN = 1e-4  # the largest strain, curvatures times the length, of the differences along w
 
 
@@ -56,8 +58,10 @@ class GradientMemory(Struct):
     zeta: FloatVector  # nodes x 6
     alpha: FloatVector  # nodes x 6
     mu: FloatVector  # nodes x 6, M_s zeta
-    kappa: FloatVector  # nodes x 6, see node_wrenches()
-    inertial: FloatVector  # nodes x 6, wrench of all but the forces at rest
+    kappa: FloatVector  # nodes x 6, see node_wrenches(); before it the drag: less the derivative of the effects' power by twists
+    declared: FloatVector  # nodes x 6, that part of it which is in the damping matrix
+    displaced: FloatVector  # nodes x 6, the same by displacements
+    inertial: FloatVector  # nodes x 6, wrench of inertia and effects
     wrench: FloatVector  # nodes x 6
 
 
@@ -69,7 +73,7 @@ def make_gradient_memory(arm: Arm) -> GradientMemory:
             ((n,), "w a q still middle by_q by_rate"),
             ((2, n), "sides turned"),
             ((nodes * 12,), "xi along rate moving damped field"),
-            ((nodes * 6,), "zeta alpha mu kappa inertial wrench"),
+            ((nodes * 6,), "zeta alpha mu kappa declared displaced inertial wrench"),
         )
     )
 
@@ -125,50 +129,93 @@ def hold_fields(arm, with_inertia, work, memory):
 
 @kernel
 def hold_effects(arm, work, memory):
-    """The effects' share of the wrenches and stresses of the rates, those at the rates less those at rest, and of what damps."""
-    rod = arm.rod
-    copy(work.eta, memory.wrench)
+    """Wrenches and stresses of the effects, the latter without those at rest, and what damps."""
     wrenches, stresses = effect_loads(arm, work)  # again: the evaluation has gone on to other fields since
     if wrenches:
         copy(work.wrench, memory.inertial)
-        for pack in range(rod.packs):
+        for pack in range(arm.rod.packs):
             at = pack * 6 * LANES
-            store6(memory.kappa, at, apply21(work.node_damping, pack * 21 * LANES, load6(memory.zeta, at)))
+            store6(memory.declared, at, apply21(work.node_damping, pack * 21 * LANES, load6(memory.zeta, at)))
     if stresses:
         for m in range(0, memory.xi.size, LANES):
             store(memory.moving, m, load(memory.moving, m) + load(work.stress, m))
             store(memory.damped, m, load(memory.damped, m) + load(work.point_damping, m) * load(memory.along, m))
-    work.eta[:] = 0.0
-    work.xi_dot[:] = 0.0
-    effect_loads(arm, work)
     if wrenches:
-        for m in range(memory.inertial.size):
-            memory.inertial[m] -= work.wrench[m]
+        differ_at_nodes(arm, work, memory)
     if stresses:
+        work.xi_dot[:] = 0.0
+        effect_loads(arm, work)
         for m in range(memory.moving.size):
             memory.moving[m] -= work.stress[m]
-    copy(memory.wrench, work.eta)
+
+
+@kernel
+def differ_at_nodes(arm, work, memory):
+    """Transposed derivatives of the effects' wrenches, times zeta: by displacements and by twists of every node, all nodes at once."""
+    copy(work.pose, memory.field)
+    copy(work.eta, memory.wrench)
+    for k in range(6):
+        way = NODE_SHARE * (1.0 if k < 3 else total(arm.rod.length))
+        displace(work.pose, k, way)
+        power_change(arm, k, way, work, memory, memory.displaced)
+        copy(memory.field, work.pose)
+        for at in range(k * LANES, work.eta.size, 6 * LANES):
+            store(work.eta, at, load(work.eta, at) + way)
+        power_change(arm, k, -way, work, memory, memory.kappa)
+        copy(memory.wrench, work.eta)
+
+
+@kernel
+def displace(pose, k, way):
+    """Moves poses (nodes x 12) by a small way along the k-th component of a twist in their own frames."""
+    for at in range(0, pose.size, 12 * LANES):
+        for i in range(3):
+            row = at + 3 * i * LANES
+            if k < 3:
+                y, z = row + (k + 1) % 3 * LANES, row + (k + 2) % 3 * LANES
+                before = load(pose, y)
+                store(pose, y, before + way * load(pose, z))
+                store(pose, z, load(pose, z) - way * before)
+            else:
+                place = at + (9 + i) * LANES
+                store(pose, place, load(pose, place) + way * load(pose, row + (k - 3) * LANES))
+
+
+@kernel
+def power_change(arm, k, way, work, memory, out):
+    """Change, over a way, of the power that the effects' wrenches have along zeta, into the k-th component of out (nodes x 6)."""
+    work.wrench[:] = 0.0
+    for i in range(arm.effects.count):
+        if arm.effects.wrench[i] != 0:
+            call(arm.effects.wrench[i], (values_of(arm.effects, i), nodes_of(arm, work, i)))
+    for at in range(0, out.size, 6 * LANES):
+        change = spread(0.0)
+        for m in range(at, at + 6 * LANES, LANES):
+            change = change + load(memory.zeta, m) * (load(work.wrench, m) - load(memory.inertial, m))
+        store(out, at + k * LANES, (1.0 / way) * change)
 
 
 @kernel(inline=True)
 def node_wrenches(rod, share, pack, work, memory, by_q, by_rate):
-    """Wrenches at a pack of nodes: mu = M_s zeta, the inertial one with that of the effects' rates, kappa = ad_eta^T mu + nu + (damping
-    times zeta) with nu = -ad*_zeta M_s eta - M_s ad_eta zeta, and those of which the generalised force belongs to the gradients."""
+    """Wrenches at a pack of nodes: mu = M_s zeta, the inertial one with the effects', kappa = ad_eta^T mu + nu + drag with
+    nu = -ad*_zeta M_s eta - M_s ad_eta zeta, and those of which the generalised force belongs to the gradients."""
     at = pack * 6 * LANES
     inertia, eta, zeta = load6(rod.inertia, at), load6(work.eta, at), load6(memory.zeta, at)
     alpha = twist_sum(load6(memory.alpha, at), load6(work.eta_bias, at))
     inertia = twist_scaled(share, inertia)
-    momentum, mu, damped = scaled(inertia, eta), scaled(inertia, zeta), load6(memory.kappa, at)
+    momentum, mu, drag = scaled(inertia, eta), scaled(inertia, zeta), load6(memory.kappa, at)
     inertial = twist_sum(scaled(inertia, alpha), coad_apply(eta, momentum))
     rest = twist_sum(load6(memory.inertial, at), twist_scaled(-1.0, inertial))
     nu = twist_scaled(-1.0, twist_sum(coad_apply(zeta, momentum), scaled(inertia, ad_apply(eta, zeta))))
     turning = twist_scaled(-1.0, coad_apply(eta, mu))
     store6(memory.mu, at, mu)
     store6(memory.inertial, at, rest)
-    store6(memory.kappa, at, twist_sum(turning, twist_sum(nu, damped)))
-    once = twist_sum(coad_apply(alpha, mu), coad_apply(eta, twist_sum(nu, damped)))
+    store6(memory.kappa, at, twist_sum(turning, twist_sum(nu, drag)))
+    once = twist_sum(coad_apply(alpha, mu), coad_apply(eta, twist_sum(nu, drag)))
+    once = twist_sum(once, load6(memory.displaced, at))
     store6(by_q, at, twist_sum(once, twist_scaled(-1.0, coad_apply(zeta, rest))))
-    store6(by_rate, at, twist_scaled(-1.0, twist_sum(turning, nu)))
+    beside = twist_sum(drag, twist_scaled(-1.0, load6(memory.declared, at)))
+    store6(by_rate, at, twist_scaled(-1.0, twist_sum(beside, twist_sum(turning, nu))))
 
 
 @kernel
@@ -208,7 +255,7 @@ def differ_along_motion(arm, u, motion, time, work, memory):
 
 @kernel
 def differ_along_w(arm, u, motion, work, memory):
-    """Derivative along w of the forces at rest and of the generalised force of the frozen wrenches and stresses, added to memory.by_q."""
+    """Derivative along w of the elastic force at rest and of the force of the frozen wrenches and stresses, added to memory.by_q."""
     strained = largest_strain(arm.rod, memory.along)
     if not strained > 0.0:
         return
@@ -219,34 +266,12 @@ def differ_along_w(arm, u, motion, work, memory):
             memory.q[j] = motion.q[j] + way * memory.w[j]
         if not place_beside(arm, u, memory.q, way, memory.along, work, memory):
             return
-        add_forces_at_rest(arm, work, memory)
-        add_wrench_stress(arm.rod, memory.wrench, work, memory.field)
+        for m in range(0, memory.field.size, LANES):
+            store(memory.field, m, load(memory.moving, m) + load(work.mismatch, m))
+        if arm.effects.count > 0 and effect_loads(arm, work)[1]:
+            for m in range(memory.field.size):
+                memory.field[m] += work.stress[m]
+        add_wrench_stress(arm.rod, memory.inertial, work, memory.field)
         stress_force(arm.rod, arm.strain, work, memory.field, memory.sides[i])
     for j in range(memory.q.size):
         memory.by_q[j] += (memory.sides[0, j] - memory.sides[1, j]) / (2.0 * small)
-
-
-@kernel
-def add_forces_at_rest(arm, work, memory):
-    """Wrenches into memory.wrench and stresses into memory.field: those at rest beside the frozen ones."""
-    copy(memory.inertial, memory.wrench)
-    for m in range(0, memory.field.size, LANES):
-        store(memory.field, m, load(memory.moving, m) + load(work.mismatch, m))
-    if arm.effects.count == 0:
-        return
-    work.eta[:] = 0.0
-    wrenches, stresses = effect_loads(arm, work)
-    if wrenches:
-        for m in range(memory.wrench.size):
-            memory.wrench[m] += work.wrench[m]
-    if stresses:
-        for m in range(memory.field.size):
-            memory.field[m] += work.stress[m]
-
-
-@kernel
-def corrected(balance, memory, q, v):
-    """Adds to cotangents q, v (n) what the gradients along w have beside G and D of the linear map."""
-    for i in range(q.size):
-        q[i] += memory.by_q[i] + product(balance.stiffness[i], memory.w)
-        v[i] += memory.by_rate[i]

@@ -1,0 +1,56 @@
+"""Linear map of a period: its formula, forward as a Jacobian and transposed."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated
+from soft_tendon_env.mechanics.motion.period_map import add_jacobian, make_period_map, matrices_of_motion, transposed_map
+from soft_tendon_env.mechanics.motion.scratch import make_scratch
+from soft_tendon_env.mechanics.motion.stages import evaluate_force
+from soft_tendon_env.mechanics.motion.status import OK
+from soft_tendon_env.model.simulation import Simulation
+
+PERIOD = 0.02
+GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.005}
+SCENES = {
+    "bare": {},
+    "gravity and payload": GRAVITY,
+    "loads inside": {**GRAVITY, "strain.include_loads": True},
+    "fluid": {"effects.fluid.density": 1000.0},
+}
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_map_is_that_of_the_extrapolated_linearly_implicit_step(scene, build):
+    simulation = Simulation(build("three_tendon", {"quadrature.intervals": 4, **SCENES[scene]}))
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        simulation.step(rng.uniform(1.0, 4.0, 3), PERIOD)
+    arm, n, motion = simulation.model.arm, simulation.model.coordinate_count, simulation._motion
+    scratch, method = make_scratch(arm, 2), Extrapolated(2, 2, True, False, 1e-9)
+    scratch.work.xi[:] = motion.xi
+    assert evaluate_force(arm, method, np.ones(3), motion.q, motion.q_dot, motion.state, 0.0, scratch) == OK
+    matrices_of_motion(arm, method, scratch)
+    mass, damping, stiffness = scratch.first.mass, scratch.first.damping, scratch.first.stiffness
+
+    def step(h):
+        v = np.linalg.solve(mass + h * damping + h**2 * stiffness, np.hstack([-h * stiffness, mass, h * np.eye(n)]))
+        by_q = np.hstack([np.eye(n), np.zeros((n, 2 * n))]) + h * v
+        return np.vstack([by_q, v, np.hstack([np.zeros((n, 2 * n)), np.eye(n)])])
+
+    def close(found, expected):
+        for part in (slice(0, 2 * n), slice(2 * n, None)):
+            np.testing.assert_allclose(found[:, part], expected[:, part], atol=1e-9 * np.abs(expected[:, part]).max())
+
+    for count in (1, 3):
+        coarse, fine, found = step(PERIOD / count), step(0.5 * PERIOD / count), np.zeros((2 * n, 3 * n))
+        add_jacobian(scratch.first, 0.5 * PERIOD / count, 2 * count, 2.0, np.eye(n), make_period_map(n, n), found)
+        add_jacobian(scratch.first, PERIOD / count, count, -1.0, np.eye(n), make_period_map(n, n), found)
+        expected = (2.0 * np.linalg.matrix_power(fine, 2 * count) - np.linalg.matrix_power(coarse, count))[: 2 * n]
+        close(found, expected)
+    rows, memory = [], make_period_map(n, 1)
+    for unit in np.eye(2 * n):
+        q, v, impulse = unit[:n].copy(), unit[n:].copy(), np.zeros((2, n))
+        assert transposed_map(scratch.first, PERIOD, memory, q, v, impulse) == OK
+        rows.append(np.concatenate([q, v, impulse.sum(axis=0)]))
+    close(np.array(rows), (2.0 * step(0.5 * PERIOD) @ step(0.5 * PERIOD) - step(PERIOD))[: 2 * n])
