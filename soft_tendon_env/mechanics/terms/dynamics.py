@@ -155,15 +155,6 @@ def combined_columns(Phi, q_dot, xi_dot):
         store(xi_dot, m, total)
 
 
-@kernel
-def combined_columns(Phi, q_dot, xi_dot):
-    """Strain rate xi_dot = Phi q_dot."""
-    for m in range(0, xi_dot.size, LANES):
-        total = spread(0.0)
-        for j in range(q_dot.size):
-            total = total + q_dot[j] * load(Phi, j * xi_dot.size + m)
-        store(xi_dot, m, total)
-
 
 @kernel(inline=True)
 def mass_matrix(rod, strain, work):
