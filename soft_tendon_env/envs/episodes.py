@@ -4,8 +4,8 @@ What happens in a row depends on the generator that its episode began with and o
 row and for many, bit for bit. Read `begin` and `step` first.
 """
 
-from collections.abc import Mapping, Sequence
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -15,27 +15,33 @@ from numpy.typing import NDArray
 from soft_tendon_env.envs.actuation import Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.contacts import NO_CONTACT, Contacts, encountered
-from soft_tendon_env.envs.courses import Courses
 from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, Sizes, stress_free_strain, units_of
-from soft_tendon_env.envs.options import GOAL_BOUND, Options, check_fit, groups_of, resolved_scene, sensor_places
+from soft_tendon_env.envs.options import GOAL_BOUND, Options, check_fit, check_target, groups_of, resolved_scene, sensor_places
 from soft_tendon_env.envs.randomization import Measured, Sensors
 from soft_tendon_env.envs.reset_options import ResetOptions
 from soft_tendon_env.envs.rewards import GoalReward, Reward, Weight
 from soft_tendon_env.envs.starts import Beginning, Starts
-from soft_tendon_env.envs.targets import Setting, TargetSamples
+from soft_tendon_env.envs.target_draws import TargetDraws
+from soft_tendon_env.envs.targets import TARGETS, Course, Setting, Target, TargetSamples
 from soft_tendon_env.envs.tasks import STATIONS, Task
 from soft_tendon_env.envs.tracking import CONTACT_ERRORS, Tracking, TrackingError, norm
+from soft_tendon_env.envs.trajectories import TargetTrajectories
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
 from soft_tendon_env.mechanics.motion.scratch import Motion
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.motion.tape import Tape
 from soft_tendon_env.model.contact_forces import ContactForces, contact_forces
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.model import Model, build_model
 from soft_tendon_env.model.state import State, checked_motion, state_of
 from soft_tendon_env.model.step_control import cause_of, step_control
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
+
+THRESHOLD = 0.01
+"""Distance within which a goal is reached, as a share of the rod's length, unless options say otherwise."""
+EVERYWHERE = 7.0
+"""Threshold, in lengths of the rod, beyond which it is asked that every goal be reached: the diagonal of the space that goals are in."""
 
 
 class Snapshot(NamedTuple):
@@ -54,9 +60,9 @@ class Episodes:
     After `begin` or `step`: `errors` (name to (rows,)), `terms` (likewise), `reward` (rows,), `diverged` (rows,);
     `observation()` and `info()` make what environments return. `step_count` (rows,), `tension` (rows, n_a) [N] applied at last and
     `target` (TargetSamples of rows, 1 + previews, `ahead` (1 + previews,) [s] of now) are the present ones, and `observed` what the
-    observation is made of; `draws` has what was drawn for every row's episode; `history` keeps what was observed, if the options ask
-    for it. `starts` makes beginnings of episodes, `actuation` commands of actions, `sensors` (s,) [m] are the arc lengths of strain
-    sensors. `arms.reading` and `arms.rows` are written in place at every step; `last` is what `remember` kept.
+    observation is made of; `history` keeps what was observed, if the options ask for it. `starts` makes beginnings of arms, `actuation`
+    commands of actions, `sensors` (s,) [m] are the arc lengths of strain sensors. `arms.reading` and `arms.rows` are written in place at
+    every step; `last` is what `remember` kept.
     """
 
     def __init__(self, task: Task, options: Options, rows: int, threads: int | None = None) -> None:
@@ -68,7 +74,6 @@ class Episodes:
         """
         scene = resolved_scene(options)
         check_fit(options, task, scene)
-        groups_of(options, task, scene)
         self.task, self.options, self.size, self.period = task, options, rows, options.control_period
         self.model = model = build_model(scene)
         self.sensors = sensor_places(options, scene)
@@ -76,43 +81,44 @@ class Episodes:
         self.arms = Arms(model, rows, self.period, stations, self.sensors, threads)
         ahead = [0, *(round(time / self.period) for time in options.preview)]
         self.ahead = self.period * np.array(ahead, dtype=np.float64)
-        self._courses = Courses(self.arms, self.period, ahead, task.shapes)
-        self.starts = starts = Starts(task, options, self.arms, self._courses)
+        self._courses = TargetTrajectories(self.arms, self.period, ahead, task.shapes)
+        self.starts = starts = Starts(options, self.arms)
+        self._draws = TargetDraws(starts.setting, self._courses, self.period, not starts.redraws)
+        target = self._draws.settled(options.target or TARGETS[task.target](type=task.target))
+        self._usual = starts.beginning(options.start, target)
         self.limits, self.start_tension, self.start_command = starts.limits, starts.tension, starts.command
         self.goal_kind: GoalReward = options.reward if options.reward in ("sparse", "dense") else "sparse"
-        self.goal_bound, self.threshold = GOAL_BOUND * model.length, starts.threshold
+        self.goal_bound = GOAL_BOUND * model.length
+        self.threshold = THRESHOLD * model.length if options.threshold is None else options.threshold
         self._contacts = Contacts(self.arms, options.contact_sections) if encountered(model) else None
         commands = model.scene.effects.command_limits(self.limits)
-        share, strongest = np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0], np.abs(commands).max(axis=1)
+        share, self._strongest = np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0], np.abs(commands).max(axis=1)
         self.actuation = Actuation(options, commands, self.start_command, share, rows, self.arms.substeps)
         self.actions = self.actuation.actions
-        self.errors = {error.name: np.full(rows, np.nan) for error in self._measures}
         if task.goal is None:
-            self._reward_terms = _reward_of(task, options, strongest, model.length, self._contacts is not None)
+            self._reward_terms = _reward_of(task, options, self._strongest, model.length, self._contacts is not None)
         noise = options.randomize.noise if options.randomize.of_sensors else None
         self._sensors = Sensors(noise, rows, model.tendon_count, self.sensors.size) if noise is not None else None
         self.history = History(rows, options.history, self.layout.kept) if options.history else None
-        self._all, self._transmits = np.arange(rows, dtype=np.int64), model.arm.effects.transmit
-        self.arms.place(self._all, np.tile(self.starts.q, (rows, 1)), self.start_tension)
+        self._all, self._transmits, self._simulated = np.arange(rows, dtype=np.int64), model.arm.effects.transmit, True
+        self.arms.place(self._all, np.tile(starts.q, (rows, 1)), self.start_tension)
         self._rest_values = RestValues(self.arms.reading.tendon_length[0].copy(), stress_free_strain(scene, self.sensors))
         self.step_count: Indices = np.zeros(rows, dtype=np.int64)
-        self.tension = np.tile(self.start_tension, (rows, 1))
-        self._applied = np.tile(self.start_command, (rows, 1))
+        self.tension, self._applied = np.tile(self.start_tension, (rows, 1)), np.tile(self.start_command, (rows, 1))
         self._action = np.tile(self.actuation.start_action, (rows, 1))
         self._action_change = np.zeros_like(self._action)
-        self.diverged = np.zeros(rows, dtype=bool)
-        self.terms: dict[str, Array] = {}
+        self.errors = {error.name: np.full(rows, np.nan) for error in self._measures}
+        self.diverged, self.terms = np.zeros(rows, dtype=bool), dict[str, Array]()
         self.target = self._courses.now_and_ahead(self.step_count, self.arms.reading.tip_pose)[0]
         self.last: Snapshot | None = None
-        self._simulated = True
 
     def attach(self, arms: Arms) -> None:
         """Take other arms of the same model in place of the simulated ones, as measured ones: their readings have noise of their own.
 
         Raises ConfigurationError where episodes do not begin at rest.
         """
-        if self.starts.usual.start != "rest":
-            raise ConfigurationError([Problem(("start",), f"is {self.starts.usual.start!r}: robots begin at rest")], "environment")
+        if self.options.start != "rest":
+            raise ConfigurationError([Problem(("start",), f"is {self.options.start!r}: robots begin at rest")], "environment")
         self.arms, self._sensors, self._simulated = arms, None, False
 
     @cached_property
@@ -120,8 +126,7 @@ class Episodes:
         """The layout of observations."""
         model, options = self.model, self.options
         sizes = Sizes(model.coordinate_count, model.tendon_count, self.sensors.size, len(options.preview), options.contact_sections)
-        strongest = np.abs(model.scene.effects.command_limits(self.limits)).max(axis=1)
-        return Layout(groups_of(options, self.task, model.scene), sizes, units_of(model, strongest), options.history)
+        return Layout(groups_of(options, self.task, model.scene), sizes, units_of(model, self._strongest), options.history)
 
     @cached_property
     def _measures(self) -> list[TrackingError]:
@@ -136,44 +141,51 @@ class Episodes:
 
     def beginnings(self, given: Mapping[int, ResetOptions], members: Indices) -> dict[int, Beginning]:
         """How those of the rows `members` begin that are given options. Raises ConfigurationError, TypeError, ValueError."""
-        own = {row: given[row] for row in members.tolist() if row in given}
-        if not self._simulated and any(begins.state or begins.start not in (None, "rest") for begins in own.values()):
-            raise ConfigurationError([Problem((), "should have no state or start: robots begin at rest")], "options")
-        return {row: self.starts.beginning(begins) for row, begins in own.items()}
+        found = {}
+        for row in members.tolist() if given else ():
+            own, target = given[row], self._usual.target
+            if not self._simulated and (own.state or own.start not in (None, "rest")):
+                raise ConfigurationError([Problem((), "should have no state or start: robots begin at rest")], "options")
+            if (wanted := own.goal or own.target) is not None:
+                check_target(wanted, self.task, self.model.scene)
+                target = self._draws.settled(wanted)
+            found[row] = self.starts.beginning(own.start or self.options.start, target, own.state)
+        return found
 
     def begin(self, members: Indices, generators: Sequence[np.random.Generator], beginnings: Mapping[int, Beginning] | None = None) -> None:
         """New episodes for the rows `members`, each drawn from its generator; `beginnings` of rows that do not begin as usual."""
-        q, tension = (np.empty((members.size, size)) for size in (self.model.coordinate_count, self.model.tendon_count))
-        command, motions, again = np.empty_like(tension), {}, {}
-        for i, (row, generator) in enumerate(zip(members.tolist(), generators, strict=True)):
-            own = (beginnings or {}).get(row, self.starts.usual)
-            draw, tension[i], command[i], q[i], setting = self.starts.begin(row, own, generator)
-            self.actuation.begin(row, draw, command[i])
-            if self.starts.may_draw_again(own.target):
-                again[row] = own.target, generator, setting
-            if self._sensors is not None:  # after the target, which is the same with and without noise
-                self._sensors.begin(row, int(generator.integers(2**63)))
-            if own.state is not None:
-                motions[row] = checked_motion(self.arms.model_of(row), own.state)
+        hows = [(beginnings or {}).get(row, self._usual) for row in members.tolist()]
+        rows = list(zip(members.tolist(), hows, generators, strict=True))
+        begun = [self.starts.begin(row, how, generator, self._blocked(how.target)) for row, how, generator in rows]
+        tension, command, q = (np.array(parts) for parts in zip(*(own.shape for own in begun), strict=True))
+        for (row, _, _), own in zip(rows, begun, strict=True):
+            self.actuation.begin(row, own.draw, own.shape.command)
         self.arms.place(members, q, tension)
         self.step_count[members] = 0
         self.tension, self._applied = self.tension.copy(), self._applied.copy()
         self.tension[members], self._applied[members] = tension, command
         self._action, self._action_change = self._action.copy(), self._action_change.copy()
         self._action[members], self._action_change[members] = self.actions.action(command, command), 0.0
-        if motions:
+        if motions := {row: own.motion for (row, _, _), own in zip(rows, begun, strict=True) if own.motion is not None}:
             self._put(motions)
+        for (row, how, generator), own in zip(rows, begun, strict=True):
+            self._begin_target(row, how.target, generator, own.setting)
+            if self._sensors is not None:  # after the target, which is the same with and without noise
+                self._sensors.begin(row, int(generator.integers(2**63)))
         self._observe(members)
-        self._begin_unsolved(again)
 
-    def _begin_unsolved(self, drawn: Mapping[int, tuple[Any, np.random.Generator, Setting]]) -> None:
-        """Draw goals again that the tip has reached, as it is or as it is measured; `drawn`: by row, what its target was drawn from."""
-        solved = [row for row in drawn if self._reached[row] or self._distance[row] <= self.threshold]
-        for row in solved:
-            tips = np.stack([self.arms.reading.tip_pose[row, :3, 3], self._goals[0][row]])
-            self._courses.begin(row, *self.starts.draw_course(*drawn[row], tips))
-        if solved:
-            self._observe(np.array(solved, dtype=np.int64), moved=False)
+    def _begin_target(self, row: int, target: Target | Course, generator: np.random.Generator, setting: Setting) -> None:
+        """Give a row its target; a goal that is drawn is one that the tip has not reached, unless it begins at rest or all are reached."""
+        if not isinstance(target, Target):
+            self._courses.begin(row, target)
+            return
+        away = self.task.goal is not None and not target.begins_at_rest and self.threshold <= EVERYWHERE * self.model.length
+        tip = self.arms.reading.tip_pose[row, :3, 3] if away else None
+        self._courses.begin(row, *self._draws.draw(target, generator, setting, tip, self.threshold))
+
+    def _blocked(self, target: Target | Course) -> Callable[[Model], str] | None:
+        """Obstacle of a model that a target is inside of which is not drawn; None: it is drawn, after the obstacles."""
+        return None if isinstance(target, Target) else partial(self._draws.inside, target)
 
     def put(self, states: Mapping[int, State]) -> None:
         """Put rows into states: their arms alone, while targets, last actions, commands that are on their way and counts of steps stay, and
@@ -236,7 +248,7 @@ class Episodes:
             reach, positions = np.float32(self.goal_bound), (measured.tip_pose[:, :3, 3], self.target_pose[:, :3, 3])
             achieved, desired = (np.minimum(np.maximum(position.astype(np.float32), -reach), reach) for position in positions)
             self._goals = achieved, desired  # tip positions (rows, 3) [m] as measured and as wanted, within their space
-            self._reached, self._distance = self.task.goal.distance(achieved, desired) <= self.threshold, off[0]
+            self._reached = self.task.goal.distance(achieved, desired) <= self.threshold
         if self.history is not None:
             self.history.keep(self._present, self.step_count if moved else np.zeros_like(self.step_count), members)
         tracking = Tracking(self.arms, self.target, error[:, 0], off, self._applied, self._action_change, contact)

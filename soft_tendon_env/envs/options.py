@@ -12,7 +12,6 @@ from soft_tendon_env.envs.observation import Group
 from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.envs.rewards import GoalReward, Weight
 from soft_tendon_env.envs.targets import TARGETS, Target
-from soft_tendon_env.envs.targets.motions import Random
 from soft_tendon_env.envs.targets.set_points import Hold
 from soft_tendon_env.envs.tasks import Task
 from soft_tendon_env.scene.file import load_scene
@@ -280,20 +279,6 @@ def _check_times(options: Options, scene: Scene) -> None:
         if not 0.5 < time / period <= MOST_AHEAD:
             allowed = f"more than half a control period, {period / 2:g} s, and at most {MOST_AHEAD} of them, {MOST_AHEAD * period:g} s"
             _fail(f"preview[{i}]", f"is {time:g}: it should be {allowed}")
-
-
-def without_bank(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of the same environment whose episodes draw their own targets, as those that policies are judged on. Raises
-    ConfigurationError."""
-    target = Options.parse(dict(options), "options").target
-    return {**options, "target": target.model_dump(exclude={"bank"})} if isinstance(target, Random) else dict(options)
-
-
-def refuse_bank(options: Options) -> None:
-    """Raises ConfigurationError where targets come from a bank, which a policy may have learned by heart."""
-    if isinstance(options.target, Random) and (bank := options.target.bank) is not None:
-        text = f"is {bank}: it is for trainings, and should be left out where policies are judged"
-        raise ConfigurationError([Problem(("target", "bank"), text)], "options")
 
 
 def _fail(key: str, text: str) -> NoReturn:

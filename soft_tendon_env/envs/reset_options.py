@@ -6,7 +6,6 @@ import numpy as np
 from pydantic import Field, InstanceOf, field_validator, model_validator
 
 from soft_tendon_env.envs.options import NamedTarget, Start
-from soft_tendon_env.envs.targets.motions import Random
 from soft_tendon_env.envs.targets.set_points import Hold
 from soft_tendon_env.model.state import State
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
@@ -43,13 +42,6 @@ class ResetOptions(Configuration):
             raise ValueError("should be a position of three numbers [m], or a pose, 4 x 4")
         values: Any = np.asarray(goal)
         return Hold(position=values) if values.ndim == 1 else Hold(pose=values)
-
-    @field_validator("target")
-    @classmethod
-    def _without_bank(cls, target: Any) -> Any:
-        if isinstance(target, Random) and target.bank is not None:
-            raise ConfigurationError([Problem(("bank",), f"is {target.bank}: it is of the argument `target`, and should be left out here")])
-        return target
 
     @model_validator(mode="after")
     def _one_of_each(self) -> "ResetOptions":

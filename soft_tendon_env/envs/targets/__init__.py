@@ -33,23 +33,23 @@ class Setting(NamedTuple):
 
     arms: Arms
     limits: Array  # (n_a, 2) [N]
+    tension: Array  # (n_a,) [N] nearest to zero within them
+    rest: Array  # (n,) coordinates in which that tension holds the arm
     response: Array  # (n_a, n) that makes tensions the coordinates in which they hold the unloaded arm, to first order
     is_exact: bool  # whether that is so for all tensions, and no load comes to them: (34), without effects
-    metric: Array  # (n, n) that makes changes of coordinates vectors whose length is the angle [rad] by which as much energy bends the arm
     model: Model  # whose equilibria targets are: that of the arms, among the obstacles of the row where these are drawn
     free: ObstacleFreeSpace | None = None  # where drawn motions stay, if there are obstacles and the arm does not rest against one
 
 
-def make_setting(arms: Arms, limits: Array) -> Setting:
-    """The setting of these arms."""
-    model, is_implicit = arms.model, isinstance(arms.model.arm.strain, Implicit)
-    unloaded = model.terms(np.zeros(model.coordinate_count), np.zeros(model.coordinate_count))
-    if is_implicit:
+def make_setting(arms: Arms, limits: Array, tension: Array, rest: Array) -> Setting:
+    """The setting of these arms, see Setting."""
+    model = arms.model
+    if isinstance(model.arm.strain, Implicit):
         response = np.stack([model.rest_coordinates(unit) for unit in np.eye(model.tendon_count)])
     else:
+        unloaded = model.terms(np.zeros(model.coordinate_count), np.zeros(model.coordinate_count))
         response = np.asarray(np.linalg.solve(unloaded.stiffness, unloaded.actuation).T, dtype=np.float64)
-    metric = np.asarray(np.linalg.cholesky(unloaded.stiffness / model.bending_energy), dtype=np.float64)
-    return Setting(arms, limits, response, rests_at_tensions(model), metric, model)
+    return Setting(arms, limits, tension, rest, response, rests_at_tensions(model), model)
 
 
 class TargetSamples(NamedTuple):
@@ -81,6 +81,25 @@ class ShapeCourse(ABC):
 Course = PoseCourse | ShapeCourse
 
 
+class Tensions(ABC):
+    """Tensions as a function of time.
+
+    knots: times (k,) [s] between which the motion is smooth, from its beginning at 0 to its end or, if `is_closed`, to where it repeats.
+    """
+
+    knots: Array
+    is_closed = False
+
+    def within(self, times: Array) -> Array:
+        """The times (m,) between the first and the last knot at which the motion is what it is at `times`."""
+        end = self.knots[-1]
+        return np.mod(times, end) if self.is_closed else np.clip(times, 0.0, end)
+
+    @abstractmethod
+    def __call__(self, times: Array) -> tuple[Array, Array]:
+        """Tensions [N] and their rates [N/s] at times (m,) [s], (m, n_a) each."""
+
+
 class Target(Configuration):
     """Base of the targets' configurations. A class has a field `type: Literal["name"] = "name"`, the name that options use."""
 
@@ -95,6 +114,11 @@ class Target(Configuration):
     def gives_shapes(self) -> bool:
         """Whether its course is a ShapeCourse, which tasks that compare shapes need."""
         return False
+
+    @property
+    def repeats(self) -> float | None:
+        """Time [s] after which a drawn course repeats; None: it does not."""
+        return None
 
     @property
     def begins_at_rest(self) -> bool:

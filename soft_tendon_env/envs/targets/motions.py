@@ -14,10 +14,11 @@ from soft_tendon_env.envs.targets import (
     Setting,
     Target,
     TargetSamples,
+    Tensions,
     pose_samples,
     register_target,
 )
-from soft_tendon_env.envs.targets.statics import Tensions, check_tension, drawn_course, given_course, nearest_to_zero
+from soft_tendon_env.envs.targets.statics import check_tension, drawn_course, given_course
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array, Positive
@@ -97,7 +98,7 @@ class Ramp(DrawnShapes):
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         """The motion of one episode. Raises ConfigurationError where the arm cannot hold the tensions, or those on the way."""
-        start = nearest_to_zero(setting.limits)
+        start = setting.tension
         if self.tension is not None:
             return given_course(self.tension, setting, lambda end: Rise(start, end, self.duration))
         return drawn_course(1, self.fraction, generator, setting, lambda points: Rise(start, points[0], self.duration))
@@ -110,9 +111,6 @@ class Rise(Tensions):
         self.start, self.change, self.duration = start, end - start, duration
         self.knots = np.linspace(0.0, duration, 5)
 
-    def within(self, times: Array) -> Array:
-        return np.clip(times, 0.0, self.duration)
-
     def __call__(self, times: Array) -> tuple[Array, Array]:
         x = (self.within(times) / self.duration)[:, None]
         part = x * x * x * (10.0 + x * (6.0 * x - 15.0))
@@ -122,22 +120,17 @@ class Rise(Tensions):
 
 MOST_KNOTS = 10_000
 """Points that a random motion can be drawn with."""
-MOST_COURSES = 100_000
-"""Courses in a bank."""
 
 
 @register_target
 class Random(DrawnShapes):
     """A smooth random motion: tensions along a closed cubic B-spline with a random point within `fraction` of their limits every
     `knot_period` [s], or a little less or more to make them a whole number of at least 4; it repeats after `period` [s].
-
-    `bank`: number of different motions, one of which every episode takes, from a drawn control period on; by default it draws its own.
     """
 
     type: Literal["random"] = "random"
     knot_period: float = Field(default=1.0, gt=0)
     period: Positive = 10.0
-    bank: int | None = Field(default=None, ge=1, le=MOST_COURSES)
 
     @model_validator(mode="after")
     def _enough_knots(self) -> "Random":
@@ -145,6 +138,11 @@ class Random(DrawnShapes):
             allowed = f"{self.period / MOST_KNOTS:g} to {self.period / 4:g} s, for 4 to {MOST_KNOTS} in a period of {self.period:g} s"
             raise ConfigurationError([Problem(("knot_period",), f"is {self.knot_period:g}: it should be {allowed}")])
         return self
+
+    @property
+    def repeats(self) -> float:
+        """The period [s]."""
+        return self.period
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         count = round(self.period / self.knot_period)
@@ -159,9 +157,6 @@ class ClosedSpline(Tensions):
     def __init__(self, points: Array, period: float) -> None:
         self.points, self.period = points, period
         self.knots = np.linspace(0.0, period, len(points) + 1)
-
-    def within(self, times: Array) -> Array:
-        return np.mod(times, self.period)
 
     def __call__(self, times: Array) -> tuple[Array, Array]:
         count = len(self.points)
