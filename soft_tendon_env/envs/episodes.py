@@ -4,13 +4,13 @@ What happens in a row depends on the generator that its episode began with and o
 row and for many, bit for bit. Read `begin` and `step` first.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property, partial
+from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from soft_tendon_env.envs.actuation import Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
@@ -32,7 +32,7 @@ from soft_tendon_env.mechanics.motion.scratch import Motion
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.motion.tape import Tape
 from soft_tendon_env.model.contact_forces import ContactForces, contact_forces
-from soft_tendon_env.model.model import Model, build_model
+from soft_tendon_env.model.model import build_model
 from soft_tendon_env.model.state import State, checked_motion, state_of
 from soft_tendon_env.model.step_control import cause_of, step_control
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
@@ -96,7 +96,9 @@ class Episodes:
         self.actuation = Actuation(options, commands, self.start_command, share, rows, self.arms.substeps)
         self.actions = self.actuation.actions
         if task.goal is None:
-            self._reward_terms = _reward_of(task, options, self._strongest, model.length, self._contacts is not None)
+            given = options.reward if isinstance(options.reward, dict) else {name: Weight(weight=own) for name, own in task.reward.items()}
+            terms = {**task.terms, **{error.term: error.as_term for error in self._measures}}
+            self._reward_terms = Reward(given, terms, self._strongest, model.length)
         noise = options.randomize.noise if options.randomize.of_sensors else None
         self._sensors = Sensors(noise, rows, model.tendon_count, self.sensors.size) if noise is not None else None
         self.history = History(rows, options.history, self.layout.kept) if options.history else None
@@ -156,20 +158,17 @@ class Episodes:
         """New episodes for the rows `members`, each drawn from its generator; `beginnings` of rows that do not begin as usual."""
         hows = [(beginnings or {}).get(row, self._usual) for row in members.tolist()]
         rows = list(zip(members.tolist(), hows, generators, strict=True))
-        begun = [self.starts.begin(row, how, generator, self._blocked(how.target)) for row, how, generator in rows]
-        tension, command, q = (np.array(parts) for parts in zip(*(own.shape for own in begun), strict=True))
-        for (row, _, _), own in zip(rows, begun, strict=True):
+        begun = {row: self.starts.begin(row, how, generator, self._draws.inside) for row, how, generator in rows}
+        tension, command, q = (np.array(parts) for parts in zip(*(own.shape for own in begun.values()), strict=True))
+        for row, own in begun.items():
             self.actuation.begin(row, own.draw, own.shape.command)
         self.arms.place(members, q, tension)
         self.step_count[members] = 0
-        self.tension, self._applied = self.tension.copy(), self._applied.copy()
-        self.tension[members], self._applied[members] = tension, command
-        self._action, self._action_change = self._action.copy(), self._action_change.copy()
-        self._action[members], self._action_change[members] = self.actions.action(command, command), 0.0
-        if motions := {row: own.motion for (row, _, _), own in zip(rows, begun, strict=True) if own.motion is not None}:
+        self._keep(members, tension, command, self.actions.action(command, command), np.zeros_like(command))
+        if motions := {row: own.motion for row, own in begun.items() if own.motion is not None}:
             self._put(motions)
-        for (row, how, generator), own in zip(rows, begun, strict=True):
-            self._begin_target(row, how.target, generator, own.setting)
+        for row, how, generator in rows:
+            self._begin_target(row, how.target, generator, begun[row].setting)
             if self._sensors is not None:  # after the target, which is the same with and without noise
                 self._sensors.begin(row, int(generator.integers(2**63)))
         self._observe(members)
@@ -182,10 +181,6 @@ class Episodes:
         away = self.task.goal is not None and not target.begins_at_rest and self.threshold <= EVERYWHERE * self.model.length
         tip = self.arms.reading.tip_pose[row, :3, 3] if away else None
         self._courses.begin(row, *self._draws.draw(target, generator, setting, tip, self.threshold))
-
-    def _blocked(self, target: Target | Course) -> Callable[[Model], str] | None:
-        """Obstacle of a model that a target is inside of which is not drawn; None: it is drawn, after the obstacles."""
-        return None if isinstance(target, Target) else partial(self._draws.inside, target)
 
     def put(self, states: Mapping[int, State]) -> None:
         """Put rows into states: their arms alone, while targets, last actions, commands that are on their way and counts of steps stay, and
@@ -206,8 +201,7 @@ class Episodes:
         for row, (_, step) in motions.items():
             rows.step[row] = step  # as it was
         if self._transmits:
-            self.tension = self.tension.copy()
-            self.tension[members] = self.arms.reading.tension[members]
+            self.tension = _replaced(self.tension, members, self.arms.reading.tension[members])
 
     def step(self, action: Array, members: Indices | None = None, tape: Tape | None = None) -> None:
         """One control period of the rows `members` (all by default) with actions (rows, n_a), taken as within [-1, 1]; tape: see Arms."""
@@ -222,11 +216,13 @@ class Episodes:
             self.tension, self._applied, self._action, self._action_change = tension, applied, action, change
         else:  # rows that have just begun keep what they began with
             self.step_count[members] += 1
-            self.tension, self._applied = self.tension.copy(), self._applied.copy()
-            self.tension[members], self._applied[members] = tension[members], applied[members]
-            self._action, self._action_change = self._action.copy(), np.zeros_like(change)
-            self._action[members], self._action_change[members] = action[members], change[members]
+            self._keep(members, tension[members], applied[members], action[members], change[members])
         self._observe(members)
+
+    def _keep(self, members: Indices, tension: Array, applied: Array, action: Array, change: Array) -> None:
+        """What was applied to the rows `members` (members, n_a), in new arrays."""
+        self.tension, self._applied = _replaced(self.tension, members, tension), _replaced(self._applied, members, applied)
+        self._action, self._action_change = _replaced(self._action, members, action), _replaced(self._action_change, members, change)
 
     def _observe(self, members: Indices, moved: bool = True) -> None:
         """Compare the arms with their targets, after the rows `members` moved on or were put elsewhere: observation, errors, reward."""
@@ -257,10 +253,15 @@ class Episodes:
         if self.options.tip_speed_limit is not None:
             self.diverged |= norm(reading.tip_twist[:, 3:]) > self.options.tip_speed_limit
         if self.task.goal is not None:
-            self.reward = self.task.goal.reward(*self._goals, self.goal_kind, self.threshold)
+            self.reward = self.goal_reward(*self._goals)
         else:
             self.terms, self.reward = self._reward_terms.of(self.errors, tracking)
         self.reward[self.diverged] = 0.0
+
+    def goal_reward(self, achieved: ArrayLike, desired: ArrayLike) -> Array:
+        """Rewards (...) of goals (..., 3) [m]. Raises ValueError for goals of other shapes."""
+        assert self.task.goal is not None
+        return self.task.goal.reward(achieved, desired, self.goal_kind, self.threshold)
 
     def target_at(self, row: int, times: Array) -> TargetSamples:
         """A row's target at times (m,) [s] from the beginning of its episode."""
@@ -323,13 +324,11 @@ class Episodes:
         return self.starts.effects.values(self.arms.effects_of(row))
 
 
-def _reward_of(task: Task, options: Options, strongest: Array, length: float, contact: bool) -> Reward:
-    given, of_contact = options.reward, {error.term: error.as_term for error in CONTACT_ERRORS}
-    weights = given if isinstance(given, dict) else {name: Weight(weight=weight) for name, weight in task.reward.items()}
-    if missing := [] if contact else [name for name in weights if name in of_contact]:
-        text = "needs a scene with obstacles, effects.contact"
-        raise ConfigurationError([Problem(("reward", name), text) for name in missing], "environment")
-    return Reward(weights, {**task.terms, **(of_contact if contact else {})}, strongest, length, "environment")
+def _replaced(values: Array, members: Indices, new: Array) -> Array:
+    """A copy of values (rows, ..) with new ones in the rows `members`."""
+    values = values.copy()
+    values[members] = new
+    return values
 
 
 def episodes_of(env: Any) -> Episodes:

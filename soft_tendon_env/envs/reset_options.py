@@ -59,25 +59,23 @@ def reset_options(options: Any, rows: int | None = None) -> dict[int, ResetOptio
     """
     if not isinstance(options, dict | None):
         raise TypeError(f"options should be a dict or None, not {type(options).__name__}")
+    allowed = {*ResetOptions.model_fields, *([] if rows is None else [MASK])}
+    if unknown := [str(key) for key in options or () if key not in allowed]:
+        raise ConfigurationError([Problem((key,), f"is no option of reset: {not_among(key, allowed)}") for key in unknown], "options")
+    given = {key: value for key, value in (options or {}).items() if value is not None and key != MASK}
     if not options:
         return {}
-    allowed = {*ResetOptions.model_fields, *([] if rows is None else [MASK])}
-    if unknown := [str(key) for key in options if key not in allowed]:
-        raise ConfigurationError([Problem((key,), f"is no option of reset: {not_among(key, allowed)}") for key in unknown], "options")
-    given = {key: value for key, value in options.items() if value is not None and key != MASK}
     if rows is None:
         return {0: ResetOptions.parse(given, "options")}
     by_row = {key: _by_row(key, value, rows) for key, value in given.items()}
-    return {
-        row: ResetOptions.parse({key: values[row] for key, values in by_row.items() if values[row] is not None}, f"options of row {row}")
-        for row in range(rows)
-    }
+    tables = [{key: values[row] for key, values in by_row.items() if values[row] is not None} for row in range(rows)]
+    return {row: ResetOptions.parse(table, f"options of row {row}") for row, table in enumerate(tables)}
 
 
 def _by_row(key: str, value: Any, rows: int) -> list[Any]:
     """Values of a key, one per row. Raises ConfigurationError."""
-    shape, is_list = _shape(value), isinstance(value, list | tuple) or isinstance(value, np.ndarray) and value.ndim > 0
-    if not is_list or key == "start" and len(shape) == 1 or key == "goal" and shape in GOALS:
+    shape = _shape(value)
+    if not isinstance(value, list | tuple | np.ndarray) or key == "start" and len(shape) == 1 or key == "goal" and shape in GOALS:
         return [value] * rows
     if len(value) != rows:
         raise ConfigurationError([Problem((key,), f"has {len(value)} entries: it should be one value, or one per row, {rows}")], "options")

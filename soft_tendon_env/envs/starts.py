@@ -86,16 +86,18 @@ class Starts:
         shape = self._begin_shape(self._model, start, None, self.q) if start != "random" else None
         return Beginning(start, target, state, None if state is None else checked_motion(self._model, state), shape)
 
-    def begin(self, row: int, how: Beginning, generator: np.random.Generator, clear_of: Callable[[Model], str] | None) -> Begun:
+    def begin(self, row: int, how: Beginning, generator: np.random.Generator, inside: Callable[[Course, Model], str]) -> Begun:
         """Give a row its arm, drawn from a generator. Raises ConfigurationError.
 
-        clear_of: the obstacle of a model that the target is inside of, as the end of a sentence, where drawn obstacles should keep clear.
+        inside: the obstacle of a model that a target is inside of, as the end of a sentence; obstacles keep clear of those not drawn.
         """
         effects = own_stream(generator) if self.effects else None
         start = own_stream(generator, START) if how.start == "random" else None
         draw, setting, rest, model = drawn(self._options.randomize, self._model.tendon_count, generator), self.setting, self.q, self._model
         if self._options.randomize.of_arm:
-            rest = self._begin_arm(row, draw.material, effects, clear_of)
+            rest = self._begin_arm(
+                row, draw.material, effects, lambda own: "" if isinstance(how.target, Target) else inside(how.target, own)
+            )
             model = self._arms.model_of(row)
         shape = how.shape or self._begin_shape(model, how.start, start, rest)
         if self.redraws:
@@ -133,7 +135,7 @@ class Starts:
         rest = static_equilibrium(model, tension, settle=True)
         return rest.q, why_inside(model, rest.q), rest.reason
 
-    def _begin_arm(self, row: int, material: Material, stream: np.random.Generator | None, clear_of: Callable[[Model], str] | None) -> Array:
+    def _begin_arm(self, row: int, material: Material, stream: np.random.Generator | None, blocked: Callable[[Model], str]) -> Array:
         """Give a row its material, and effects drawn from a stream if there is one: the coordinates (n,) at which it rests."""
         if stream is None:
             return self._rest_of(row, material)
@@ -144,10 +146,11 @@ class Starts:
                 if last and self.redraws:
                     continue
                 raise
-            inside = clear_of(self._arms.model_of(row)) if clear_of is not None and self.redraws else ""
-            if not inside:
+            if not (self.redraws and (inside := blocked(self._arms.model_of(row)))):
                 return q
-        raise _problem(("randomize", "effects"), f"put the target inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}: {inside}")
+        raise _problem(
+            ("randomize", "effects"), f"put the target inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}: {inside}"
+        )
 
     def _check_extremes(self) -> None:
         """Raises ConfigurationError where the heaviest arm that can be drawn does not rest."""

@@ -23,6 +23,9 @@ from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array, Positive
 
+MOST_KNOTS = 10_000
+"""Points that a random motion can be drawn with."""
+
 
 @register_target
 class Circle(Target):
@@ -53,21 +56,17 @@ class CircleCourse(PoseCourse):
 
     def sample(self, times: Array) -> TargetSamples:
         rate = 2.0 * np.pi / self.circle.period
-        angle = rate * np.mod(times, self.circle.period)
-        c, s = np.cos(angle), np.sin(angle)
-        lean = np.radians(self.circle.tilt)
-        outward = np.stack([0.0 * c, c, s], axis=-1)
-        x_axis = np.cos(lean) * np.array([1.0, 0.0, 0.0]) + np.sin(lean) * outward
-        radial = np.cos(lean) * outward - np.sin(lean) * np.array([1.0, 0.0, 0.0])
-        across = np.stack([0.0 * c, -s, c], axis=-1)
+        angle, lean = rate * np.mod(times, self.circle.period), np.radians(self.circle.tilt)
+        c, s, none = np.cos(angle), np.sin(angle), np.zeros_like(times)
+        ahead, outward, across = np.array([1.0, 0.0, 0.0]), np.stack([none, c, s], axis=-1), np.stack([none, -s, c], axis=-1)
+        radial = np.cos(lean) * outward - np.sin(lean) * ahead
         pose = np.tile(np.eye(4), (times.size, 1, 1))
-        pose[:, :3, 0] = x_axis
+        pose[:, :3, 0] = np.cos(lean) * ahead + np.sin(lean) * outward
         pose[:, :3, 1] = c[:, None] * radial - s[:, None] * across  # no roll: the axes of the base, carried by the shortest turn
         pose[:, :3, 2] = s[:, None] * radial + c[:, None] * across
         pose[:, :3, 3] = self.centre + self.radius * outward
-        rotation = pose[:, :3, :3]
-        angular = rate * (rotation[:, 0, :] - np.array([1.0, 0.0, 0.0]))
-        linear = (rotation * (rate * self.radius * across)[:, :, None]).sum(axis=1)
+        angular = rate * (pose[:, 0, :3] - ahead)
+        linear = (pose[:, :3, :3] * (rate * self.radius * across)[:, :, None]).sum(axis=1)
         return pose_samples(pose, np.concatenate([angular, linear], axis=1))
 
 
@@ -118,15 +117,10 @@ class Rise(Tensions):
         return self.start + part * self.change, rate * self.change
 
 
-MOST_KNOTS = 10_000
-"""Points that a random motion can be drawn with."""
-
-
 @register_target
 class Random(DrawnShapes):
     """A smooth random motion: tensions along a closed cubic B-spline with a random point within `fraction` of their limits every
-    `knot_period` [s], or a little less or more to make them a whole number of at least 4; it repeats after `period` [s].
-    """
+    `knot_period` [s], or a little less or more to make them a whole number of at least 4; it repeats after `period` [s]."""
 
     type: Literal["random"] = "random"
     knot_period: float = Field(default=1.0, gt=0)
@@ -161,12 +155,10 @@ class ClosedSpline(Tensions):
     def __call__(self, times: Array) -> tuple[Array, Array]:
         count = len(self.points)
         place = self.within(times) / self.period * count
-        first = np.floor(place)
-        f, index = (place - first)[:, None], first.astype(int)
+        first = np.floor(place).astype(int)
+        f = place - first
         g = 1.0 - f
-        weights = (g * g * g, 4.0 - 6.0 * f * f + 3.0 * f * f * f, 4.0 - 6.0 * g * g + 3.0 * g * g * g, f * f * f)
-        slopes = (-3.0 * g * g, 9.0 * f * f - 12.0 * f, 12.0 * g - 9.0 * g * g, 3.0 * f * f)
-        near = [self.points.take((index + j) % count, axis=0) for j in range(4)]
-        value = sum(w * p for w, p in zip(weights, near, strict=True)) / 6.0
-        slope = sum(w * p for w, p in zip(slopes, near, strict=True)) * (count / (6.0 * self.period))
-        return np.asarray(value), np.asarray(slope)
+        weights = np.stack([g * g * g, 4.0 - 6.0 * f * f + 3.0 * f * f * f, 4.0 - 6.0 * g * g + 3.0 * g * g * g, f * f * f]) / 6.0
+        slopes = np.stack([-g * g, 3.0 * f * f - 4.0 * f, 4.0 * g - 3.0 * g * g, f * f]) * (0.5 * count / self.period)
+        near = self.points[(first + np.arange(4)[:, None]) % count]
+        return (weights[:, :, None] * near).sum(axis=0), (slopes[:, :, None] * near).sum(axis=0)

@@ -28,7 +28,7 @@ PER_KNOT = 4
 1e-4 of its length off those between, through two by up to 2e-3."""
 NEAR = 0.2
 """Angle [rad] from where an equilibrium is expected within which it is taken; else tensions change by half as much at a time."""
-RESIDUAL = 1e-8
+RESIDUAL = 1e-9
 """Residual [rad], see Equilibrium, up to which forces count as balanced."""
 SAME = 1e-6
 """Angle [rad] between shapes that count as one."""
