@@ -35,7 +35,7 @@ GOAL_BOUND = 2.0
 """Largest coordinate of goals in the world frame, in lengths of the rod."""
 SCENES = "should be the name of a shipped scene, the path of a TOML file, a Scene, or a table, such as scene_to_dict gives"
 
-KINDS: dict[str, tuple[tuple[type, ...], str]] = {
+KINDS: dict[str, tuple[Any, str]] = {
     "scene": ((str, dict, Scene), SCENES),
     "observation": ((str, tuple), "should be 'full', 'measurable' or a list of the names of groups"),
     "sensors": ((int, tuple), "should be a whole number, or a list of arc lengths"),

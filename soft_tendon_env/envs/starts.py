@@ -56,8 +56,8 @@ class Begun(NamedTuple):
 class Starts:
     """Beginnings of rows of arms.
 
-    `tension` (n_a,) [N] and `command` (n_a,) hold the arm at rest, `q` (n,) are its coordinates there, where nothing is drawn; `effects` are
-    the ranges of effects that are drawn, `redraws` whether obstacles are among them; `setting` is that of the scene's arm.
+    `tension` (n_a,) [N] and `command` (n_a,) hold the scene's arm at rest, at coordinates `q` (n,); `effects` are the ranges of effects
+    that are drawn, `redraws` whether obstacles are among them; `setting` is that of the scene's arm.
     """
 
     def __init__(self, options: Options, arms: Arms) -> None:
@@ -78,8 +78,8 @@ class Starts:
         self.setting = self._among(make_setting(arms, self.limits, self.tension, self.q))
 
     def beginning(self, start: Start, target: Target | Course, state: State | None = None) -> Beginning:
-        """How a row begins. Raises ConfigurationError, TypeError or ValueError where it cannot, but for what depends on the arm that is drawn
-        for its episode: that is found out when it begins."""
+        """How a row begins. Raises ConfigurationError, TypeError or ValueError where it cannot; what depends on an arm that is drawn is
+        found out when it begins."""
         check_start(start, self._model.scene)
         if self._options.randomize.of_arm:
             return Beginning(start, target, state)
@@ -108,12 +108,12 @@ class Starts:
     def _begin_shape(self, model: Model, start: Start, stream: np.random.Generator | None, rest: Array) -> Shape:
         """Shape in which a row begins that rests at `rest` (n,).
 
-        Tensions that are drawn from `stream` are halved until the arm holds them, clear of obstacles. Raises ConfigurationError where the arm
+        Tensions that are drawn from `stream` are halved until the arm holds them, clear of obstacles. Raises ConfigurationError where it
         does not hold given ones.
         """
         if start == "rest":
             return Shape(self.tension, self.command, rest)
-        tension = np.array(start) if stream is None else stream.uniform(*self.limits.T)
+        tension: Array = np.array(start) if stream is None else np.asarray(stream.uniform(*self.limits.T))
         least, greatest = model.scene.effects.command_limits(self.limits).T
         for _ in range(HALVINGS):
             q, inside, reason = self._settled(model, tension)
@@ -128,8 +128,8 @@ class Starts:
         return Shape(self.tension, self.command, rest)
 
     def _settled(self, model: Model, tension: Array) -> tuple[Array, str, str]:
-        """Coordinates (n,) at which an arm slowly loaded with tensions (n_a,) [N] comes to rest; the obstacle that it is inside of there and
-        why it does not rest, as ends of sentences: "" where neither is so."""
+        """Coordinates (n,) at which an arm slowly loaded with tensions (n_a,) [N] comes to rest; the obstacle that it is inside of there,
+        and why it does not rest, as ends of sentences: "" where it is so."""
         if inside := why_base_inside(model, np.zeros(model.coordinate_count)):  # which no motion frees
             return np.zeros(model.coordinate_count), inside, ""
         rest = static_equilibrium(model, tension, settle=True)

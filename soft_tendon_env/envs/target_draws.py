@@ -27,8 +27,8 @@ CHECKS = 100
 class TargetDraws:
     """Draws of targets for the rows of an environment.
 
-    Under loads a motion takes many equilibria. There, one of BANK motions is drawn in place of each of its own, and the control period of it
-    at which the episode begins. A motion of the bank depends on its number alone, is computed when it is first asked for, and stays.
+    Under loads a motion takes many equilibria. There, one of BANK motions is drawn in place of a new one, and the control period of it at
+    which the episode begins. A motion of the bank depends on its number alone, is computed when it is first asked for, and stays.
     """
 
     def __init__(self, setting: Setting, trajectories: TargetTrajectories, period: float, has_bank: bool) -> None:
@@ -95,6 +95,6 @@ class TargetDraws:
         """Control period at which a drawn course begins with a goal that is not reached: `first`, or of motions that repeat one that is
         drawn; None: there is none."""
         periods = first + np.arange(1 if repeats is None else self._periods(repeats))
-        goals = self._trajectories.tip_positions(course, self._period * periods).astype(np.float32)  # as they are observed
+        goals = self._trajectories.tip_positions(course, self._period * periods.astype(np.float64)).astype(np.float32)  # as they are observed
         far = periods[np.linalg.norm(goals - tip, axis=1) > reached]
         return None if not far.size else first if far[0] == first else int(generator.choice(far))

@@ -24,7 +24,7 @@ HALVINGS = 40
 MARGIN = 1.03
 """Part of a drawn motion's coordinates that should have strains too: it may reach farther between places where they are looked for."""
 PER_KNOT = 4
-"""Places per knot of the tensions at which a motion is looked at. The spline through four equilibria moves the tip of a loaded arm by at most
+"""Places per knot of the tensions at which a motion is looked at. The spline through four equilibria moves the tip of a loaded arm by up to
 1e-4 of its length off those between, through two by up to 2e-3."""
 NEAR = 0.2
 """Angle [rad] from where an equilibrium is expected within which it is taken; else tensions change by half as much at a time."""
@@ -171,12 +171,14 @@ class EquilibriumPath:
         """work: of the setting's model."""
         self.q, self.tension, self._response = setting.rest, setting.tension, setting.response
         self._balance = Balance(setting.model, setting.tension, work)
+        self._compliance: Array
         self._linearise()
 
     def follow(self, tension: Array) -> Array:
         """Coordinates (m, n) at rest under tensions (m, n_a), one after the other. Raises NoEquilibrium, also where tensions that come back
         do not bring back the shape."""
-        q, added = np.empty((len(tension), self.q.size)), []
+        q = np.empty((len(tension), self.q.size))
+        added: list[Array] = []
         for i, u in enumerate(tension):
             response = u @ self._response
             self.move(u, response + np.dot(EXTRAPOLATIONS[len(added)], added) if added else None)
