@@ -19,10 +19,10 @@ from soft_tendon_env.envs.observation import History, Layout, Observed, RestValu
 from soft_tendon_env.envs.options import GOAL_BOUND, Options, check_fit, check_target, groups_of, resolved_scene, sensor_places
 from soft_tendon_env.envs.randomization import Measured, Sensors
 from soft_tendon_env.envs.reset_options import ResetOptions
-from soft_tendon_env.envs.rewards import GoalReward, Reward, Weight
+from soft_tendon_env.envs.rewards import Reward, Weight
 from soft_tendon_env.envs.starts import Beginning, Starts
 from soft_tendon_env.envs.target_draws import TargetDraws
-from soft_tendon_env.envs.targets import TARGETS, Course, Setting, Target, TargetSamples
+from soft_tendon_env.envs.targets import TARGETS, TargetSamples
 from soft_tendon_env.envs.tasks import STATIONS, Task
 from soft_tendon_env.envs.tracking import CONTACT_ERRORS, Tracking, TrackingError, norm
 from soft_tendon_env.envs.trajectories import TargetTrajectories
@@ -69,8 +69,8 @@ class Episodes:
         """Raises ConfigurationError where the options do not fit the task or the scene.
 
         Attributes made here: `limits` of tensions (n_a, 2) [N], `start_tension` (n_a,) [N] at reset and `start_command` (n_a,) that holds
-        it, `actions` the action scaling, `goal_kind` "sparse" or "dense", `goal_bound` the largest coordinate [m] of goals, `threshold`
-        the distance [m] within which one is reached.
+        it, `actions` the action scaling, `goal_bound` the largest coordinate [m] of goals, `threshold` the distance [m] within which one is
+        reached.
         """
         scene = resolved_scene(options)
         check_fit(options, task, scene)
@@ -83,13 +83,13 @@ class Episodes:
         self.ahead = self.period * np.array(ahead, dtype=np.float64)
         self._courses = TargetTrajectories(self.arms, self.period, ahead, task.shapes)
         self.starts = starts = Starts(options, self.arms)
-        self._draws = TargetDraws(starts.setting, self._courses, self.period, not starts.redraws)
+        self.threshold = THRESHOLD * model.length if options.threshold is None else options.threshold
+        away = self.threshold if task.goal is not None and self.threshold <= EVERYWHERE * model.length else None
+        self._draws = TargetDraws(starts.setting, self._courses, self.period, not starts.redraws, away)
         target = self._draws.settled(options.target or TARGETS[task.target](type=task.target))
         self._usual = starts.beginning(options.start, target)
         self.limits, self.start_tension, self.start_command = starts.limits, starts.tension, starts.command
-        self.goal_kind: GoalReward = options.reward if options.reward in ("sparse", "dense") else "sparse"
         self.goal_bound = GOAL_BOUND * model.length
-        self.threshold = THRESHOLD * model.length if options.threshold is None else options.threshold
         self._contacts = Contacts(self.arms, options.contact_sections) if encountered(model) else None
         commands = model.scene.effects.command_limits(self.limits)
         share, self._strongest = np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0], np.abs(commands).max(axis=1)
@@ -168,19 +168,10 @@ class Episodes:
         if motions := {row: own.motion for row, own in begun.items() if own.motion is not None}:
             self._put(motions)
         for row, how, generator in rows:
-            self._begin_target(row, how.target, generator, begun[row].setting)
+            self._draws.begin(row, how.target, generator, begun[row].setting, self.arms.reading.tip_pose[row, :3, 3])
             if self._sensors is not None:  # after the target, which is the same with and without noise
                 self._sensors.begin(row, int(generator.integers(2**63)))
         self._observe(members)
-
-    def _begin_target(self, row: int, target: Target | Course, generator: np.random.Generator, setting: Setting) -> None:
-        """Give a row its target; a goal that is drawn is one that the tip has not reached, unless it begins at rest or all are reached."""
-        if not isinstance(target, Target):
-            self._courses.begin(row, target)
-            return
-        away = self.task.goal is not None and not target.begins_at_rest and self.threshold <= EVERYWHERE * self.model.length
-        tip = self.arms.reading.tip_pose[row, :3, 3] if away else None
-        self._courses.begin(row, *self._draws.draw(target, generator, setting, tip, self.threshold))
 
     def put(self, states: Mapping[int, State]) -> None:
         """Put rows into states: their arms alone, while targets, last actions, commands that are on their way and counts of steps stay, and
@@ -229,16 +220,15 @@ class Episodes:
         self._courses.prepare(self.step_count, members)
         reading = self.arms.reading
         self.target, error, off = self._courses.now_and_ahead(self.step_count, reading.tip_pose)
-        measured: Reading | Measured
-        measured, measured_error = reading, error
+        measured: Reading | Measured = reading
+        measured_error = error
         if self._sensors is not None:
             measured = self._sensors.measured(reading, self.step_count, members if moved else members[:0])
             measured_error = np.empty_like(error)
             pose_errors(measured.tip_pose, self.target.tip_pose, measured_error)
         contact = NO_CONTACT if self._contacts is None else self._contacts.read(members)
-        self.observed = Observed(
-            self.arms, measured, measured_error, self.target, self._action, self.actuation.command, contact, self._rest_values
-        )
+        asked = self._action, self.actuation.command
+        self.observed = Observed(self.arms, measured, measured_error, self.target, *asked, contact, self._rest_values)
         self._present = self.layout.present(self.observed)
         if self.task.goal is not None:
             reach, positions = np.float32(self.goal_bound), (measured.tip_pose[:, :3, 3], self.target_pose[:, :3, 3])
@@ -261,7 +251,7 @@ class Episodes:
     def goal_reward(self, achieved: ArrayLike, desired: ArrayLike) -> Array:
         """Rewards (...) of goals (..., 3) [m]. Raises ValueError for goals of other shapes."""
         assert self.task.goal is not None
-        return self.task.goal.reward(achieved, desired, self.goal_kind, self.threshold)
+        return self.task.goal.reward(achieved, desired, "dense" if self.options.reward == "dense" else "sparse", self.threshold)
 
     def target_at(self, row: int, times: Array) -> TargetSamples:
         """A row's target at times (m,) [s] from the beginning of its episode."""

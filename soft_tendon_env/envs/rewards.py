@@ -78,8 +78,7 @@ class Reward:
             problems.append(Problem(("reward",), "should give at least one term a weight above 0"))
         if problems:
             raise ConfigurationError(problems, "environment")
-        self._shares = {name: weight.weight / total for name, weight in weights.items()}
-        self._own: dict[str, Any] = own
+        self._shares, self._own = {name: weight.weight / total for name, weight in weights.items()}, own
         self._compiled = {name: available[name] for name in weights if name not in own}
         self._errors = [term.of for term in self._compiled.values() if isinstance(term.of, str)]
         usual = {name: term.scale * (length if term.of_length else 1.0) for name, term in self._compiled.items()}

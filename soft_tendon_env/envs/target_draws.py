@@ -31,9 +31,12 @@ class TargetDraws:
     which the episode begins. A motion of the bank depends on its number alone, is computed when it is first asked for, and stays.
     """
 
-    def __init__(self, setting: Setting, trajectories: TargetTrajectories, period: float, has_bank: bool) -> None:
-        """period: of control [s]; has_bank: not where rows have obstacles of their own, of which motions keep clear."""
-        self._setting, self._trajectories, self._period = setting, trajectories, period
+    def __init__(
+        self, setting: Setting, trajectories: TargetTrajectories, period: float, has_bank: bool, away: float | None = None
+    ) -> None:
+        """period: of control [s]; has_bank: not where rows have obstacles of their own, of which motions keep clear; away: distance [m]
+        that goals have from where the tip begins."""
+        self._setting, self._trajectories, self._period, self._away = setting, trajectories, period, away
         self._has_bank = has_bank and not rests_at_tensions(setting.model if setting.free is None else setting.free.model)
         self._bank: dict[int, Course] = {}
 
@@ -57,25 +60,28 @@ class TargetDraws:
         times = self._period * np.linspace(0.0, MAX_EPISODE_STEPS, CHECKS)
         return why_target_inside(model, self._trajectories.tip_positions(course, times))
 
-    def draw(
-        self, target: Target, generator: np.random.Generator, setting: Setting, tip: Array | None = None, reached: float = 0.0
-    ) -> tuple[Course, int]:
-        """A course of a target, and the control period of it to begin at, where its goal is farther than `reached` [m] from the tip (3,).
+    def begin(self, row: int, target: Target | Course, generator: np.random.Generator, setting: Setting, tip: Array) -> None:
+        """Give a row its target, a drawn one clear of obstacles, with a goal away from the tip (3,) unless it begins at rest.
 
         Raises ConfigurationError where all draws are inside of obstacles; where all goals are reached a warning says so.
         """
+        if not isinstance(target, Target):
+            self._trajectories.begin(row, target)
+            return
+        away = None if target.begins_at_rest else self._away
         for _ in range(MOST_DRAWS):
             course, first = self._drawn(target, generator, setting)
             inside = "" if isinstance(course, ShapeCourse) else self.inside(course, setting.model)
-            begins = first if tip is None else self._unreached(course, first, target.repeats, tip, reached, generator)
+            begins = first if away is None else self._unreached(course, first, target.repeats, tip, away, generator)
             if not inside and begins is not None:
-                return course, begins
+                self._trajectories.begin(row, course, begins)
+                return
         if inside:
             text = f"lay inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}, at last {inside}"
             raise ConfigurationError([Problem(("target",), text)], "environment")
-        text = f"a goal was within the threshold, {1e3 * reached:.3g} mm, of where the tip begins in {MOST_DRAWS} draws"
+        text = f"a goal was within the threshold, {1e3 * (away or 0.0):.3g} mm, of where the tip begins in {MOST_DRAWS} draws"
         warnings.warn(f"{text}: the episode begins solved; choose a smaller threshold, or a larger fraction of tensions", stacklevel=2)
-        return course, first
+        self._trajectories.begin(row, course, first)
 
     def _drawn(self, target: Target, generator: np.random.Generator, setting: Setting) -> tuple[Course, int]:
         """A course, and the control period of it to begin at."""
@@ -90,11 +96,12 @@ class TargetDraws:
         return max(round(time / self._period), 1)
 
     def _unreached(
-        self, course: Course, first: int, repeats: float | None, tip: Array, reached: float, generator: np.random.Generator
+        self, course: Course, first: int, repeats: float | None, tip: Array, away: float, generator: np.random.Generator
     ) -> int | None:
-        """Control period at which a drawn course begins with a goal that is not reached: `first`, or of motions that repeat one that is
+        """Control period at which a drawn course begins with a goal away from the tip: `first`, or of motions that repeat one that is
         drawn; None: there is none."""
         periods = first + np.arange(1 if repeats is None else self._periods(repeats))
-        goals = self._trajectories.tip_positions(course, self._period * periods.astype(np.float64)).astype(np.float32)  # as they are observed
-        far = periods[np.linalg.norm(goals - tip, axis=1) > reached]
+        times = self._period * periods.astype(np.float64)
+        goals = self._trajectories.tip_positions(course, times).astype(np.float32)  # as they are observed
+        far = periods[np.linalg.norm(goals - tip, axis=1) > away]
         return None if not far.size else first if far[0] == first else int(generator.choice(far))

@@ -88,8 +88,7 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any]):
         Raises ValueError or TypeError for bad seeds and options, before anything changes.
         """
         single.refuse_closed(self.closed, "reset")
-        members, seeds = self._all, _checked_seeds(seed, self.num_envs)
-        given = reset_options(options, self.num_envs)
+        members, seeds, given = self._all, _checked_seeds(seed, self.num_envs), reset_options(options, self.num_envs)
         if options is not None and MASK in options:
             mask = np.asarray(options[MASK])
             if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
@@ -154,8 +153,7 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any]):
 
     def _restarted(self, observation: Any, info: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         """Reset the ended rows at once; what they ended with goes to final_obs and final_info."""
-        ended = self._ended.copy()
-        final_obs = np.full(self.num_envs, None, dtype=object)
+        ended, final_obs = self._ended.copy(), np.full(self.num_envs, None, dtype=object)
         for row in np.flatnonzero(ended):
             final_obs[row] = {key: value[row] for key, value in observation.items()} if isinstance(observation, dict) else observation[row]
         final_info = {key: value & ended if key.startswith("_") else value for key, value in info.items()}

@@ -8,7 +8,7 @@ and returns a `Course`, the motion as a function of time, bit for bit the same w
 import importlib
 import pkgutil
 from abc import ABC, abstractmethod
-from typing import Annotated, NamedTuple, TypeVar, get_args
+from typing import Annotated, Any, NamedTuple, TypeVar, get_args
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -133,10 +133,9 @@ class Target(Configuration):
         raise NotImplementedError(f"{type(self).__name__} needs a method draw()")
 
 
-def _fraction(value: object) -> object:
-    ends = value if isinstance(value, tuple) else (value, value)
-    numbers = len(ends) == 2 and all(isinstance(end, int | float) and not isinstance(end, bool) for end in ends)
-    if not (numbers and 0.0 < ends[0] <= ends[1] <= 1.0):
+def _fraction(value: Any) -> Any:
+    ends = value if isinstance(value, tuple) and len(value) == 2 else (value, value)
+    if not all(type(end) in (int, float) for end in ends) or not 0.0 < ends[0] <= ends[1] <= 1.0:
         raise ValueError("should be a number greater than 0 and at most 1, or (least, greatest)")
     return value
 
