@@ -137,7 +137,8 @@ class TipGoal:
         shapes = np.shape(achieved), np.shape(desired)
         if shapes[0] != shapes[1] or shapes[0][-1:] != (3,):
             raise ValueError(f"achieved_goal and desired_goal should have the same shape (..., 3), not {shapes[0]} and {shapes[1]}")
-        x, y, z = np.moveaxis(np.asarray(achieved, dtype=np.float64) - np.asarray(desired, dtype=np.float64), -1, 0)
+        way = np.asarray(achieved, dtype=np.float64) - np.asarray(desired, dtype=np.float64)
+        x, y, z = way[..., 0], way[..., 1], way[..., 2]
         return np.asarray(np.sqrt(x * x + y * y + z * z))
 
     def reward(self, achieved: ArrayLike, desired: ArrayLike, kind: GoalReward, threshold: float) -> Array:

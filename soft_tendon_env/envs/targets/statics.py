@@ -5,6 +5,7 @@ drawn ones are halved.
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -115,6 +116,11 @@ def drawn_set_point(fraction: float | tuple[float, float], generator: np.random.
     return drawn_course(1, fraction, generator, setting, lambda points: Constant(points[0]))
 
 
+def _still(value: Array, times: Array, order: int = 0) -> Array:
+    """A value (1, n) at times (m,), or its derivative: (m, n)."""
+    return (1.0 - order) * value.repeat(len(times), axis=0)
+
+
 class StaticCourse(ShapeCourse):
     """Tensions pushed through the statics: at every time the shape in which they hold the arm.
 
@@ -144,7 +150,7 @@ class StaticCourse(ShapeCourse):
         with setting.model.workspace() as work:
             added = EquilibriumPath(setting, work).follow(tension) - tension @ setting.response
         if len(added) == 1:
-            return lambda times, order=0: (1.0 - order) * added.repeat(len(times), axis=0)
+            return partial(_still, added)
         from scipy.interpolate import CubicSpline  # here: it takes longer to import than all else that most scenes need
 
         if self.tension.is_closed:
