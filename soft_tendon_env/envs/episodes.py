@@ -211,7 +211,7 @@ class Episodes:
         self._observe(members)
 
     def _keep(self, members: Indices, tension: Array, applied: Array, action: Array, change: Array) -> None:
-        """What was applied to the rows `members` (members, n_a), in new arrays."""
+        """Keep what was applied to the rows `members` (members, n_a), in new arrays."""
         self.tension, self._applied = _replaced(self.tension, members, tension), _replaced(self._applied, members, applied)
         self._action, self._action_change = _replaced(self._action, members, action), _replaced(self._action_change, members, change)
 

@@ -40,7 +40,7 @@ KINDS: dict[str, tuple[Any, str]] = {
     "observation": ((str, tuple), "should be 'full', 'measurable' or a list of the names of groups"),
     "sensors": ((int, tuple), "should be a whole number, or a list of arc lengths"),
 }
-"""What options of several types may be, and the words for it."""
+"""Types that options of several types may have, and the words for them."""
 
 
 def _target_by_name(target: Any) -> Any:

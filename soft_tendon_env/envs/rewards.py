@@ -113,7 +113,7 @@ class Reward:
 
 
 def _unknown(name: str, available: Mapping[str, Term]) -> str:
-    """What is wrong with a term that is not there."""
+    """Reason why there is no such term."""
     if name in CONTACT_TERMS:
         return "needs a scene with obstacles, effects.contact"
     return f"is no term of this task: {not_among(name, available)}"

@@ -144,7 +144,7 @@ class StaticCourse(ShapeCourse):
         return np.interp(np.arange(PER_KNOT * (knots.size - 1) + 1) / PER_KNOT, np.arange(knots.size), knots)
 
     def _loaded(self, setting: Setting) -> Callable[..., Array]:
-        """What loads add to the response to the tensions, a function of time and of the order of its derivative. Raises NoEquilibrium."""
+        """Function of time and of the order of its derivative: what loads add to the response to the tensions. Raises NoEquilibrium."""
         places = self.places
         tension = self.tension(places)[0]
         with setting.model.workspace() as work:
