@@ -70,7 +70,7 @@ class Reward:
         Raises ConfigurationError for other terms, scales of terms that have none, and unless one has a weight above 0.
         """
         problems = [Problem(("reward", name), _unknown(name, available)) for name in weights if name not in available]
-        own = {name: available[name].of for name in weights if name in available and callable(available[name].of)}
+        own: dict[str, Any] = {name: available[name].of for name in weights if name in available and callable(available[name].of)}
         scaled = [name for name in own if weights[name].scale]
         problems += [Problem(("reward", name, "scale"), "is of a term that has no scale: leave it out") for name in scaled]
         total = sum(weight.weight for weight in weights.values())
