@@ -122,12 +122,11 @@ class Actuation:
     def apply(self, action: Array, members: Indices) -> tuple[Array, Array | None]:
         """Commands (rows, parts, n_a) of the period that begins, for actions (rows, n_a) in [-1, 1] of the rows `members`, and how long
         each is held (rows, parts) [s]; None: for an integrator step."""
-        wanted = self.actions.command(action, self.command)
+        wanted, durations = self.actions.command(action, self.command), None
         if members.size == len(wanted):
             self.command = wanted
         else:
             self.command[members] = wanted[members]
-        durations = None
         if self.in_transit is None:
             acting = self.command[:, None].repeat(self.substeps, axis=1)
         else:  # the command before acts on until this one comes

@@ -10,21 +10,22 @@ from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from soft_tendon_env.envs.actuation import Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.contacts import NO_CONTACT, Contacts
-from soft_tendon_env.envs.courses import Courses
 from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, Sizes, stress_free_strain, units_of
-from soft_tendon_env.envs.options import GOAL_BOUND, Options, check_fit, groups_of, resolved_scene, sensor_places
+from soft_tendon_env.envs.options import GOAL_BOUND, Options, check_fit, check_target, groups_of, resolved_scene, sensor_places
 from soft_tendon_env.envs.randomization import Measured, Sensors
 from soft_tendon_env.envs.reset_options import ResetOptions
-from soft_tendon_env.envs.rewards import GoalReward, Reward, Weight
+from soft_tendon_env.envs.rewards import Reward, Weight
 from soft_tendon_env.envs.starts import Beginning, Starts
-from soft_tendon_env.envs.targets import Setting, TargetSamples
+from soft_tendon_env.envs.target_draws import TargetDraws
+from soft_tendon_env.envs.targets import TARGETS, TargetSamples
 from soft_tendon_env.envs.tasks import STATIONS, Task
 from soft_tendon_env.envs.tracking import CONTACT_ERRORS, Tracking, TrackingError, norm
+from soft_tendon_env.envs.trajectories import TargetTrajectories
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
 from soft_tendon_env.mechanics.motion.scratch import Motion
@@ -36,6 +37,11 @@ from soft_tendon_env.model.state import State, checked_motion, state_of
 from soft_tendon_env.model.step_control import cause_of, step_control
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
+
+THRESHOLD = 0.01
+"""Distance within which a goal is reached, as a share of the rod's length, unless options say otherwise."""
+EVERYWHERE = 7.0
+"""Threshold, in lengths of the rod, beyond which it is asked that every goal be reached: the diagonal of the space that goals are in."""
 
 
 class Snapshot(NamedTuple):
@@ -54,21 +60,20 @@ class Episodes:
     After `begin` or `step`: `errors` (name to (rows,)), `terms` (likewise), `reward` (rows,), `diverged` (rows,);
     `observation()` and `info()` make what environments return. `step_count` (rows,), `tension` (rows, n_a) [N] applied at last and
     `target` (TargetSamples of rows, 1 + previews, `ahead` (1 + previews,) [s] of now) are the present ones, and `observed` what the
-    observation is made of; `draws` has what was drawn for every row's episode; `history` keeps what was observed, if the options ask
-    for it. `starts` makes beginnings of episodes, `actuation` commands of actions, `sensors` (s,) [m] are the arc lengths of strain
-    sensors. `arms.reading` and `arms.rows` are written in place at every step; `last` is what `remember` kept.
+    observation is made of; `history` keeps what was observed, if the options ask for it. `starts` makes beginnings of arms, `actuation`
+    commands of actions, `sensors` (s,) [m] are the arc lengths of strain sensors. `arms.reading` and `arms.rows` are written in place at
+    every step; `last` is what `remember` kept.
     """
 
     def __init__(self, task: Task, options: Options, rows: int, threads: int | None = None) -> None:
         """Raises ConfigurationError where the options do not fit the task or the scene.
 
         Attributes made here: `limits` of tensions (n_a, 2) [N], `start_tension` (n_a,) [N] at reset and `start_command` (n_a,) that holds
-        it, `actions` the action scaling, `goal_kind` "sparse" or "dense", `goal_bound` the largest coordinate [m] of goals, `threshold`
-        the distance [m] within which one is reached.
+        it, `actions` the action scaling, `goal_bound` the largest coordinate [m] of goals, `threshold` the distance [m] within which one is
+        reached.
         """
         scene = resolved_scene(options)
         check_fit(options, task, scene)
-        groups_of(options, task, scene)
         self.task, self.options, self.size, self.period = task, options, rows, options.control_period
         self.model = model = build_model(scene)
         self.sensors = sensor_places(options, scene)
@@ -76,43 +81,46 @@ class Episodes:
         self.arms = Arms(model, rows, self.period, stations, self.sensors, threads)
         ahead = [0, *(round(time / self.period) for time in options.preview)]
         self.ahead = self.period * np.array(ahead, dtype=np.float64)
-        self._courses = Courses(self.arms, self.period, ahead, task.shapes)
-        self.starts = starts = Starts(task, options, self.arms, self._courses)
+        self._courses = TargetTrajectories(self.arms, self.period, ahead, task.shapes)
+        self.starts = starts = Starts(options, self.arms)
+        self.threshold = THRESHOLD * model.length if options.threshold is None else options.threshold
+        away = self.threshold if task.goal is not None and self.threshold <= EVERYWHERE * model.length else None
+        self._draws = TargetDraws(starts.setting, self._courses, self.period, not starts.redraws, away)
+        target = self._draws.settled(options.target or TARGETS[task.target](type=task.target))
+        self._usual = starts.beginning(options.start, target)
         self.limits, self.start_tension, self.start_command = starts.limits, starts.tension, starts.command
-        self.goal_kind: GoalReward = options.reward if options.reward in ("sparse", "dense") else "sparse"
-        self.goal_bound, self.threshold = GOAL_BOUND * model.length, starts.threshold
+        self.goal_bound = GOAL_BOUND * model.length
         self._contacts = Contacts(self.arms, options.contact_sections) if model.scene.effects.contact else None
         commands = model.scene.effects.command_limits(self.limits)
-        share, strongest = np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0], np.abs(commands).max(axis=1)
+        share, self._strongest = np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0], np.abs(commands).max(axis=1)
         self.actuation = Actuation(options, commands, self.start_command, share, rows, self.arms.substeps)
         self.actions = self.actuation.actions
-        self.errors = {error.name: np.full(rows, np.nan) for error in self._measures}
         if task.goal is None:
-            self._reward_terms = _reward_of(task, options, strongest, model.length, self._contacts is not None)
+            given = options.reward if isinstance(options.reward, dict) else {name: Weight(weight=own) for name, own in task.reward.items()}
+            terms = {**task.terms, **{error.term: error.as_term for error in self._measures}}
+            self._reward_terms = Reward(given, terms, self._strongest, model.length)
         noise = options.randomize.noise if options.randomize.of_sensors else None
         self._sensors = Sensors(noise, rows, model.tendon_count, self.sensors.size) if noise is not None else None
         self.history = History(rows, options.history, self.layout.kept) if options.history else None
-        self._all, self._transmits = np.arange(rows, dtype=np.int64), model.arm.effects.transmit
-        self.arms.place(self._all, np.tile(self.starts.q, (rows, 1)), self.start_tension)
+        self._all, self._transmits, self._simulated = np.arange(rows, dtype=np.int64), model.arm.effects.transmit, True
+        self.arms.place(self._all, np.tile(starts.q, (rows, 1)), self.start_tension)
         self._rest_values = RestValues(self.arms.reading.tendon_length[0].copy(), stress_free_strain(scene, self.sensors))
         self.step_count: Indices = np.zeros(rows, dtype=np.int64)
-        self.tension = np.tile(self.start_tension, (rows, 1))
-        self._applied = np.tile(self.start_command, (rows, 1))
+        self.tension, self._applied = np.tile(self.start_tension, (rows, 1)), np.tile(self.start_command, (rows, 1))
         self._action = np.tile(self.actuation.start_action, (rows, 1))
         self._action_change = np.zeros_like(self._action)
-        self.diverged = np.zeros(rows, dtype=bool)
-        self.terms: dict[str, Array] = {}
+        self.errors = {error.name: np.full(rows, np.nan) for error in self._measures}
+        self.diverged, self.terms = np.zeros(rows, dtype=bool), dict[str, Array]()
         self.target = self._courses.now_and_ahead(self.step_count, self.arms.reading.tip_pose)[0]
         self.last: Snapshot | None = None
-        self._simulated = True
 
     def attach(self, arms: Arms) -> None:
         """Take other arms of the same model in place of the simulated ones, as measured ones: their readings have noise of their own.
 
         Raises ConfigurationError where episodes do not begin at rest.
         """
-        if self.starts.usual.start != "rest":
-            raise ConfigurationError([Problem(("start",), f"is {self.starts.usual.start!r}: robots begin at rest")], "environment")
+        if self.options.start != "rest":
+            raise ConfigurationError([Problem(("start",), f"is {self.options.start!r}: robots begin at rest")], "environment")
         self.arms, self._sensors, self._simulated = arms, None, False
 
     @cached_property
@@ -120,8 +128,7 @@ class Episodes:
         """The layout of observations."""
         model, options = self.model, self.options
         sizes = Sizes(model.coordinate_count, model.tendon_count, self.sensors.size, len(options.preview), options.contact_sections)
-        strongest = np.abs(model.scene.effects.command_limits(self.limits)).max(axis=1)
-        return Layout(groups_of(options, self.task, model.scene), sizes, units_of(model, strongest), options.history)
+        return Layout(groups_of(options, self.task, model.scene), sizes, units_of(model, self._strongest), options.history)
 
     @cached_property
     def _measures(self) -> list[TrackingError]:
@@ -136,44 +143,35 @@ class Episodes:
 
     def beginnings(self, given: Mapping[int, ResetOptions], members: Indices) -> dict[int, Beginning]:
         """How those of the rows `members` begin that are given options. Raises ConfigurationError, TypeError, ValueError."""
-        own = {row: given[row] for row in members.tolist() if row in given}
-        if not self._simulated and any(begins.state or begins.start not in (None, "rest") for begins in own.values()):
-            raise ConfigurationError([Problem((), "should have no state or start: robots begin at rest")], "options")
-        return {row: self.starts.beginning(begins) for row, begins in own.items()}
+        found = {}
+        for row in members.tolist() if given else ():
+            own, target = given[row], self._usual.target
+            if not self._simulated and (own.state or own.start not in (None, "rest")):
+                raise ConfigurationError([Problem((), "should have no state or start: robots begin at rest")], "options")
+            if (wanted := own.goal or own.target) is not None:
+                check_target(wanted, self.task, self.model.scene)
+                target = self._draws.settled(wanted)
+            found[row] = self.starts.beginning(own.start or self.options.start, target, own.state)
+        return found
 
     def begin(self, members: Indices, generators: Sequence[np.random.Generator], beginnings: Mapping[int, Beginning] | None = None) -> None:
         """New episodes for the rows `members`, each drawn from its generator; `beginnings` of rows that do not begin as usual."""
-        q, tension = (np.empty((members.size, size)) for size in (self.model.coordinate_count, self.model.tendon_count))
-        command, motions, again = np.empty_like(tension), {}, {}
-        for i, (row, generator) in enumerate(zip(members.tolist(), generators, strict=True)):
-            own = (beginnings or {}).get(row, self.starts.usual)
-            draw, tension[i], command[i], q[i], setting = self.starts.begin(row, own, generator)
-            self.actuation.begin(row, draw, command[i])
-            if self.starts.may_draw_again(own.target):
-                again[row] = own.target, generator, setting
-            if self._sensors is not None:  # after the target, which is the same with and without noise
-                self._sensors.begin(row, int(generator.integers(2**63)))
-            if own.state is not None:
-                motions[row] = checked_motion(self.arms.model_of(row), own.state)
+        hows = [(beginnings or {}).get(row, self._usual) for row in members.tolist()]
+        rows = list(zip(members.tolist(), hows, generators, strict=True))
+        begun = {row: self.starts.begin(row, how, generator, self._draws.inside) for row, how, generator in rows}
+        tension, command, q = (np.array(parts) for parts in zip(*(own.shape for own in begun.values()), strict=True))
+        for row, own in begun.items():
+            self.actuation.begin(row, own.draw, own.shape.command)
         self.arms.place(members, q, tension)
         self.step_count[members] = 0
-        self.tension, self._applied = self.tension.copy(), self._applied.copy()
-        self.tension[members], self._applied[members] = tension, command
-        self._action, self._action_change = self._action.copy(), self._action_change.copy()
-        self._action[members], self._action_change[members] = self.actions.action(command, command), 0.0
-        if motions:
+        self._keep(members, tension, command, self.actions.action(command, command), np.zeros_like(command))
+        if motions := {row: own.motion for row, own in begun.items() if own.motion is not None}:
             self._put(motions)
+        for row, how, generator in rows:
+            self._draws.begin(row, how.target, generator, begun[row].setting, self.arms.reading.tip_pose[row, :3, 3])
+            if self._sensors is not None:  # after the target, which is the same with and without noise
+                self._sensors.begin(row, int(generator.integers(2**63)))
         self._observe(members)
-        self._begin_unsolved(again)
-
-    def _begin_unsolved(self, drawn: Mapping[int, tuple[Any, np.random.Generator, Setting]]) -> None:
-        """Draw goals again that the tip has reached, as it is or as it is measured; `drawn`: by row, what its target was drawn from."""
-        solved = [row for row in drawn if self._reached[row] or self._distance[row] <= self.threshold]
-        for row in solved:
-            tips = np.stack([self.arms.reading.tip_pose[row, :3, 3], self._goals[0][row]])
-            self._courses.begin(row, *self.starts.draw_course(*drawn[row], tips))
-        if solved:
-            self._observe(np.array(solved, dtype=np.int64), moved=False)
 
     def put(self, states: Mapping[int, State]) -> None:
         """Put rows into states: their arms alone, while targets, last actions, commands that are on their way and counts of steps stay, and
@@ -194,8 +192,7 @@ class Episodes:
         for row, (_, step) in motions.items():
             rows.step[row] = step  # as it was
         if self._transmits:
-            self.tension = self.tension.copy()
-            self.tension[members] = self.arms.reading.tension[members]
+            self.tension = _replaced(self.tension, members, self.arms.reading.tension[members])
 
     def step(self, action: Array, members: Indices | None = None, tape: Tape | None = None) -> None:
         """One control period of the rows `members` (all by default) with actions (rows, n_a), taken as within [-1, 1]; tape: see Arms."""
@@ -210,33 +207,34 @@ class Episodes:
             self.tension, self._applied, self._action, self._action_change = tension, applied, action, change
         else:  # rows that have just begun keep what they began with
             self.step_count[members] += 1
-            self.tension, self._applied = self.tension.copy(), self._applied.copy()
-            self.tension[members], self._applied[members] = tension[members], applied[members]
-            self._action, self._action_change = self._action.copy(), np.zeros_like(change)
-            self._action[members], self._action_change[members] = action[members], change[members]
+            self._keep(members, tension[members], applied[members], action[members], change[members])
         self._observe(members)
+
+    def _keep(self, members: Indices, tension: Array, applied: Array, action: Array, change: Array) -> None:
+        """Keep what was applied to the rows `members` (members, n_a), in new arrays."""
+        self.tension, self._applied = _replaced(self.tension, members, tension), _replaced(self._applied, members, applied)
+        self._action, self._action_change = _replaced(self._action, members, action), _replaced(self._action_change, members, change)
 
     def _observe(self, members: Indices, moved: bool = True) -> None:
         """Compare the arms with their targets, after the rows `members` moved on or were put elsewhere: observation, errors, reward."""
         self._courses.prepare(self.step_count, members)
         reading = self.arms.reading
         self.target, error, off = self._courses.now_and_ahead(self.step_count, reading.tip_pose)
-        measured: Reading | Measured
-        measured, measured_error = reading, error
+        measured: Reading | Measured = reading
+        measured_error = error
         if self._sensors is not None:
             measured = self._sensors.measured(reading, self.step_count, members if moved else members[:0])
             measured_error = np.empty_like(error)
             pose_errors(measured.tip_pose, self.target.tip_pose, measured_error)
         contact = NO_CONTACT if self._contacts is None else self._contacts.read(members)
-        self.observed = Observed(
-            self.arms, measured, measured_error, self.target, self._action, self.actuation.command, contact, self._rest_values
-        )
+        asked = self._action, self.actuation.command
+        self.observed = Observed(self.arms, measured, measured_error, self.target, *asked, contact, self._rest_values)
         self._present = self.layout.present(self.observed)
         if self.task.goal is not None:
             reach, positions = np.float32(self.goal_bound), (measured.tip_pose[:, :3, 3], self.target_pose[:, :3, 3])
             achieved, desired = (np.minimum(np.maximum(position.astype(np.float32), -reach), reach) for position in positions)
             self._goals = achieved, desired  # tip positions (rows, 3) [m] as measured and as wanted, within their space
-            self._reached, self._distance = self.task.goal.distance(achieved, desired) <= self.threshold, off[0]
+            self._reached = self.task.goal.distance(achieved, desired) <= self.threshold
         if self.history is not None:
             self.history.keep(self._present, self.step_count if moved else np.zeros_like(self.step_count), members)
         tracking = Tracking(self.arms, self.target, error[:, 0], off, self._applied, self._action_change, contact)
@@ -245,10 +243,15 @@ class Episodes:
         if self.options.tip_speed_limit is not None:
             self.diverged |= norm(reading.tip_twist[:, 3:]) > self.options.tip_speed_limit
         if self.task.goal is not None:
-            self.reward = self.task.goal.reward(*self._goals, self.goal_kind, self.threshold)
+            self.reward = self.goal_reward(*self._goals)
         else:
             self.terms, self.reward = self._reward_terms.of(self.errors, tracking)
         self.reward[self.diverged] = 0.0
+
+    def goal_reward(self, achieved: ArrayLike, desired: ArrayLike) -> Array:
+        """Rewards (...) of goals (..., 3) [m]. Raises ValueError for goals of other shapes."""
+        assert self.task.goal is not None
+        return self.task.goal.reward(achieved, desired, "dense" if self.options.reward == "dense" else "sparse", self.threshold)
 
     def target_at(self, row: int, times: Array) -> TargetSamples:
         """A row's target at times (m,) [s] from the beginning of its episode."""
@@ -311,13 +314,11 @@ class Episodes:
         return self.starts.effects.values(self.arms.effects_of(row))
 
 
-def _reward_of(task: Task, options: Options, strongest: Array, length: float, contact: bool) -> Reward:
-    given, of_contact = options.reward, {error.term: error.as_term for error in CONTACT_ERRORS}
-    weights = given if isinstance(given, dict) else {name: Weight(weight=weight) for name, weight in task.reward.items()}
-    if missing := [] if contact else [name for name in weights if name in of_contact]:
-        text = "needs a scene with obstacles, effects.contact"
-        raise ConfigurationError([Problem(("reward", name), text) for name in missing], "environment")
-    return Reward(weights, {**task.terms, **(of_contact if contact else {})}, strongest, length, "environment")
+def _replaced(values: Array, members: Indices, new: Array) -> Array:
+    """A copy of values (rows, ..) with new ones in the rows `members`."""
+    values = values.copy()
+    values[members] = new
+    return values
 
 
 def episodes_of(env: Any) -> Episodes:

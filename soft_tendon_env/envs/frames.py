@@ -2,7 +2,7 @@
 
 import pkgutil
 from collections.abc import Iterable
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,24 +24,8 @@ TRAIL = 250
 Frames = tuple[NDArray[np.uint8], ...]
 
 
-class Renderer(Protocol):
-    """A renderer of rows: it follows resets and steps, and returns frames where it has any."""
-
-    def begin(self, members: Iterable[int]) -> None:
-        """The rows `members` have been reset."""
-
-    def step(self, members: Iterable[int]) -> None:
-        """The rows `members` have done a step."""
-
-    def frames(self) -> Frames | None:
-        """A frame (height, width, 3) per row; None where they are seen elsewhere."""
-
-    def close(self) -> None:
-        """Nothing is to be shown any more."""
-
-
-def make_renderer(episodes: Episodes, render_mode: str | None) -> Renderer | None:
-    """The renderer of a mode; None for None.
+def make_renderer(episodes: Episodes, render_mode: str | None) -> Any:
+    """The renderer of a mode, which has the methods of RowRenderer; None for None.
 
     Raises ValueError for other modes, gymnasium.error.DependencyNotInstalled where matplotlib or Rerun is missing, gymnasium.error.Error
     where the viewer cannot be opened.
@@ -50,16 +34,14 @@ def make_renderer(episodes: Episodes, render_mode: str | None) -> Renderer | Non
         return None
     if render_mode not in RENDERERS:
         raise ValueError(f"render_mode should be None, {' or '.join(map(repr, RENDER_MODES))}, not {render_mode!r}")
-    renderer: Renderer = pkgutil.resolve_name(RENDERERS[render_mode])(episodes)
-    return renderer
+    return pkgutil.resolve_name(RENDERERS[render_mode])(episodes)
 
 
 class RowRenderer:
     """Remembers where the tips have been and draws rows."""
 
     def __init__(self, episodes: Episodes) -> None:
-        self._episodes = episodes
-        self._renderer = ArmRenderer(episodes.model)
+        self._episodes, self._renderer = episodes, ArmRenderer(episodes.model)
         self._trails: list[list[Array]] = [[] for _ in range(episodes.size)]
 
     def __getstate__(self) -> dict[str, Any]:
@@ -71,10 +53,9 @@ class RowRenderer:
 
     def begin(self, members: Iterable[int]) -> None:
         """New episodes of the rows `members`."""
-        rows = [*members]
-        for row in rows:
+        for row in members:
             self._trails[row] = []
-        self.step(rows)
+            self.step([row])
 
     def step(self, members: Iterable[int]) -> None:
         """Remember where the tips of the rows `members` are."""
@@ -82,18 +63,18 @@ class RowRenderer:
             self._trails[row].append(self._episodes.arms.reading.tip_pose[row, :3, 3].copy())
             del self._trails[row][:-TRAIL]
 
-    def frames(self) -> Frames:
-        """A frame of each row now, (height, width, 3)."""
-        return tuple(self._frame(row) for row in range(self._episodes.size))
+    def frames(self) -> Frames | None:
+        """A frame of each row now, (height, width, 3); None where they are seen elsewhere."""
+        return tuple(self._renderer.frame(self._picture(row)) for row in range(self._episodes.size))
 
     def close(self) -> None:
-        """Nothing is held that needs closing."""
+        """Nothing is to be shown any more."""
 
-    def _frame(self, row: int) -> NDArray[np.uint8]:
+    def _picture(self, row: int) -> Picture:
         episodes = self._episodes
         units = {name: error_unit(name) for name in episodes.errors}
         errors = "   ".join(f"{unit.label} {unit.text(episodes.errors[name][row])}" for name, unit in units.items())
-        picture = Picture(
+        return Picture(
             strain=episodes.model.grid.unpacked(episodes.arms.rows.xi[row]),
             tension=episodes.tension[row],
             trail=np.array(self._trails[row]),
@@ -103,4 +84,3 @@ class RowRenderer:
             time=float(episodes.arms.rows.clock[row, 0]),
             effects=episodes.arms.effects_of(row),
         )
-        return self._renderer.frame(picture)

@@ -75,13 +75,8 @@ class Observed:
         return self.measured.tendon_length - self.rest.tendon_length
 
     @property
-    def strain(self) -> Array:
-        """(rows, sensors, 6) measured, less the stress-free strain."""
-        return self.measured.strain - self.rest.strain
-
-    @property
     def target_length(self) -> Array:
-        """(rows, n_a) [m], less the length at rest without tension; for targets made of tensions."""
+        """(rows, n_a) [m] of targets made of tensions, likewise."""
         return self.target.tendon_length[:, 0] - self.rest.tendon_length
 
 
@@ -135,10 +130,6 @@ def _strain_unit(units: Units, sizes: Sizes) -> Array:
     return np.tile(np.repeat([1.0 / units.length, 0.1], 3), sizes.sensors)
 
 
-def _length_unit(units: Units, sizes: Sizes) -> float:
-    return 0.1 * units.length
-
-
 def _flat(values: Array) -> Array:
     return values.reshape(len(values), -1)
 
@@ -153,11 +144,12 @@ GROUPS: Mapping[str, Group] = {
     ),
     "tip_twist": Group("tip twist, angular then linear, tip frame", lambda s: 6, lambda o: o.tip_twist, _twist_unit, of_arm=True),
     "tendon_lengths": Group(
-        "tendon displacements: lengths less those at rest", lambda s: s.tendons, lambda o: o.tendon_length, _length_unit, of_arm=True
+        "tendon displacements: lengths less those at rest",
+        lambda s: s.tendons, lambda o: o.tendon_length, lambda u, s: 0.1 * u.length, of_arm=True,
     ),
     "strain": Group(
         "strains at the sensors less the stress-free ones: torsion, bending, stretch, shear",
-        lambda s: 6 * s.sensors, lambda o: _flat(o.strain), _strain_unit, of_arm=True,
+        lambda s: 6 * s.sensors, lambda o: _flat(o.measured.strain - o.rest.strain), _strain_unit, of_arm=True,
     ),
     "strain_rate": Group(
         "their rates", lambda s: 6 * s.sensors, lambda o: _flat(o.measured.strain_rate), lambda u, s: 10.0 * _strain_unit(u, s), of_arm=True
@@ -187,7 +179,7 @@ GROUPS: Mapping[str, Group] = {
     ),
     "target_lengths": Group(
         "tendon lengths of the target less the arm's",
-        lambda s: s.tendons, lambda o: o.target_length - o.tendon_length, _length_unit, of_shape=True,
+        lambda s: s.tendons, lambda o: o.target_length - o.tendon_length, lambda u, s: 0.1 * u.length, of_shape=True,
     ),
     "last_action": Group("the last action", lambda s: s.tendons, lambda o: o.action, lambda u, s: 1.0, 1.0, of_arm=True),
     "command": Group("tensions asked for last", lambda s: s.tendons, lambda o: o.command, lambda u, s: u.tension, 1.0, of_arm=True),
@@ -197,7 +189,7 @@ GROUPS: Mapping[str, Group] = {
     ),
     "clearance": Group(
         "clearance of equal sections of the arm, base to tip: least distance from its surface to obstacles, negative inside",
-        lambda s: s.sections, lambda o: o.contact.clearance, _length_unit, of_contact=True, of_arm=True,
+        lambda s: s.sections, lambda o: o.contact.clearance, lambda u, s: 0.1 * u.length, of_contact=True, of_arm=True,
     ),
 }
 """The groups that every task has, by the name that options use."""
@@ -217,23 +209,16 @@ class Layout:
         Attributes made here: `groups`, `slices` of all groups, and of what is observed now `scale` and `bound` (m,), factors and bounds of
         entries, and `kept`, the columns that a history keeps.
         """
-        self.slices: dict[str, slice] = {}
-        kept: list[int] = []
-        unit, bound, start = [], [], 0
-        for name, group in groups.items():
-            size = group.size(sizes)
-            self.slices[name] = slice(start, start + size)
-            unit.append(np.broadcast_to(np.asarray(group.unit(units, sizes), dtype=np.float64), size))
-            bound.append(np.full(size, group.bound))
-            kept += range(start, start + size) if group.of_arm else ()
-            start += size
-        self.kept = np.array(kept, dtype=np.int64)
-        self.groups, self._checked = groups, False
-        units_now, self.bound = np.concatenate(unit), np.concatenate(bound)
-        self.scale = 1.0 / units_now
+        size = {name: group.size(sizes) for name, group in groups.items()}
+        ends = np.cumsum([*size.values()]).tolist()
+        self.slices = {name: slice(end - size[name], end) for name, end in zip(groups, ends, strict=True)}
+        unit = np.concatenate([np.broadcast_to(group.unit(units, sizes), size[name]) for name, group in groups.items()])
+        self.bound = np.repeat([group.bound for group in groups.values()], [*size.values()])
+        self.kept = np.flatnonzero(np.repeat([group.of_arm for group in groups.values()], [*size.values()]))
+        self.groups, self._checked, self.scale = groups, False, 1.0 / unit
         if history:
-            self.slices[HISTORY] = slice(start, start + history * self.kept.size)
-        self._units = np.concatenate([units_now, np.tile(CHANGE * units_now[self.kept], history)])
+            self.slices[HISTORY] = slice(ends[-1], ends[-1] + history * self.kept.size)
+        self._units = np.concatenate([unit, np.tile(CHANGE * unit[self.kept], history)])
         self._bounds = np.concatenate([self.bound, np.tile(2.0 / CHANGE * self.bound[self.kept], history)])
 
     @property

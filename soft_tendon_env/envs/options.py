@@ -5,14 +5,13 @@ from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal, NoReturn
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, SerializeAsAny, Tag, field_validator
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, SerializeAsAny, Tag, ValidationInfo, field_validator
 
 from soft_tendon_env.accuracy.fidelity import at_fidelity, checked_fidelity
 from soft_tendon_env.envs.observation import Group
 from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.envs.rewards import GoalReward, Weight
 from soft_tendon_env.envs.targets import TARGETS, Target
-from soft_tendon_env.envs.targets.motions import Random
 from soft_tendon_env.envs.targets.set_points import Hold
 from soft_tendon_env.envs.tasks import Task
 from soft_tendon_env.scene.file import load_scene
@@ -36,16 +35,22 @@ GOAL_BOUND = 2.0
 """Largest coordinate of goals in the world frame, in lengths of the rod."""
 SCENES = "should be the name of a shipped scene, the path of a TOML file, a Scene, or a table, such as scene_to_dict gives"
 
+KINDS: dict[str, tuple[Any, str]] = {
+    "scene": ((str, dict, Scene), SCENES),
+    "observation": ((str, tuple), "should be 'full', 'measurable' or a list of the names of groups"),
+    "sensors": ((int, tuple), "should be a whole number, or a list of arc lengths"),
+}
+"""Types that options of several types may have, and the words for them."""
+
 
 def _target_by_name(target: Any) -> Any:
     if not isinstance(target, str | dict):
         return target
     settings = {"type": target} if isinstance(target, str) else target
-    if "type" not in settings:
-        raise ConfigurationError([Problem(("type",), f"is missing: {not_among('', TARGETS)}")])
-    kind = settings["type"]
+    kind = settings.get("type")
     if not isinstance(kind, str) or kind not in TARGETS:
-        raise ConfigurationError([Problem(("type",), f"is {shown(kind)}: {not_among(str(kind), TARGETS)}")])
+        text = f"is {shown(kind)}: {not_among(str(kind), TARGETS)}" if "type" in settings else f"is missing: {not_among('', TARGETS)}"
+        raise ConfigurationError([Problem(("type",), text)])
     return TARGETS[kind](**settings)
 
 
@@ -119,26 +124,13 @@ class Options(Configuration):
     tip_speed_limit: Positive | None = None
     on_divergence: Literal["terminate", "truncate", "raise"] = "terminate"
 
-    @field_validator("scene", mode="before")
+    @field_validator(*KINDS, mode="before")
     @classmethod
-    def _as_table(cls, scene: Any) -> Any:
-        if not isinstance(scene, str | dict | Scene):
-            raise ValueError(SCENES)
-        return scene_to_dict(scene) if isinstance(scene, Scene) else scene
-
-    @field_validator("observation", mode="before")
-    @classmethod
-    def _is_choice(cls, observation: Any) -> Any:
-        if not (isinstance(observation, str) or isinstance(observation, tuple) and all(isinstance(name, str) for name in observation)):
-            raise ValueError("should be 'full', 'measurable' or a list of the names of groups")
-        return observation
-
-    @field_validator("sensors", mode="before")
-    @classmethod
-    def _is_number_or_places(cls, sensors: Any) -> Any:
-        if not isinstance(sensors, int | tuple):
-            raise ValueError("should be a whole number, or a list of arc lengths")
-        return sensors
+    def _is_of_kind(cls, value: Any, field: ValidationInfo) -> Any:
+        kinds, allowed = KINDS[str(field.field_name)]
+        if not isinstance(value, kinds) or field.field_name == "observation" and not all(isinstance(name, str) for name in value):
+            raise ValueError(allowed)
+        return scene_to_dict(value) if isinstance(value, Scene) else value
 
     @field_validator("reward", mode="before")
     @classmethod
@@ -230,9 +222,17 @@ def groups_of(options: Options, task: Task, scene: Scene) -> dict[str, Group]:
 
 
 def check_fit(options: Options, task: Task, scene: Scene) -> None:
-    """Raises ConfigurationError where options do not fit the task or the scene."""
-    _check_times(options, scene)
-    length = rod_length(scene)
+    """Raises ConfigurationError where options do not fit the task or the scene: also where times are so short or so long that they would be
+    rounded to something else, or fill the memory."""
+    period, step, length = options.control_period, scene.integrator.step, rod_length(scene)
+    if period < LEAST_PERIOD:
+        _fail("control_period", f"is {period:g}: it should be at least {LEAST_PERIOD:g} s")
+    if period > MOST_SUBSTEPS * step:
+        _fail("control_period", f"is {period:g}: it should be at most {MOST_SUBSTEPS} integrator steps of {step:g} s")
+    for i, time in enumerate(options.preview):
+        if not 0.5 < time / period <= MOST_AHEAD:
+            allowed = f"more than half a control period, {period / 2:g} s, and at most {MOST_AHEAD} of them, {MOST_AHEAD * period:g} s"
+            _fail(f"preview[{i}]", f"is {time:g}: it should be {allowed}")
     for sensor in sensor_places(options, scene):
         if sensor > length:
             _fail("sensors", f"names {sensor:g}: it should be at most the rod's length, {length:g}")
@@ -247,11 +247,11 @@ def check_target(target: Target, task: Task, scene: Scene) -> None:
     if task.shapes and not target.gives_shapes:
         kind = target.type
         _fail("target", f"is {kind!r}, which is a pose alone: {task.name} needs one that is made of tensions, such as random or ramp")
-    if isinstance(target, Hold) and target.position is not None and task.goal is None:
-        _fail("target.position", f"is a position alone: {task.name} needs a pose, 4 x 4")
-    if isinstance(target, Hold) and target.given is not None and task.goal is not None:
+    if isinstance(target, Hold) and target.given is not None:
         place, bound = target.given[:3, 3], GOAL_BOUND * rod_length(scene)
-        if np.abs(place).max() > bound:
+        if task.goal is None and target.position is not None:
+            _fail("target.position", f"is a position alone: {task.name} needs a pose, 4 x 4")
+        if task.goal is not None and np.abs(place).max() > bound:
             key = "target.pose" if target.position is None else "target.position"
             _fail(key, f"is at {shown(place.tolist())} m: goals should lie within ±{bound:g} m, {GOAL_BOUND:g} lengths of the rod")
     target.check(scene)
@@ -267,33 +267,6 @@ def check_start(start: Start, scene: Scene) -> None:
         least, greatest = tendon.tension_limits
         if not least <= tension <= greatest:
             _fail(f"start[{i}]", f"is {tension:g}: it should be within the limits of the tendon, {least:g} to {greatest:g} N")
-
-
-def _check_times(options: Options, scene: Scene) -> None:
-    """Raises ConfigurationError where times are so short or so long that they would be rounded to something else, or fill the memory."""
-    period, step = options.control_period, scene.integrator.step
-    if period < LEAST_PERIOD:
-        _fail("control_period", f"is {period:g}: it should be at least {LEAST_PERIOD:g} s")
-    if period > MOST_SUBSTEPS * step:
-        _fail("control_period", f"is {period:g}: it should be at most {MOST_SUBSTEPS} integrator steps of {step:g} s")
-    for i, time in enumerate(options.preview):
-        if not 0.5 < time / period <= MOST_AHEAD:
-            allowed = f"more than half a control period, {period / 2:g} s, and at most {MOST_AHEAD} of them, {MOST_AHEAD * period:g} s"
-            _fail(f"preview[{i}]", f"is {time:g}: it should be {allowed}")
-
-
-def without_bank(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of the same environment whose episodes draw their own targets, as those that policies are judged on. Raises
-    ConfigurationError."""
-    target = Options.parse(dict(options), "options").target
-    return {**options, "target": target.model_dump(exclude={"bank"})} if isinstance(target, Random) else dict(options)
-
-
-def refuse_bank(options: Options) -> None:
-    """Raises ConfigurationError where targets come from a bank, which a policy may have learned by heart."""
-    if isinstance(options.target, Random) and (bank := options.target.bank) is not None:
-        text = f"is {bank}: it is for trainings, and should be left out where policies are judged"
-        raise ConfigurationError([Problem(("target", "bank"), text)], "options")
 
 
 def _fail(key: str, text: str) -> NoReturn:

@@ -6,7 +6,6 @@ import numpy as np
 from pydantic import Field, InstanceOf, field_validator, model_validator
 
 from soft_tendon_env.envs.options import NamedTarget, Start
-from soft_tendon_env.envs.targets.motions import Random
 from soft_tendon_env.envs.targets.set_points import Hold
 from soft_tendon_env.model.state import State
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
@@ -44,13 +43,6 @@ class ResetOptions(Configuration):
         values: Any = np.asarray(goal)
         return Hold(position=values) if values.ndim == 1 else Hold(pose=values)
 
-    @field_validator("target")
-    @classmethod
-    def _without_bank(cls, target: Any) -> Any:
-        if isinstance(target, Random) and target.bank is not None:
-            raise ConfigurationError([Problem(("bank",), f"is {target.bank}: it is of the argument `target`, and should be left out here")])
-        return target
-
     @model_validator(mode="after")
     def _one_of_each(self) -> "ResetOptions":
         for one, other in (("state", "start"), ("goal", "target")):
@@ -67,25 +59,23 @@ def reset_options(options: Any, rows: int | None = None) -> dict[int, ResetOptio
     """
     if not isinstance(options, dict | None):
         raise TypeError(f"options should be a dict or None, not {type(options).__name__}")
+    allowed = {*ResetOptions.model_fields, *([] if rows is None else [MASK])}
+    if unknown := [str(key) for key in options or () if key not in allowed]:
+        raise ConfigurationError([Problem((key,), f"is no option of reset: {not_among(key, allowed)}") for key in unknown], "options")
+    given = {key: value for key, value in (options or {}).items() if value is not None and key != MASK}
     if not options:
         return {}
-    allowed = {*ResetOptions.model_fields, *([] if rows is None else [MASK])}
-    if unknown := [str(key) for key in options if key not in allowed]:
-        raise ConfigurationError([Problem((key,), f"is no option of reset: {not_among(key, allowed)}") for key in unknown], "options")
-    given = {key: value for key, value in options.items() if value is not None and key != MASK}
     if rows is None:
         return {0: ResetOptions.parse(given, "options")}
     by_row = {key: _by_row(key, value, rows) for key, value in given.items()}
-    return {
-        row: ResetOptions.parse({key: values[row] for key, values in by_row.items() if values[row] is not None}, f"options of row {row}")
-        for row in range(rows)
-    }
+    tables = [{key: values[row] for key, values in by_row.items() if values[row] is not None} for row in range(rows)]
+    return {row: ResetOptions.parse(table, f"options of row {row}") for row, table in enumerate(tables)}
 
 
 def _by_row(key: str, value: Any, rows: int) -> list[Any]:
     """Values of a key, one per row. Raises ConfigurationError."""
-    shape, is_list = _shape(value), isinstance(value, list | tuple) or isinstance(value, np.ndarray) and value.ndim > 0
-    if not is_list or key == "start" and len(shape) == 1 or key == "goal" and shape in GOALS:
+    shape = _shape(value)
+    if not isinstance(value, list | tuple | np.ndarray) or key == "start" and len(shape) == 1 or key == "goal" and shape in GOALS:
         return [value] * rows
     if len(value) != rows:
         raise ConfigurationError([Problem((key,), f"has {len(value)} entries: it should be one value, or one per row, {rows}")], "options")

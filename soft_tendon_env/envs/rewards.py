@@ -55,6 +55,8 @@ TERMS: Mapping[str, Term] = {
 }
 """The terms that every task has besides those of its errors, by the name that options use."""
 
+CONTACT_TERMS = ("penetration", "contact_force")
+"""Terms of errors that there are in scenes with obstacles alone."""
 OWN_TERMS: dict[str, Term] = {}
 """The terms of `register_reward_term`, by name, which every task has too."""
 
@@ -62,24 +64,21 @@ OWN_TERMS: dict[str, Term] = {}
 class Reward:
     """Chosen reward terms and their weights."""
 
-    def __init__(self, weights: Mapping[str, Weight], available: Mapping[str, Term], strongest: Array, length: float, source: str) -> None:
+    def __init__(self, weights: Mapping[str, Weight], available: Mapping[str, Term], strongest: Array, length: float) -> None:
         """`available`: the task's terms; strongest: (n_a,) the largest commands that are allowed; length: [m] of the rod.
 
         Raises ConfigurationError for other terms, scales of terms that have none, and unless one has a weight above 0.
         """
-        unknown = [name for name in weights if name not in available]
-        if unknown:
-            problems = [Problem(("reward", name), f"is no term of this task: {not_among(name, available)}") for name in unknown]
-            raise ConfigurationError(problems, source)
-        own = {name: available[name].of for name in weights if callable(available[name].of)}
-        if scaled := [name for name in own if weights[name].scale]:
-            problems = [Problem(("reward", name, "scale"), "is of a term that has no scale: leave it out") for name in scaled]
-            raise ConfigurationError(problems, source)
+        problems = [Problem(("reward", name), _unknown(name, available)) for name in weights if name not in available]
+        own: dict[str, Any] = {name: available[name].of for name in weights if name in available and callable(available[name].of)}
+        scaled = [name for name in own if weights[name].scale]
+        problems += [Problem(("reward", name, "scale"), "is of a term that has no scale: leave it out") for name in scaled]
         total = sum(weight.weight for weight in weights.values())
         if not total > 0.0:
-            raise ConfigurationError([Problem(("reward",), "should give at least one term a weight above 0")], source)
-        self._shares = {name: weight.weight / total for name, weight in weights.items()}
-        self._own: dict[str, Any] = own
+            problems.append(Problem(("reward",), "should give at least one term a weight above 0"))
+        if problems:
+            raise ConfigurationError(problems, "environment")
+        self._shares, self._own = {name: weight.weight / total for name, weight in weights.items()}, own
         self._compiled = {name: available[name] for name in weights if name not in own}
         self._errors = [term.of for term in self._compiled.values() if isinstance(term.of, str)]
         usual = {name: term.scale * (length if term.of_length else 1.0) for name, term in self._compiled.items()}
@@ -113,6 +112,13 @@ class Reward:
         return {name: terms[name] for name in self._shares}, reward
 
 
+def _unknown(name: str, available: Mapping[str, Term]) -> str:
+    """Reason why there is no such term."""
+    if name in CONTACT_TERMS:
+        return "needs a scene with obstacles, effects.contact"
+    return f"is no term of this task: {not_among(name, available)}"
+
+
 def _checked(name: str, value: Any, rows: int) -> Array:
     """Values (rows,) of a user's own term, copied. Raises ValueError."""
     values = np.array(value, dtype=np.float64)
@@ -131,7 +137,8 @@ class TipGoal:
         shapes = np.shape(achieved), np.shape(desired)
         if shapes[0] != shapes[1] or shapes[0][-1:] != (3,):
             raise ValueError(f"achieved_goal and desired_goal should have the same shape (..., 3), not {shapes[0]} and {shapes[1]}")
-        x, y, z = np.moveaxis(np.asarray(achieved, dtype=np.float64) - np.asarray(desired, dtype=np.float64), -1, 0)
+        way = np.asarray(achieved, dtype=np.float64) - np.asarray(desired, dtype=np.float64)
+        x, y, z = way[..., 0], way[..., 1], way[..., 2]
         return np.asarray(np.sqrt(x * x + y * y + z * z))
 
     def reward(self, achieved: ArrayLike, desired: ArrayLike, kind: GoalReward, threshold: float) -> Array:

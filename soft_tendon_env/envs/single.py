@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
 from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.envs.frames import RENDER_MODES, make_renderer
+from soft_tendon_env.envs.frames import RENDER_MODES, Frames, make_renderer
 from soft_tendon_env.envs.options import parsed_options
 from soft_tendon_env.envs.reset_options import reset_options
 from soft_tendon_env.envs.targets import TargetSamples
@@ -26,41 +26,21 @@ from soft_tendon_env.model.state import State
 from soft_tendon_env.registration import MAX_EPISODE_STEPS
 from soft_tendon_env.tools.checks import checked_array, checked_count
 from soft_tendon_env.tools.configuration import plain
-from soft_tendon_env.tools.types import Array
 
 ONE = np.zeros(1, dtype=np.int64)
-SHORT, USUAL = 5.0, 10.0
-"""Seconds of an episode below which its length gets a word, and that it has at the default control period."""
 
 
-def checked_seed(seed: Any, name: str = "seed") -> int | None:
-    """A seed of `reset`: None or a whole number of at least 0, NumPy's among them. Raises TypeError or ValueError."""
-    return None if seed is None else checked_count(name, seed, 0)
-
-
-def checked_seeds(seed: Any, rows: int) -> list[int | None] | None:
-    """A seed for each row: s + i from a number s, or those of a list. Raises TypeError or ValueError."""
-    if seed is None:
-        return None
-    if isinstance(seed, list | tuple) or isinstance(seed, np.ndarray) and seed.ndim > 0:
-        if len(seed) != rows:
-            raise ValueError(f"seed should be an int or a list of {rows}, not of {len(seed)}")
-        return [checked_seed(own, f"seed[{i}]") for i, own in enumerate(seed)]
-    first = checked_count("seed", seed, 0)
-    return [first + i for i in range(rows)]
+def warn_of_short_episodes(period: float, steps: int | None) -> None:
+    """Warns where the usual number of steps, which does not follow the control period [s], makes episodes shorter than 5 s."""
+    if steps == MAX_EPISODE_STEPS and steps * period < 5.0:
+        text = f"control_period is {period:g} s: an episode has {steps} steps, {steps * period:g} s, unless max_episode_steps is given"
+        warnings.warn(f"{text}: {round(10.0 / period)} of them last 10 s", stacklevel=3)
 
 
 def refuse_closed(closed: bool, called: str) -> None:
     """Raises ClosedEnvironmentError."""
     if closed:
         raise ClosedEnvironmentError(f"{called} was called after close: make a new environment")
-
-
-def warn_of_short_episodes(period: float, steps: int | None) -> None:
-    """Warns where the usual number of steps, which does not follow the control period [s], makes short episodes."""
-    if steps == MAX_EPISODE_STEPS and steps * period < SHORT:
-        text = f"control_period is {period:g} s: an episode has {steps} steps, {steps * period:g} s, unless max_episode_steps is given"
-        warnings.warn(f"{text}: {round(USUAL / period)} of them last {USUAL:g} s", stacklevel=3)
 
 
 class PlainSpec:
@@ -97,9 +77,8 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any]):
         chosen = parsed_options(options, type(self).__name__)
         self.episodes = Episodes(self.task, chosen, rows=1)
         warn_of_short_episodes(chosen.control_period, MAX_EPISODE_STEPS)
-        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / chosen.control_period))}
-        self.observation_space = observation_space(self.episodes)
-        self.action_space = action_space(self.episodes)
+        self.metadata = metadata_of(self.episodes)
+        self.observation_space, self.action_space = spaces(self.episodes)
         self._on_divergence, self._begun, self._closed = chosen.on_divergence, False, False
         self._most_steps: int | None = None
         self._renderer = make_renderer(self.episodes, render_mode)
@@ -107,7 +86,7 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """A new episode; options: see `ResetOptions`. Raises ValueError or TypeError for bad seeds and options, before anything changes."""
         refuse_closed(self._closed, "reset")
-        seed, given = checked_seed(seed), reset_options(options)
+        seed, given = None if seed is None else checked_count("seed", seed, 0), reset_options(options)
         beginnings = self.episodes.beginnings(given, ONE)
         super().reset(seed=seed)
         self._begun = False
@@ -170,12 +149,9 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any]):
         None without a render mode, and with "human": there every reset and step shows itself in the viewer, no faster than in real time.
         """
         refuse_closed(self._closed, "render")
-        if self._renderer is None:
-            gym.logger.warn("render was called, but the environment was made without a render_mode")
-            return None
         if not self._begun:
             raise ResetNeeded("render was called before reset")
-        frames = self._renderer.frames()
+        frames = rendered(self._renderer)
         return None if frames is None else frames[0]
 
     def close(self) -> None:
@@ -185,19 +161,27 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any]):
         self._closed = True
 
 
-def action_space(episodes: Episodes) -> Box:
-    """Action space of one row."""
-    return Box(-1.0, 1.0, (episodes.model.tendon_count,), np.float32)
+def metadata_of(episodes: Episodes) -> dict[str, Any]:
+    """Metadata of environments: their render modes and pictures per second."""
+    return {"render_modes": [*RENDER_MODES], "render_fps": max(1, round(1.0 / episodes.period))}
 
 
-def observation_space(episodes: Episodes) -> Box | Dict:
-    """Observation space of one row."""
-    flat = episodes.layout.space
+def rendered(renderer: Any) -> Frames | None:
+    """Frames of a renderer, with a warning where there is none."""
+    if renderer is None:
+        gym.logger.warn("render was called, but the environment was made without a render_mode")
+        return None
+    return renderer.frames()
+
+
+def spaces(episodes: Episodes) -> tuple[Box | Dict, Box]:
+    """Observation and action space of one row."""
+    actions = Box(-1.0, 1.0, (episodes.model.tendon_count,), np.float32)
     if not episodes.task.goal:
-        return flat
+        return episodes.layout.space, actions
     reach = np.float32(episodes.goal_bound)
     goal = Box(-reach, reach, (3,), np.float32)
-    return Dict({"observation": flat, "achieved_goal": goal, "desired_goal": goal})
+    return Dict({"observation": episodes.layout.space, "achieved_goal": goal, "desired_goal": goal}), actions
 
 
 class GoalEnv(TendonRodEnv):
@@ -205,26 +189,19 @@ class GoalEnv(TendonRodEnv):
 
     def compute_reward(self, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any) -> Any:
         """Rewards (...) of goals (..., 3) [m]; a float for one. Raises ValueError for goals of other shapes."""
-        reward = goal_reward(self.episodes, achieved_goal, desired_goal)
+        reward = self.episodes.goal_reward(achieved_goal, desired_goal)
         return float(reward) if reward.ndim == 0 else reward
 
 
-def goal_reward(episodes: Episodes, achieved: ArrayLike, desired: ArrayLike) -> Array:
-    """Rewards (...) of goals (..., 3) [m] as the options of these episodes have it."""
-    assert episodes.task.goal is not None
-    return episodes.task.goal.reward(achieved, desired, episodes.goal_kind, episodes.threshold)
+_CLASSES: dict[str, Any] = {}
 
 
 def class_of(task: Task, suffix: str, bases: tuple[type, type], doc: str) -> Any:
     """The class `<task><suffix>`, the same at every call: of the first base, or of the second for goal-conditioned tasks."""
     name, base = f"{task.name}{suffix}", bases[task.goal is not None]
-    made = _CLASSES.get(name)
-    if made is None or made.task is not task:
-        made = _CLASSES[name] = type(name, (base,), {"task": task, "__doc__": doc, "__module__": bases[0].__module__})
-    return made
-
-
-_CLASSES: dict[str, Any] = {}
+    if name not in _CLASSES or _CLASSES[name].task is not task:
+        _CLASSES[name] = type(name, (base,), {"task": task, "__doc__": doc, "__module__": bases[0].__module__})
+    return _CLASSES[name]
 
 
 def environment_class(task: Task) -> type[TendonRodEnv]:

@@ -1,247 +1,156 @@
-"""How rows begin: at rest, with a material and effects of their own where those are drawn, clear of obstacles, and with a target."""
+"""How the arms of rows begin: at rest, with a material and effects of their own where those are drawn, clear of obstacles."""
 
-import warnings
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from soft_tendon_env.envs.arms import Arms, Material, RowEffects
-from soft_tendon_env.envs.contacts import ObstacleFreeSpace, why_inside, why_target_inside
-from soft_tendon_env.envs.courses import Courses
+from soft_tendon_env.envs.contacts import ObstacleFreeSpace, why_base_inside, why_inside
 from soft_tendon_env.envs.effect_ranges import EffectRanges
-from soft_tendon_env.envs.options import Options, Start, check_start, check_target
+from soft_tendon_env.envs.options import Options, Start, check_start
 from soft_tendon_env.envs.randomization import Draw, drawn, own_stream
-from soft_tendon_env.envs.reset_options import ResetOptions
-from soft_tendon_env.envs.targets import TARGETS, Course, Setting, ShapeCourse, Target, make_setting
-from soft_tendon_env.envs.targets.equilibria import Equilibria
-from soft_tendon_env.envs.targets.motions import Random
+from soft_tendon_env.envs.targets import Course, Setting, Target, make_setting
 from soft_tendon_env.envs.targets.statics import HALVINGS, nearest_to_zero
-from soft_tendon_env.envs.tasks import Task
+from soft_tendon_env.mechanics.motion.scratch import Motion
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.state import State, checked_motion
 from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.registration import MAX_EPISODE_STEPS
 from soft_tendon_env.tools.checks import shown_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Key, Problem, shown
 from soft_tendon_env.tools.types import Array
 
 MOST_DRAWS = 200
-"""How often obstacles are drawn in which the arm would begin, and targets inside of obstacles, before that is an error; and goals that are
-reached already, before they are taken."""
+"""How often obstacles are drawn in which the arm would begin before that is an error."""
 START = 1
 """Purpose of the random stream from which tensions to begin under are drawn."""
-BANK_SEED = 2**64
-"""Seed of the first course of a bank; the others follow, one apart: beyond all seeds of `reset` that have a purpose."""
-THRESHOLD = 0.01
-"""Distance within which a goal is reached, as a share of the rod's length, unless options say otherwise."""
-EVERYWHERE = 7.0
-"""Threshold, in lengths of the rod, beyond which it is asked that every goal be reached: the diagonal of the space that goals are in."""
-TARGET_CHECKS = 100
-"""Times in an episode of the usual length at which a target is checked not to lie inside of obstacles."""
 
 
-Shape = tuple[Array, Array, Array]
-"""Tensions (n_a,) [N], the command (n_a,) that holds them, and the coordinates (n,) of an arm at rest under them."""
+class Shape(NamedTuple):
+    """An arm at rest."""
+
+    tension: Array  # (n_a,) [N]
+    command: Array  # (n_a,) that holds it
+    q: Array  # (n,)
 
 
 class Beginning(NamedTuple):
-    """How an episode of a row is to begin, checked."""
+    """How an episode of a row is to begin, as far as it is known before its arm is drawn."""
 
     start: Start
     target: Target | Course  # one that is drawn, or the course of one that is not
     state: State | None = None  # in which the row begins, whatever `start` says
-    shape: Shape | None = None  # under `start`; None: it depends on what is drawn
+    motion: tuple[Motion, float] | None = None  # of that state, and the step to try next
+    shape: Shape | None = None  # under `start`
 
 
 class Begun(NamedTuple):
-    """A row in which an episode has begun, at rest."""
+    """The arm of a row in which an episode begins."""
 
     draw: Draw
-    tension: Array  # (n_a,) [N]
-    command: Array  # (n_a,) that holds it
-    q: Array  # (n,)
+    shape: Shape
+    motion: tuple[Motion, float] | None  # in place of the shape
     setting: Setting  # among which targets are drawn for it
 
 
 class Starts:
-    """Beginnings of rows of episodes.
+    """Beginnings of rows of arms.
 
-    `usual` is how they begin unless a reset says otherwise. `tension` (n_a,) [N] and `command` (n_a,) hold the arm at rest, `q` (n,) are
-    its coordinates there, where nothing is drawn; `effects` are the ranges of effects that are drawn; within `threshold` [m] of the tip a
-    goal is reached.
+    `tension` (n_a,) [N] and `command` (n_a,) hold the scene's arm at rest, at coordinates `q` (n,); `effects` are the ranges of effects
+    that are drawn, `redraws` whether obstacles are among them; `setting` is that of the scene's arm.
     """
 
-    def __init__(self, task: Task, options: Options, arms: Arms, courses: Courses) -> None:
-        """Raises ConfigurationError where the arm, or one that can be drawn, does not rest, or begins inside of an obstacle, and where the
-        course of a target that is not drawn cannot be."""
-        self._task, self._options, self._arms, self._model, self._courses = task, options, arms, arms.model, courses
-        self.threshold = THRESHOLD * arms.model.length if options.threshold is None else options.threshold
-        self.limits = np.array([tendon.tension_limits for tendon in arms.model.scene.tendons])
+    def __init__(self, options: Options, arms: Arms) -> None:
+        """Raises ConfigurationError where the arm, or one that can be drawn, does not rest, or begins inside of an obstacle."""
+        self._options, self._arms, self._model = options, arms, arms.model
+        self.limits = arms.model.discretisation.tension_limits.copy()
         self.tension = nearest_to_zero(self.limits)
         self.effects = EffectRanges(options.randomize.effects, arms.model)
-        self._meets = arms.model.scene.effects.contact is not None
-        self.redraws = self._meets and "contact" in self.effects.names
-        """Whether obstacles are drawn, and drawn again where the arm would begin inside of one."""
-        self.q = self._rest_of_scene()
-        self.command = arms.model.command(self.tension, self.q)
-        self._check_extremes()
-        self._setting = self._among(make_setting(arms, self.limits), self.q)
-        target = options.target or TARGETS[task.target](type=task.target)
-        if self.redraws and isinstance(target, Random) and target.bank is not None:
-            text = f"is {target.bank}: it should be left out where obstacles are drawn, of which every target keeps clear"
-            raise _problem(("target", "bank"), text)
-        self._bank: dict[int, Course] = {}
-        self.usual = Beginning(options.start, self._settled_target(target))
-
-    def _settled_target(self, target: Target) -> Target | Course:
-        """The course of a target; one that is drawn as it is. Raises ConfigurationError where the course cannot be, or lies inside of an
-        obstacle."""
-        if target.is_random:
-            return target
-        course = target.draw(np.random.default_rng(0), self._setting)
-        if inside := self._target_inside(course, self._model):
-            raise _problem(("target",), f"lies inside of an obstacle: {inside}")
-        return course
-
-    def beginning(self, given: ResetOptions) -> Beginning:
-        """How a row with these options begins. Raises ConfigurationError, TypeError or ValueError where it cannot, but for what depends on
-        the arm that is drawn for its episode: that is found out when it begins."""
-        start, wanted, scene = given.start or self.usual.start, given.goal or given.target, self._model.scene
-        check_start(start, scene)
-        shape, target = None, self.usual.target
-        if not self._options.randomize.of_arm:
-            if not isinstance(start, str):
-                shape = self._begin_shape(0, start, None, self.q)
-            if given.state is not None:
-                checked_motion(self._model, given.state)
-        if wanted is not None:
-            check_target(wanted, self._task, scene)
-            target = self._settled_target(wanted)
-        return Beginning(start, target, given.state, shape)
-
-    def begin(self, row: int, how: Beginning, generator: np.random.Generator) -> Begun:
-        """Give a row its arm and its target, drawn from a generator. Raises ConfigurationError."""
-        effects = own_stream(generator) if self.effects else None
-        start = own_stream(generator, START) if how.start == "random" else None
-        draw = drawn(self._options.randomize, self._model.tendon_count, generator)
-        rest = self._begin_arm(row, draw.material, effects, how.target)
-        tension, command, q = how.shape or self._begin_shape(row, how.start, start, rest)
-        setting = self._setting
-        if isinstance(how.target, Target):
-            if self.redraws:
-                shape = self._model.arm.strain.of_softer_rod(rest, np.array(draw.material.stiffness))
-                setting = self._among(setting._replace(model=self._arms.model_among(row)), shape)
-            self._courses.begin(row, *self.draw_course(how.target, generator, setting))
-        else:
-            self._courses.begin(row, how.target)
-        return Begun(draw, tension, command, q, setting)
-
-    def may_draw_again(self, target: Target | Course) -> bool:
-        """Whether a goal that is reached at the beginning is drawn again: not one that is given, at rest, or with a threshold for all."""
-        drawn_away = isinstance(target, Target) and not target.begins_at_rest
-        return self._task.goal is not None and drawn_away and self.threshold <= EVERYWHERE * self._model.length
-
-    def _begin_arm(self, row: int, material: Material, stream: np.random.Generator | None, target: Target | Course) -> Array:
-        """Give a row its material, and effects drawn from a stream if any are: the coordinates (n,) at which it rests."""
-        if not self._options.randomize.of_arm:
-            return self.q
-        if stream is None:
-            return self._rest_of(row, material)
-        for last in range(MOST_DRAWS - 1, -1, -1):
-            effects = self.effects.drawn(stream, material.stiffness)
-            try:
-                q = self._rest_of(row, material, effects)
-            except ConfigurationError:
-                if last and self.redraws:
-                    continue
-                raise
-            if isinstance(target, Target) or not self.redraws:
-                return q
-            if not (inside := self._target_inside(target, self._arms.model_of(row))):
-                return q
-        text = f"put the target inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}: {inside}"
-        raise _problem(("randomize", "effects"), text)
-
-    def _begin_shape(self, row: int, start: Start, stream: np.random.Generator | None, rest: Array) -> Shape:
-        """Shape in which a row begins.
-
-        start: of a row that without tension rests at `rest` (n,); tensions drawn from `stream` are halved until the arm holds them, clear
-        of obstacles. Raises ConfigurationError where the arm does not hold given ones.
-        """
-        if start == "rest":
-            return self.tension, self.command, rest
-        model = self._arms.model_of(row) if self._options.randomize.of_arm else self._model
-        tension = np.array(start) if stream is None else stream.uniform(*self.limits.T)
-        least, greatest = model.scene.effects.command_limits(self.limits).T
-        for _ in range(HALVINGS):
-            q, reason = self._settled(model, tension)
-            reason, command = reason or why_inside(model, q), model.command(tension, q)
-            if not reason and not ((least <= command) & (command <= greatest)).all():
-                reason = f"its actuators would have to be at {shown_numbers(command)} {model.command_unit}, beyond their limits"
-            if not reason:
-                return tension, command, q
-            if stream is None:
-                raise _problem(("start",), f"is {shown_numbers(tension)} N, which cannot hold the arm: {reason}")
-            tension = 0.5 * (self.tension + tension)
-        return self.tension, self.command, rest
-
-    def draw_course(
-        self, target: Target, generator: np.random.Generator, setting: Setting, tips: Array | None = None
-    ) -> tuple[Course, int]:
-        """A course of a target that is drawn, from its bank if it has one, and the control period of it to begin at.
-
-        It keeps clear of the obstacles of the setting, as the arm at rest does where that is so, and its goal is not reached by tips
-        (k, 3) [m], but for a warning. Raises ConfigurationError.
-        """
-        for _ in range(MOST_DRAWS):
-            if isinstance(target, Random) and target.bank is not None:
-                course, first = self._from_bank(target, target.bank, generator)
-            else:
-                course, first = target.draw(generator, setting), 0
-            inside = "" if isinstance(course, ShapeCourse) else self._target_inside(course, setting.model)
-            begins = first if tips is None else self._unreached(course, first, target, tips, generator)
-            if not inside and begins is not None:
-                return course, begins
+        self.redraws = "contact" in self.effects.names
+        self.q, inside, reason = self._settled(self._model, self.tension)
         if inside:
-            raise _problem(("target",), f"lay inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}, at last {inside}")
-        text = f"a goal was within the threshold, {1e3 * self.threshold:.3g} mm, of where the tip begins in {MOST_DRAWS} draws"
-        warnings.warn(f"{text}: the episode begins solved; choose a smaller threshold, or a larger fraction of tensions", stacklevel=2)
-        return course, first
-
-    def _unreached(self, course: Course, first: int, target: Target, tips: Array, generator: np.random.Generator) -> int | None:
-        """Control period at which a drawn course begins with a goal that no tip (k, 3) [m] has reached: `first`, or of motions that repeat
-        one that is drawn; None: there is none."""
-        period = self._options.control_period
-        periods: NDArray[np.int64] = first + np.arange(round(target.period / period) if isinstance(target, Random) else 1)
-        goals = self._courses.tip_positions(course, period * periods.astype(np.float64)).astype(np.float32)  # as they are observed
-        far = periods[np.linalg.norm(goals[:, None] - tips, axis=2).min(axis=1) > self.threshold]
-        return None if not far.size else first if far[0] == first else int(generator.choice(far))
-
-    def _from_bank(self, target: Random, size: int, generator: np.random.Generator) -> tuple[Course, int]:
-        """A drawn course of the bank, which is made when it is first asked for, and the drawn control period of it to begin at."""
-        number = int(generator.integers(size))
-        if number not in self._bank:
-            self._bank[number] = target.draw(np.random.default_rng(BANK_SEED + number), self._setting)
-        return self._bank[number], int(generator.integers(max(round(target.period / self._options.control_period), 1)))
-
-    def _rest_of_scene(self) -> Array:
-        q, reason = self._settled(self._model, self.tension)
-        if inside := why_inside(self._model, q):
             raise _problem(("scene",), f"has obstacles in the arm's way: {inside}; move it to where the arm is not")
         if reason:
             text = f"leave {shown_numbers(self.tension)} N nearest to zero, which cannot hold the arm: {reason}"
             raise _problem(("tension_limits",), text)
-        return q
+        self.command = arms.model.command(self.tension, self.q)
+        self._check_extremes()
+        self.setting = self._among(make_setting(arms, self.limits, self.tension, self.q))
 
-    def _settled(self, model: Model, tension: Array) -> tuple[Array, str]:
-        """Coordinates (n,) at which an arm slowly loaded with tensions (n_a,) [N] comes to rest, and why it does not; "": it does."""
-        if model.arm.effects.load:
-            q, found = Equilibria(self._arms, model).on_path(tension[None])
-            if found[0]:
-                return q[0], ""
+    def beginning(self, start: Start, target: Target | Course, state: State | None = None) -> Beginning:
+        """How a row begins. Raises ConfigurationError, TypeError or ValueError where it cannot; what depends on an arm that is drawn is
+        found out when it begins."""
+        check_start(start, self._model.scene)
+        if self._options.randomize.of_arm:
+            return Beginning(start, target, state)
+        shape = self._begin_shape(self._model, start, None, self.q) if start != "random" else None
+        return Beginning(start, target, state, None if state is None else checked_motion(self._model, state), shape)
+
+    def begin(self, row: int, how: Beginning, generator: np.random.Generator, inside: Callable[[Course, Model], str]) -> Begun:
+        """Give a row its arm, drawn from a generator. Raises ConfigurationError.
+
+        inside: the obstacle of a model that a target is inside of, as the end of a sentence; obstacles keep clear of those not drawn.
+        """
+        effects = own_stream(generator) if self.effects else None
+        start = own_stream(generator, START) if how.start == "random" else None
+        draw, setting, rest, model = drawn(self._options.randomize, self._model.tendon_count, generator), self.setting, self.q, self._model
+        if self._options.randomize.of_arm:
+            rest = self._begin_arm(
+                row, draw.material, effects, lambda own: "" if isinstance(how.target, Target) else inside(how.target, own)
+            )
+            model = self._arms.model_of(row)
+        shape = how.shape or self._begin_shape(model, how.start, start, rest)
+        if self.redraws:
+            as_of_scene = self._model.arm.strain.of_softer_rod(rest, np.array(draw.material.stiffness))
+            setting = self._among(setting._replace(model=self._arms.model_among(row), rest=as_of_scene))
+        return Begun(draw, shape, how.motion or (None if how.state is None else checked_motion(model, how.state)), setting)
+
+    def _begin_shape(self, model: Model, start: Start, stream: np.random.Generator | None, rest: Array) -> Shape:
+        """Shape in which a row begins that rests at `rest` (n,).
+
+        Tensions that are drawn from `stream` are halved until the arm holds them, clear of obstacles. Raises ConfigurationError where it
+        does not hold given ones.
+        """
+        if start == "rest":
+            return Shape(self.tension, self.command, rest)
+        tension: Array = np.array(start) if stream is None else np.asarray(stream.uniform(*self.limits.T))
+        least, greatest = model.scene.effects.command_limits(self.limits).T
+        for _ in range(HALVINGS):
+            q, inside, reason = self._settled(model, tension)
+            command = model.command(tension, q)
+            if not (inside or reason) and not ((least <= command) & (command <= greatest)).all():
+                reason = f"its actuators would have to be at {shown_numbers(command)} {model.command_unit}, beyond their limits"
+            if not (inside or reason):
+                return Shape(tension, command, q)
+            if stream is None:
+                raise _problem(("start",), f"is {shown_numbers(tension)} N, which cannot hold the arm: {inside or reason}")
+            tension = 0.5 * (self.tension + tension)
+        return Shape(self.tension, self.command, rest)
+
+    def _settled(self, model: Model, tension: Array) -> tuple[Array, str, str]:
+        """Coordinates (n,) at which an arm slowly loaded with tensions (n_a,) [N] comes to rest; the obstacle that it is inside of there,
+        and why it does not rest, as ends of sentences: "" where it is so."""
+        if inside := why_base_inside(model, np.zeros(model.coordinate_count)):  # which no motion frees
+            return np.zeros(model.coordinate_count), inside, ""
         rest = static_equilibrium(model, tension, settle=True)
-        return rest.q, "" if rest.converged else rest.reason
+        return rest.q, why_inside(model, rest.q), rest.reason
+
+    def _begin_arm(self, row: int, material: Material, stream: np.random.Generator | None, blocked: Callable[[Model], str]) -> Array:
+        """Give a row its material, and effects drawn from a stream if there is one: the coordinates (n,) at which it rests."""
+        if stream is None:
+            return self._rest_of(row, material)
+        for last in range(MOST_DRAWS - 1, -1, -1):
+            try:
+                q = self._rest_of(row, material, self.effects.drawn(stream, material.stiffness))
+            except ConfigurationError:
+                if last and self.redraws:
+                    continue
+                raise
+            if not (self.redraws and (inside := blocked(self._arms.model_of(row)))):
+                return q
+        raise _problem(
+            ("randomize", "effects"), f"put the target inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}: {inside}"
+        )
 
     def _check_extremes(self) -> None:
         """Raises ConfigurationError where the heaviest arm that can be drawn does not rest."""
@@ -257,33 +166,24 @@ class Starts:
         self._arms.set_material(row, material, effects)
         if not (self._model.arm.effects.load or self.tension.any()):
             return self.q
-        own = self._arms.model_of(row)
-        q, reason = self._settled(own, self.tension)
-        inside = why_inside(own, q)
+        q, inside, reason = self._settled(self._arms.model_of(row), self.tension)
         if not (inside or reason):
             return q
-        drawn = {name: f"{value:.4g}" for name, value in material._asdict().items()}
+        values = {name: f"{value:.4g}" for name, value in material._asdict().items()}
         if effects is not None:
-            drawn |= {name: shown(value.tolist()) for name, value in self.effects.values(effects.effects).items()}
-        listed = ", ".join(f"{name} {value}" for name, value in drawn.items())
+            values |= {name: shown(value.tolist()) for name, value in self.effects.values(effects.effects).items()}
+        listed = ", ".join(f"{name} {value}" for name, value in values.items())
         if inside:
             raise _problem(("randomize",), f"can make arms that begin inside of an obstacle: {listed}: {inside}")
         text = f"can make arms that {shown_numbers(self.tension)} N, nearest to zero, cannot hold: {listed}: {reason}"
         raise _problem(("randomize",), text)
 
-    def _among(self, setting: Setting, rest: Array) -> Setting:
-        """The setting with the space that its model's obstacles leave free; as it is where the arm at rest (n,) is not in that."""
-        if not self._meets:
+    def _among(self, setting: Setting) -> Setting:
+        """The setting with the space that its model's obstacles leave free; as it is where the arm at rest is not in that."""
+        if setting.model.scene.effects.contact is None:
             return setting
         free = ObstacleFreeSpace(self._arms, setting.model)
-        return setting._replace(free=free if free.holds(rest[None]).all() else None)
-
-    def _target_inside(self, course: Course, model: Model) -> str:
-        """Obstacle standing still that a target's tip is inside of, as the end of a sentence; "": none."""
-        if not self._meets:
-            return ""
-        times = self._options.control_period * np.linspace(0.0, MAX_EPISODE_STEPS, TARGET_CHECKS)
-        return why_target_inside(model, self._courses.tip_positions(course, times))
+        return setting._replace(free=free if free.holds(setting.rest[None]).all() else None)
 
 
 def _problem(key: Key, text: str) -> ConfigurationError:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from soft_tendon_env.envs import single
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.envs.frames import RENDER_MODES, make_renderer
+from soft_tendon_env.envs.frames import make_renderer
 from soft_tendon_env.envs.options import parsed_options
 from soft_tendon_env.envs.reset_options import MASK, reset_options
 from soft_tendon_env.envs.starts import Beginning
@@ -68,19 +68,15 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any]):
         most_threads = None if threads is None else checked_count("threads", threads, 1)
         self.episodes = Episodes(self.task, chosen, num_envs, most_threads)
         single.warn_of_short_episodes(chosen.control_period, self.max_episode_steps)
-        fps = max(1, round(1.0 / chosen.control_period))
-        self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": fps, "autoreset_mode": self.autoreset_mode}
-        self.single_observation_space = single.observation_space(self.episodes)
-        self.single_action_space = single.action_space(self.episodes)
+        self.metadata = {**single.metadata_of(self.episodes), "autoreset_mode": self.autoreset_mode}
+        self.single_observation_space, self.single_action_space = single.spaces(self.episodes)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._on_divergence = chosen.on_divergence
-        self._all = np.arange(num_envs, dtype=np.int64)
-        self._ended = np.zeros(num_envs, dtype=bool)
+        self._on_divergence, self._begun = chosen.on_divergence, False
+        self._all, self._ended = np.arange(num_envs, dtype=np.int64), np.zeros(num_envs, dtype=bool)
         self._usual_steps = np.inf if self.max_episode_steps is None else self.max_episode_steps
         self._most_steps = np.full(num_envs, self._usual_steps)
-        self._generators: list[np.random.Generator] = []
-        self._begun = False
+        self._generators: dict[int, np.random.Generator] = {}
         self._renderer = make_renderer(self.episodes, render_mode)
 
     def reset(self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -92,8 +88,7 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any]):
         Raises ValueError or TypeError for bad seeds and options, before anything changes.
         """
         single.refuse_closed(self.closed, "reset")
-        members, seeds = self._all, single.checked_seeds(seed, self.num_envs)
-        given = reset_options(options, self.num_envs)
+        members, seeds, given = self._all, _checked_seeds(seed, self.num_envs), reset_options(options, self.num_envs)
         if options is not None and MASK in options:
             mask = np.asarray(options[MASK])
             if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
@@ -102,21 +97,15 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any]):
         if not self._begun and members.size < self.num_envs:
             raise ResetNeeded("the first reset should be of all rows")
         beginnings = self.episodes.beginnings(given, members)
-        self._seed(seeds, members)
+        for row in members.tolist():
+            if seeds[row] is not None or row not in self._generators:
+                self._generators[row] = seeding.np_random(seeds[row])[0]
         self._begun = False
         self._begin(members, beginnings)
         self._begun = True
         for row in members.tolist() if given else ():
             self._most_steps[row] = min(given[row].episode_steps or np.inf, self._usual_steps)
         return self.episodes.observation(), self._info(np.zeros(self.num_envs, dtype=bool))
-
-    def _seed(self, seeds: list[int | None] | None, members: Indices) -> None:
-        if not self._generators:
-            self._generators = [seeding.np_random(None if seeds is None else seeds[row])[0] for row in range(self.num_envs)]
-        elif seeds is not None:
-            for row in members:
-                if seeds[row] is not None:
-                    self._generators[row] = seeding.np_random(seeds[row])[0]
 
     def _begin(self, members: Indices, beginnings: Mapping[int, Beginning] | None = None) -> None:
         self.episodes.begin(members, [self._generators[row] for row in members], beginnings)
@@ -142,10 +131,8 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any]):
         if self._renderer is not None:
             self._renderer.step(members)
         reward = np.where(stepped, self.episodes.reward, 0.0)
-        failed = self.episodes.diverged & stepped
-        late = stepped & self.timed_out
-        terminated = failed if self._on_divergence != "truncate" else np.zeros_like(failed)
-        truncated = late if self._on_divergence != "truncate" else late | failed
+        failed, late = self.episodes.diverged & stepped, stepped & self.timed_out
+        terminated, truncated = (failed, late) if self._on_divergence != "truncate" else (np.zeros_like(failed), late | failed)
         self._ended = terminated | truncated
         observation, info = self.episodes.observation(), self._info(stepped)
         if failed.any():
@@ -166,8 +153,7 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any]):
 
     def _restarted(self, observation: Any, info: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         """Reset the ended rows at once; what they ended with goes to final_obs and final_info."""
-        ended = self._ended.copy()
-        final_obs = np.full(self.num_envs, None, dtype=object)
+        ended, final_obs = self._ended.copy(), np.full(self.num_envs, None, dtype=object)
         for row in np.flatnonzero(ended):
             final_obs[row] = {key: value[row] for key, value in observation.items()} if isinstance(observation, dict) else observation[row]
         final_info = {key: value & ended if key.startswith("_") else value for key, value in info.items()}
@@ -210,10 +196,7 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any]):
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A frame (height, width, 3) per row; None without a render mode, and with "human"."""
         single.refuse_closed(self.closed, "render")
-        if self._renderer is None:
-            gym.logger.warn("render was called, but the environment was made without a render_mode")
-            return None
-        return self._renderer.frames()
+        return single.rendered(self._renderer)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Stop the threads."""
@@ -230,12 +213,24 @@ def _checked_mode(mode: str | AutoresetMode) -> AutoresetMode:
     return MODES[mode]
 
 
+def _checked_seeds(seed: Any, rows: int) -> list[int | None]:
+    """A seed for each row: s + i from a number s, or those of a list, None to go on. Raises TypeError or ValueError."""
+    if seed is None:
+        return [None] * rows
+    if not (isinstance(seed, list | tuple) or isinstance(seed, np.ndarray) and seed.ndim > 0):
+        first = checked_count("seed", seed, 0)
+        return [first + i for i in range(rows)]
+    if len(seed) != rows:
+        raise ValueError(f"seed should be an int or a list of {rows}, not of {len(seed)}")
+    return [None if own is None else checked_count(f"seed[{i}]", own, 0) for i, own in enumerate(seed)]
+
+
 class GoalVectorEnv(TendonRodVectorEnv):
     """A goal-conditioned vector environment."""
 
     def compute_reward(self, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any) -> Any:
         """Rewards (...) of goals (..., 3) [m]. Raises ValueError for goals of other shapes."""
-        return single.goal_reward(self.episodes, achieved_goal, desired_goal)
+        return self.episodes.goal_reward(achieved_goal, desired_goal)
 
 
 def vector_environment_class(task: Task) -> type[TendonRodVectorEnv]:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
-from soft_tendon_env.envs.options import refuse_bank
 from soft_tendon_env.envs.single import TendonRodEnv
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
 from soft_tendon_env.evaluation.conditions import SEEDS
@@ -99,8 +98,7 @@ class Step(NamedTuple):
 
 def play_steps(policy: Policy, env: Env, seeds: Sequence[int]) -> Iterator[Step]:
     """Steps of an episode per seed, without end: the reset comes first, with zeros. A vector environment has a row per seed, any other one
-    seed. `env` stands where the step left it when a step is yielded. Raises ConfigurationError for targets of a bank."""
-    refuse_bank(episodes_of(env).options)
+    seed. `env` stands where the step left it when a step is yielded."""
     rows, many = len(seeds), isinstance(env, gym.vector.VectorEnv)
     observation, _ = env.reset(seed=list(seeds) if many else seeds[0])  # type: ignore[arg-type] # an int means others
     state, ended = None, np.ones(rows, dtype=bool)

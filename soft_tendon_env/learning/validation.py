@@ -8,7 +8,6 @@ import gymnasium as gym
 import numpy as np
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.envs.options import without_bank
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation import VALIDATION_SEEDS, Summary, evaluate_rows, summarise
 from soft_tendon_env.evaluation.tables import number
@@ -27,7 +26,7 @@ class Validation:
         self._seeds, self._skip = VALIDATION_SEEDS[: training.evaluation.episodes], training.evaluation.skip
         steps = training.episode_steps
         size: dict[str, Any] = {"num_envs": len(self._seeds), "max_episode_steps": steps, "threads": training.threads}
-        self.envs = gym.make_vec(IDS[training.task], **size, **without_bank(training.options))
+        self.envs = gym.make_vec(IDS[training.task], **size, **training.options)
         self._integral_time = training.integral_time
 
     def summary(self, agent: Policy) -> Summary:

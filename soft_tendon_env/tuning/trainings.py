@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from soft_tendon_env.envs import Options
-from soft_tendon_env.envs.options import resolved_scene, without_bank
+from soft_tendon_env.envs.options import resolved_scene
 from soft_tendon_env.evaluation.conditions import SEEDS
 from soft_tendon_env.evaluation.play import validation_scores
 from soft_tendon_env.learning.config import Training, find_config
@@ -98,7 +98,7 @@ class TrainingSearch(Search):
             self._train(training, own, None)
             best, skip = str(own / "best"), training.evaluation.skip
             make = partial(load_policy, best)
-            scores = validation_scores(make, training.task, without_bank(training.options), SEEDS["evaluation"], training.seconds, skip)
+            scores = validation_scores(make, training.task, training.options, SEEDS["evaluation"], training.seconds, skip)
             costs.append([LOST * score.length if score.diverged else next(iter(score.errors.values())).rms for score in scores])
         return np.array(costs)
 

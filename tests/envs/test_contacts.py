@@ -166,7 +166,7 @@ def test_a_drawn_target_inside_of_an_obstacle_is_drawn_again():
 def test_drawn_motions_keep_the_whole_arm_clear_of_obstacles(kind):
     """Shapes that the arm holds without touching anything, near as some of them come; obstacles that move are no hindrance."""
     env = kind(scene="paper_among_obstacles", fidelity="fast", target={"type": "random", "fraction": 0.5})
-    free, nearest = env.episodes.starts._setting.free, np.inf
+    free, nearest = env.episodes.starts.setting.free, np.inf
     for seed in range(5):
         env.reset(seed=seed)
         q, _ = env.episodes._courses._course[0].coordinates(np.linspace(0.0, 10.0, 40, endpoint=False))
@@ -180,7 +180,7 @@ def test_drawn_motions_keep_the_whole_arm_clear_of_obstacles(kind):
 
 def test_an_arm_that_lies_on_something_has_targets_in_contact():
     env = ReachEnv(**touching([FLOOR]))
-    assert env.episodes.starts._setting.free is None
+    assert env.episodes.starts.setting.free is None
     env.reset(seed=0)
 
 

@@ -181,7 +181,6 @@ REFUSED = [
     (TipPoseEnv, {"goal": 2.0 * POSE}, r"options: goal.pose is .* it should be a homogeneous matrix"),
     (TipPoseEnv, {"goal": POSE, "target": "hold"}, "options: goal is given, and target too: give one of the two"),
     (TipPoseEnv, {"target": "hald"}, "options: target.type is 'hald': did you mean 'hold'"),
-    (TipPoseEnv, {"target": {"type": "random", "bank": 4}}, "options: target.bank is 4: it is of the argument `target`"),
     (TipPoseEnv, {"target": {"type": "hold", "tension": [1.0]}}, "target.tension has 1 entries: it should have one per tendon, 3"),
     (TipPoseEnv, {"start": [1.0, 2.0]}, r"start has 2 entries: it should have one per tendon, 3"),
     (TipPoseEnv, {"start": [1.0, 2.0, -1.0]}, r"start\[2\] is -1: it should be within the limits of the tendon, 0 to"),

@@ -22,7 +22,7 @@ from soft_tendon_env.envs.rewards import Reward
 from soft_tendon_env.envs.tasks import TASKS, register_task
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS, evaluate, summarise
 from soft_tendon_env.learning import callback, checkpoints, config, monitor, train, training_env, validation
-from soft_tendon_env.learning.vec_env import make_sb3_vec_env, unwrapped
+from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 from soft_tendon_env.policies import load
 from soft_tendon_env.tools.configuration import ConfigurationError
 
@@ -98,13 +98,6 @@ def test_episodes_of_arms_do_not_all_begin_together(training):
     env.reset()
     ends = [int(env.step(np.zeros((10, 3)))[2].sum()) for _ in range(60)]
     assert ends[:20] == [1, 0] * 10 and ends[20:] == ends[:20] * 2, "one of ten every two of twenty steps"
-
-
-def test_arms_that_learn_on_a_bank_of_targets_are_validated_on_others(training):
-    target = {"type": "random", "period": 0.4, "knot_period": 0.1, "bank": 1}
-    banked = training(options={**SMALL, "target": target})
-    env, judged = unwrapped(training_env.make_training_env(banked)).env, validation.Validation(banked).envs.unwrapped
-    assert (env.episodes.options.target.bank, judged.episodes.options.target.bank) == (1, None)
 
 
 def test_arms_of_trainings_have_seeds_of_their_own(training, monkeypatch):

@@ -8,7 +8,7 @@ and returns a `Course`, the motion as a function of time, bit for bit the same w
 import importlib
 import pkgutil
 from abc import ABC, abstractmethod
-from typing import Annotated, NamedTuple, TypeVar, get_args
+from typing import Annotated, Any, NamedTuple, TypeVar, get_args
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -33,23 +33,23 @@ class Setting(NamedTuple):
 
     arms: Arms
     limits: Array  # (n_a, 2) [N]
+    tension: Array  # (n_a,) [N] nearest to zero within them
+    rest: Array  # (n,) coordinates in which that tension holds the arm
     response: Array  # (n_a, n) that makes tensions the coordinates in which they hold the unloaded arm, to first order
     is_exact: bool  # whether that is so for all tensions, and no load comes to them: (34), without effects
-    metric: Array  # (n, n) that makes changes of coordinates vectors whose length is the angle [rad] by which as much energy bends the arm
     model: Model  # whose equilibria targets are: that of the arms, among the obstacles of the row where these are drawn
     free: ObstacleFreeSpace | None = None  # where drawn motions stay, if there are obstacles and the arm does not rest against one
 
 
-def make_setting(arms: Arms, limits: Array) -> Setting:
-    """The setting of these arms."""
-    model, is_implicit = arms.model, isinstance(arms.model.arm.strain, Implicit)
-    unloaded = model.terms(np.zeros(model.coordinate_count), np.zeros(model.coordinate_count))
-    if is_implicit:
+def make_setting(arms: Arms, limits: Array, tension: Array, rest: Array) -> Setting:
+    """The setting of these arms, see Setting."""
+    model = arms.model
+    if isinstance(model.arm.strain, Implicit):
         response = np.stack([model.rest_coordinates(unit) for unit in np.eye(model.tendon_count)])
     else:
+        unloaded = model.terms(np.zeros(model.coordinate_count), np.zeros(model.coordinate_count))
         response = np.asarray(np.linalg.solve(unloaded.stiffness, unloaded.actuation).T, dtype=np.float64)
-    metric = np.asarray(np.linalg.cholesky(unloaded.stiffness / model.bending_energy), dtype=np.float64)
-    return Setting(arms, limits, response, rests_at_tensions(model), metric, model)
+    return Setting(arms, limits, tension, rest, response, rests_at_tensions(model), model)
 
 
 class TargetSamples(NamedTuple):
@@ -81,6 +81,25 @@ class ShapeCourse(ABC):
 Course = PoseCourse | ShapeCourse
 
 
+class Tensions(ABC):
+    """Tensions as a function of time.
+
+    knots: times (k,) [s] between which the motion is smooth, from its beginning at 0 to its end or, if `is_closed`, to where it repeats.
+    """
+
+    knots: Array
+    is_closed = False
+
+    def within(self, times: Array) -> Array:
+        """The times (m,) between the first and the last knot at which the motion is what it is at `times`."""
+        end = self.knots[-1]
+        return np.mod(times, end) if self.is_closed else np.clip(times, 0.0, end)
+
+    @abstractmethod
+    def __call__(self, times: Array) -> tuple[Array, Array]:
+        """Tensions [N] and their rates [N/s] at times (m,) [s], (m, n_a) each."""
+
+
 class Target(Configuration):
     """Base of the targets' configurations. A class has a field `type: Literal["name"] = "name"`, the name that options use."""
 
@@ -97,6 +116,11 @@ class Target(Configuration):
         return False
 
     @property
+    def repeats(self) -> float | None:
+        """Time [s] after which a drawn course repeats; None: it does not."""
+        return None
+
+    @property
     def begins_at_rest(self) -> bool:
         """Whether its courses begin where the arm rests, so that no other draw would begin elsewhere."""
         return False
@@ -109,10 +133,9 @@ class Target(Configuration):
         raise NotImplementedError(f"{type(self).__name__} needs a method draw()")
 
 
-def _fraction(value: object) -> object:
-    ends = value if isinstance(value, tuple) else (value, value)
-    numbers = len(ends) == 2 and all(isinstance(end, int | float) and not isinstance(end, bool) for end in ends)
-    if not (numbers and 0.0 < ends[0] <= ends[1] <= 1.0):
+def _fraction(value: Any) -> Any:
+    ends = value if isinstance(value, tuple) and len(value) == 2 else (value, value)
+    if not all(type(end) in (int, float) for end in ends) or not 0.0 < ends[0] <= ends[1] <= 1.0:
         raise ValueError("should be a number greater than 0 and at most 1, or (least, greatest)")
     return value
 

@@ -14,13 +14,17 @@ from soft_tendon_env.envs.targets import (
     Setting,
     Target,
     TargetSamples,
+    Tensions,
     pose_samples,
     register_target,
 )
-from soft_tendon_env.envs.targets.statics import Tensions, check_tension, drawn_course, given_course, nearest_to_zero
+from soft_tendon_env.envs.targets.statics import check_tension, drawn_course, given_course
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array, Positive
+
+MOST_KNOTS = 10_000
+"""Points that a random motion can be drawn with."""
 
 
 @register_target
@@ -52,21 +56,17 @@ class CircleCourse(PoseCourse):
 
     def sample(self, times: Array) -> TargetSamples:
         rate = 2.0 * np.pi / self.circle.period
-        angle = rate * np.mod(times, self.circle.period)
-        c, s = np.cos(angle), np.sin(angle)
-        lean = np.radians(self.circle.tilt)
-        outward = np.stack([0.0 * c, c, s], axis=-1)
-        x_axis = np.cos(lean) * np.array([1.0, 0.0, 0.0]) + np.sin(lean) * outward
-        radial = np.cos(lean) * outward - np.sin(lean) * np.array([1.0, 0.0, 0.0])
-        across = np.stack([0.0 * c, -s, c], axis=-1)
+        angle, lean = rate * np.mod(times, self.circle.period), np.radians(self.circle.tilt)
+        c, s, none = np.cos(angle), np.sin(angle), np.zeros_like(times)
+        ahead, outward, across = np.array([1.0, 0.0, 0.0]), np.stack([none, c, s], axis=-1), np.stack([none, -s, c], axis=-1)
+        radial = np.cos(lean) * outward - np.sin(lean) * ahead
         pose = np.tile(np.eye(4), (times.size, 1, 1))
-        pose[:, :3, 0] = x_axis
+        pose[:, :3, 0] = np.cos(lean) * ahead + np.sin(lean) * outward
         pose[:, :3, 1] = c[:, None] * radial - s[:, None] * across  # no roll: the axes of the base, carried by the shortest turn
         pose[:, :3, 2] = s[:, None] * radial + c[:, None] * across
         pose[:, :3, 3] = self.centre + self.radius * outward
-        rotation = pose[:, :3, :3]
-        angular = rate * (rotation[:, 0, :] - np.array([1.0, 0.0, 0.0]))
-        linear = (rotation * (rate * self.radius * across)[:, :, None]).sum(axis=1)
+        angular = rate * (pose[:, 0, :3] - ahead)
+        linear = (pose[:, :3, :3] * (rate * self.radius * across)[:, :, None]).sum(axis=1)
         return pose_samples(pose, np.concatenate([angular, linear], axis=1))
 
 
@@ -97,7 +97,7 @@ class Ramp(DrawnShapes):
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         """The motion of one episode. Raises ConfigurationError where the arm cannot hold the tensions, or those on the way."""
-        start = nearest_to_zero(setting.limits)
+        start = setting.tension
         if self.tension is not None:
             return given_course(self.tension, setting, lambda end: Rise(start, end, self.duration))
         return drawn_course(1, self.fraction, generator, setting, lambda points: Rise(start, points[0], self.duration))
@@ -110,9 +110,6 @@ class Rise(Tensions):
         self.start, self.change, self.duration = start, end - start, duration
         self.knots = np.linspace(0.0, duration, 5)
 
-    def within(self, times: Array) -> Array:
-        return np.clip(times, 0.0, self.duration)
-
     def __call__(self, times: Array) -> tuple[Array, Array]:
         x = (self.within(times) / self.duration)[:, None]
         part = x * x * x * (10.0 + x * (6.0 * x - 15.0))
@@ -120,24 +117,14 @@ class Rise(Tensions):
         return self.start + part * self.change, rate * self.change
 
 
-MOST_KNOTS = 10_000
-"""Points that a random motion can be drawn with."""
-MOST_COURSES = 100_000
-"""Courses in a bank."""
-
-
 @register_target
 class Random(DrawnShapes):
     """A smooth random motion: tensions along a closed cubic B-spline with a random point within `fraction` of their limits every
-    `knot_period` [s], or a little less or more to make them a whole number of at least 4; it repeats after `period` [s].
-
-    `bank`: number of different motions, one of which every episode takes, from a drawn control period on; by default it draws its own.
-    """
+    `knot_period` [s], or a little less or more to make them a whole number of at least 4; it repeats after `period` [s]."""
 
     type: Literal["random"] = "random"
     knot_period: float = Field(default=1.0, gt=0)
     period: Positive = 10.0
-    bank: int | None = Field(default=None, ge=1, le=MOST_COURSES)
 
     @model_validator(mode="after")
     def _enough_knots(self) -> "Random":
@@ -145,6 +132,11 @@ class Random(DrawnShapes):
             allowed = f"{self.period / MOST_KNOTS:g} to {self.period / 4:g} s, for 4 to {MOST_KNOTS} in a period of {self.period:g} s"
             raise ConfigurationError([Problem(("knot_period",), f"is {self.knot_period:g}: it should be {allowed}")])
         return self
+
+    @property
+    def repeats(self) -> float:
+        """The period [s]."""
+        return self.period
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         count = round(self.period / self.knot_period)
@@ -160,18 +152,13 @@ class ClosedSpline(Tensions):
         self.points, self.period = points, period
         self.knots = np.linspace(0.0, period, len(points) + 1)
 
-    def within(self, times: Array) -> Array:
-        return np.mod(times, self.period)
-
     def __call__(self, times: Array) -> tuple[Array, Array]:
         count = len(self.points)
         place = self.within(times) / self.period * count
-        first = np.floor(place)
-        f, index = (place - first)[:, None], first.astype(int)
+        first = np.floor(place).astype(int)
+        f = place - first
         g = 1.0 - f
-        weights = (g * g * g, 4.0 - 6.0 * f * f + 3.0 * f * f * f, 4.0 - 6.0 * g * g + 3.0 * g * g * g, f * f * f)
-        slopes = (-3.0 * g * g, 9.0 * f * f - 12.0 * f, 12.0 * g - 9.0 * g * g, 3.0 * f * f)
-        near = [self.points.take((index + j) % count, axis=0) for j in range(4)]
-        value = sum(w * p for w, p in zip(weights, near, strict=True)) / 6.0
-        slope = sum(w * p for w, p in zip(slopes, near, strict=True)) * (count / (6.0 * self.period))
-        return np.asarray(value), np.asarray(slope)
+        weights = np.stack([g * g * g, 4.0 - 6.0 * f * f + 3.0 * f * f * f, 4.0 - 6.0 * g * g + 3.0 * g * g * g, f * f * f]) / 6.0
+        slopes = np.stack([-g * g, 3.0 * f * f - 4.0 * f, 4.0 * g - 3.0 * g * g, f * f]) * (0.5 * count / self.period)
+        near = self.points[(first + np.arange(4)[:, None]) % count]
+        return (weights[:, :, None] * near).sum(axis=0), (slopes[:, :, None] * near).sum(axis=0)

@@ -19,7 +19,7 @@ from soft_tendon_env.envs.targets import (
     pose_samples,
     register_target,
 )
-from soft_tendon_env.envs.targets.statics import Constant, StaticCourse, check_tension, drawn_set_point, given_course
+from soft_tendon_env.envs.targets.statics import Constant, check_tension, drawn_set_point, given_course
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.types import Array, Positive
@@ -131,17 +131,16 @@ class Steps(DrawnShapes):
     count: int = Field(default=5, ge=2, le=MOST_STEPS)
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        held = [drawn_set_point(self.fraction, generator, setting) for _ in range(self.count)]
-        return Stepped(held, self.duration)
+        held = [drawn_set_point(self.fraction, generator, setting).coordinates(np.zeros(1))[0][0] for _ in range(self.count)]
+        return Stepped(np.array(held), self.duration)
 
 
 class Stepped(ShapeCourse):
-    """Shapes that are held one after another, over and over."""
+    """Shapes (k, n) that are held one after another, over and over."""
 
-    def __init__(self, held: list[StaticCourse], duration: float) -> None:
-        self._q = np.concatenate([course.coordinates(np.zeros(1))[0] for course in held])
-        self._duration = duration
+    def __init__(self, held: Array, duration: float) -> None:
+        self._held, self._duration = held, duration
 
     def coordinates(self, times: Array) -> tuple[Array, Array]:
-        q = self._q[np.floor(times / self._duration + 1e-9).astype(int) % len(self._q)]
+        q = self._held[np.floor(times / self._duration + 1e-9).astype(int) % len(self._held)]
         return q, np.zeros_like(q)

@@ -1,17 +1,18 @@
 """Quasi-static trajectories: the shapes in which tensions that change with time hold the arm at rest.
 
-Tensions are pushed through the statics, so that the arm can hold every one of the shapes: tensions that are given and cannot be held are
-refused, drawn ones are halved.
+Tensions are pushed through the statics, so that the arm can hold every one of the shapes: given tensions that it cannot hold are refused,
+drawn ones are halved.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
-from soft_tendon_env.envs.targets import Setting, ShapeCourse
-from soft_tendon_env.envs.targets.equilibria import Equilibria
-from soft_tendon_env.model.model import Model
+from soft_tendon_env.envs.targets import Setting, ShapeCourse, Tensions
+from soft_tendon_env.mechanics.workspace import Workspace
+from soft_tendon_env.model.equilibrium_residual import Balance
+from soft_tendon_env.model.load_continuation import SOFT
 from soft_tendon_env.model.statics import rests_at_tensions, static_equilibrium
 from soft_tendon_env.model.tension_limits import warn_beyond_limits
 from soft_tendon_env.scene.scene import Scene
@@ -23,54 +24,37 @@ HALVINGS = 40
 """How often drawn tensions that the arm cannot hold are halved."""
 MARGIN = 1.03
 """Part of a drawn motion's coordinates that should have strains too: it may reach farther between places where they are looked for."""
-CHECKS = 4
-"""Places per knot at which a motion is checked for strains and obstacles."""
-BETWEEN = 1.7e-4
-"""Angle [rad] by which a spline through equilibria may be off those between two of them: it moves the tip by at most 1 / sqrt(3) of that,
-a cantilever's under its end load, so by 1e-4 of the length."""
-NEAR = 1e-2
-"""Angle [rad] up to which an equilibrium counts as the one that was expected between two others."""
-REFINEMENTS = 10
-"""How often intervals between equilibria are halved before a motion counts as one that jumps."""
+PER_KNOT = 4
+"""Places per knot of the tensions at which a motion is looked at. The spline through four equilibria moves the tip of a loaded arm by up to
+1e-4 of its length off those between, through two by up to 2e-3."""
+NEAR = 0.2
+"""Angle [rad] from where an equilibrium is expected within which it is taken; else tensions change by half as much at a time."""
+RESIDUAL = 1e-9
+"""Residual [rad], see Equilibrium, up to which forces count as balanced."""
+SAME = 1e-6
+"""Angle [rad] between shapes that count as one."""
+SHORTER = 8
+"""How often changes of tensions are halved before the arm is said to jump."""
+MOST_CORRECTIONS = 20
+STALE = 0.1
+"""Contraction of Newton's method above which its stiffness is computed anew."""
+EXTRAPOLATIONS: dict[int, list[float]] = {1: [1.0], 2: [-1.0, 2.0], 3: [1.0, -3.0, 3.0]}
+"""Weights of the last values in the next one: of order 0, 1 and 2."""
+JUMPS = "the arm jumps from one shape to another near there"
 
 
-class NotHeld(ArithmeticError):
-    """Tensions (n_a,) [N] along a motion that the arm cannot hold; the message says why, which is found out when it is asked for."""
+class NoEquilibrium(ArithmeticError):
+    """Tensions (n_a,) [N] that the arm cannot hold, and why."""
 
-    def __init__(self, tension: Array, reason: Callable[[], str]) -> None:
-        super().__init__(tension)
-        self._tension, self._reason = tension, reason
-
-    def __str__(self) -> str:
-        return f"{shown_numbers(self._tension)} N: {self._reason()}"
-
-
-class Tensions(ABC):
-    """Tensions as a function of time.
-
-    knots: times (k,) [s] between which the motion is smooth, from its beginning at 0 to its end or to where it repeats.
-    """
-
-    knots: Array
-    is_closed = False
-
-    @abstractmethod
-    def within(self, times: Array) -> Array:
-        """The times (m,) between the first and the last knot at which the motion is what it is at `times`."""
-
-    @abstractmethod
-    def __call__(self, times: Array) -> tuple[Array, Array]:
-        """Tensions [N] and their rates [N/s] at times (m,) [s], (m, n_a) each."""
+    def __init__(self, tension: Array, reason: str) -> None:
+        super().__init__(f"{shown_numbers(tension)} N: {reason}")
 
 
 class Constant(Tensions):
-    """Tensions, or coordinates, that stay: `value`."""
+    """Tensions that stay: `value` (n_a,)."""
 
     def __init__(self, value: Array) -> None:
         self.value, self.knots = value, np.zeros(1)
-
-    def within(self, times: Array) -> Array:
-        return 0.0 * times
 
     def __call__(self, times: Array) -> tuple[Array, Array]:
         return np.tile(self.value, (times.size, 1)), np.zeros((times.size, self.value.size))
@@ -90,173 +74,167 @@ def check_tension(tension: tuple[float, ...] | None, scene: Scene) -> None:
 
 def given_course(tension: tuple[float, ...], setting: Setting, motion: Callable[[Array], Tensions]) -> "StaticCourse":
     """The course of a motion that given tensions make. Beyond their limits they are taken as they are, with a TensionLimitWarning."""
-    warn_beyond_limits(setting.limits.tolist(), np.array(tension))
+    end = checked_array("target.tension", tension, (setting.arms.model.tendon_count,))
+    warn_beyond_limits(setting.limits.tolist(), end)
     try:
-        return StaticCourse(setting, motion(checked_array("target.tension", tension, (setting.arms.model.tendon_count,))))
-    except NotHeld as error:
-        text = f"is {shown(tension)}: it should be tensions that the arm can hold, not {error}"
+        return StaticCourse(setting, motion(end))
+    except NoEquilibrium as error:
+        reason = static_equilibrium(setting.model, end).reason
+        why = f"{shown_numbers(end)} N: {reason}" if reason else str(error)
+        text = f"is {shown(tension)}: it should be tensions that the arm can hold, not {why}"
         raise ConfigurationError([Problem(("target", "tension"), text)], "environment") from error
 
 
 def drawn_course(
     count: int, fraction: float | tuple[float, float], generator: np.random.Generator, setting: Setting, motion: Callable[[Array], Tensions]
 ) -> "StaticCourse":
-    """The course of a motion that drawn tensions (count, n_a) make.
+    """The course of a motion that drawn tensions (count, n_a) make, clear of obstacles.
 
     They are uniform within a fraction of their limits around those nearest to zero, drawn from a range if it is one, and halved towards
-    these until the arm holds them: one draw, so that whatever is drawn next is the same for every arm.
+    these until the arm holds them: one draw, so that whatever is drawn next is the same for every arm. Raises ConfigurationError.
     """
-    middle = nearest_to_zero(setting.limits)
+    middle = setting.tension
     share = generator.uniform(*fraction) if isinstance(fraction, tuple) else fraction
     reach = share * (setting.limits - middle[:, None])
     offset = generator.uniform(reach[:, 0], reach[:, 1], (count, middle.size))
+    if setting.free is not None:
+        setting = setting._replace(model=setting.free.model, is_exact=rests_at_tensions(setting.free.model))
     for halvings in range(HALVINGS + 1):
-        part = 0.5**halvings
         try:
-            return StaticCourse(setting, motion(middle + part * offset), is_drawn=True)
-        except NotHeld as error:
-            last = error
-    text = f"is {share:g}: none of the tensions drawn, down to 1e-12 of it, is one that the arm can hold, not {last}"
+            course = StaticCourse(setting, motion(middle + 0.5**halvings * offset), MARGIN)
+            if setting.free is None or setting.free.holds(course.coordinates(course.places)[0]).all():
+                return course
+            reason = "the arm would touch an obstacle"
+        except NoEquilibrium as error:
+            reason = str(error)
+    text = f"is {share:g}: none of the tensions drawn, down to 1e-12 of it, is one that the arm can hold, not {reason}"
     raise ConfigurationError([Problem(("target", "fraction"), text)], "environment")
 
 
 def drawn_set_point(fraction: float | tuple[float, float], generator: np.random.Generator, setting: Setting) -> "StaticCourse":
-    """The course of one shape at rest under random tensions within a fraction of their limits."""
+    """The course of one shape at rest under random tensions within a fraction of their limits. Raises ConfigurationError."""
     return drawn_course(1, fraction, generator, setting, lambda points: Constant(points[0]))
+
+
+def _still(value: Array, times: Array, order: int = 0) -> Array:
+    """A value (1, n) at times (m,), or its derivative: (m, n)."""
+    return (1.0 - order) * value.repeat(len(times), axis=0)
 
 
 class StaticCourse(ShapeCourse):
     """Tensions pushed through the statics: at every time the shape in which they hold the arm.
 
-    Without effects, and with the statics-based strain, the coordinates at rest are the tensions themselves (34). Otherwise they are
-    a cubic spline through equilibria. Drawn motions are those of the arm without obstacles, and keep clear of these.
+    Without effects, and with the statics-based strain, the coordinates at rest are the tensions themselves (34). Otherwise a cubic spline
+    goes through what loads add to that, at fixed places.
     """
 
-    def __init__(self, setting: Setting, tension: Tensions, is_drawn: bool = False) -> None:
-        """is_drawn: it could as well be another motion, and should keep clear of what the arm cannot hold. Raises NotHeld."""
-        if is_drawn and setting.free is not None:
-            setting = setting._replace(model=setting.free.model, is_exact=rests_at_tensions(setting.free.model))
-        model, response = setting.model, Response(tension, setting.response)
-        self._tension = tension
-        self._motion: Response | Constant | EquilibriumSpline
-        if isinstance(tension, Constant) and not (is_drawn and setting.is_exact):
-            self._motion = Constant(_rest(model, tension.value))
-        elif setting.is_exact:
-            self._motion = response
-        else:
-            self._motion = EquilibriumSpline(Equilibria(setting.arms, model), setting.metric, response)
-        if is_drawn or not isinstance(tension, Constant):
-            self._check(setting, is_drawn)
+    def __init__(self, setting: Setting, tension: Tensions, margin: float = 1.0) -> None:
+        """margin: part of the coordinates that should have a strain too, above 1 for drawn ones. Raises NoEquilibrium."""
+        self.tension, self._response = tension, setting.response
+        self._added = None if setting.is_exact else self._loaded(setting)
+        pulls = margin > 1.0 and setting.limits.min() >= 0.0  # so that there is a strain, and one alone, between knots too
+        places = tension.knots if pulls else self.places
+        if not (firm := setting.arms.are_firm(margin * self.coordinates(places)[0])).all():
+            raise NoEquilibrium(tension(places[~firm][:1])[0][0], "the section is about to give way")
 
-    def _check(self, setting: Setting, is_drawn: bool) -> None:
-        """Raises NotHeld where the motion comes near to where strains end, or a drawn one to obstacles."""
-        margin = MARGIN if is_drawn else 1.0
-        knots = self._tension.knots
-        times = np.interp(np.arange(CHECKS * (knots.size - 1) + 1) / CHECKS, np.arange(knots.size), knots)
-        pulls = is_drawn and setting.is_exact and setting.limits.min() >= 0.0  # so that there is a strain, and one alone, everywhere
-        looked = knots if pulls else times
-        if (soft := looked[~setting.arms.are_firm(margin * self._motion(looked)[0])]).size:
-            given = self._tension(soft[:1])[0][0]
-            raise NotHeld(given, lambda: static_equilibrium(setting.model, given).reason or "the section is about to give way")
-        if is_drawn and setting.free is not None and not setting.free.holds(self._motion(times)[0]).all():
-            raise NotHeld(self._tension(times[:1])[0][0], lambda: "the arm would touch an obstacle")
+    @property
+    def places(self) -> Array:
+        """Times (m,) [s] at which the motion is looked at."""
+        knots = self.tension.knots
+        return np.interp(np.arange(PER_KNOT * (knots.size - 1) + 1) / PER_KNOT, np.arange(knots.size), knots)
 
-    def coordinates(self, times: Array) -> tuple[Array, Array]:
-        return self._motion(times)
-
-
-class Response:
-    """Coordinates as a function of time that are tensions mapped by `matrix` (n_a, n)."""
-
-    def __init__(self, tension: Tensions, matrix: Array) -> None:
-        self.tension, self.matrix = tension, matrix
-        moved = matrix != 0.0  # by each tension: one coordinate alone, where coordinates are tensions
-        self._borders = [*zip(moved.argmax(axis=1).tolist(), (matrix.shape[1] - moved[:, ::-1].argmax(axis=1)).tolist(), strict=True)]
-
-    def __call__(self, times: Array) -> tuple[Array, Array]:
-        values = np.array(self.tension(times))  # row by row: a product of matrices rounds a row otherwise when others stand beside it
-        mapped, columns = np.zeros((self.matrix.shape[1], *values.shape[:2])), np.ascontiguousarray(values.transpose(2, 0, 1))
-        for column, row, (first, last) in zip(columns, self.matrix, self._borders, strict=True):
-            mapped[first:last] += row[first:last, None, None] * column
-        q, q_dot = np.ascontiguousarray(mapped.transpose(1, 2, 0))
-        return q, q_dot
-
-
-def _rest(model: Model, tension: Array) -> Array:
-    """Coordinates (n,) in which tensions (n_a,) hold the arm. Raises NotHeld."""
-    found = static_equilibrium(model, tension)
-    if not found.converged:
-        raise NotHeld(tension, lambda: found.reason)
-    return found.q
-
-
-def _rests(equilibria: Equilibria, tension: Array) -> Array:
-    """Coordinates (m, n) in which tensions (m, n_a) hold the arm. Raises NotHeld."""
-    q, found = equilibria.on_path(tension)
-    for i in np.flatnonzero(~found):
-        q[i] = _rest(equilibria.model, tension[i])
-    return q
-
-
-def _beside(equilibria: Equilibria, tension: Array, expected: Array, metric: Array) -> Array:
-    """Coordinates (m, n) of equilibria under tensions (m, n_a) next to expected ones (m, n), where there are such. Raises NotHeld."""
-    q, found = equilibria.beside(tension, expected)
-    for i in np.flatnonzero(~found):
-        beside = static_equilibrium(equilibria.model, tension[i], expected[i])
-        q[i], found[i] = beside.q, beside.converged
-    far = np.flatnonzero(~(found & (np.linalg.norm((q - expected) @ metric, axis=1) <= NEAR)))
-    if far.size:
-        q[far] = _rests(equilibria, tension[far])
-    return q
-
-
-class EquilibriumSpline:
-    """Coordinates as a function of time: the equilibria under tensions that change with time, by a cubic spline through what loads add
-    to the response to the tensions.
-
-    At the knots they are those where a slowly loaded arm goes. In the middle between two knots an equilibrium is looked for near the
-    spline and becomes a knot itself, until the spline through all of them is off those between by no more than BETWEEN. Where that
-    does not come to an end the arm jumps from one shape to another under tensions that hardly differ.
-    """
-
-    def __init__(self, equilibria: Equilibria, metric: Array, response: Response) -> None:
-        """metric: see Setting. Raises NotHeld where there are no equilibria, or where they jump."""
-        tension = response.tension
-        self._response, self._tension, self._duration = response, tension, float(tension.knots[-1])
-        times = tension.knots
-        q = _rests(equilibria, tension(times[: times.size - tension.is_closed])[0])
-        q = np.concatenate([q, q[:1]]) if tension.is_closed else q
-        rough, tolerance = np.ones(times.size - 1, dtype=bool), 16.0 * BETWEEN  # the error falls with the fourth power of an interval
-        for _ in range(REFINEMENTS):
-            self._pass_through(times, q)
-            place = np.flatnonzero(rough)
-            middles = 0.5 * (times[place] + times[place + 1])
-            expected = self(middles)[0]
-            found = _beside(equilibria, tension(middles)[0], expected, metric)
-            astray = np.linalg.norm((found - expected) @ metric, axis=1)
-            times, q = np.insert(times, place + 1, middles), np.insert(q, place + 1, found, axis=0)
-            rough[place] = astray > tolerance
-            tolerance = 4.0 * BETWEEN  # but perhaps not where it was large
-            if not rough.any():
-                self._pass_through(times, q)
-                return
-            rough = np.insert(rough, place, rough[place])  # both halves of each
-            rough = rough | np.roll(rough, 1) | np.roll(rough, -1)  # and those beside them, where the spline was shaped by what was rough
-        worst = middles[[np.argmax(astray)]]
-        jump = f"the arm jumps from one shape to another near there, {worst[0]:.4g} s into the motion"
-        raise NotHeld(tension(worst)[0][0], lambda: jump)
-
-    def _pass_through(self, times: Array, q: Array) -> None:
-        """Make the spline pass through q (k, n) at times (k,)."""
+    def _loaded(self, setting: Setting) -> Callable[..., Array]:
+        """Function of time and of the order of its derivative: what loads add to the response to the tensions. Raises NoEquilibrium."""
+        places = self.places
+        tension = self.tension(places)[0]
+        with setting.model.workspace() as work:
+            added = EquilibriumPath(setting, work).follow(tension) - tension @ setting.response
+        if len(added) == 1:
+            return partial(_still, added)
         from scipy.interpolate import CubicSpline  # here: it takes longer to import than all else that most scenes need
 
-        added, ends = q - self._response(times)[0], "clamped"
-        if self._tension.is_closed:
-            added[-1], ends = added[0], "periodic"  # which differ by round-off
-        self._spline = CubicSpline(times / self._duration, added, bc_type=ends)
+        if self.tension.is_closed:
+            added[-1] = added[0]  # which differ by round-off
+        spline: Callable[..., Array] = CubicSpline(places, added, bc_type="periodic" if self.tension.is_closed else "clamped")
+        return spline
 
-    def __call__(self, times: Array) -> tuple[Array, Array]:
-        place = self._tension.within(times) / self._duration
-        moves = self._tension.is_closed | ((times > 0.0) & (times < self._duration))
-        q, q_dot = self._response(times)
-        return q + self._spline(place), q_dot + self._spline(place, 1) * (moves / self._duration)[:, None]
+    def coordinates(self, times: Array) -> tuple[Array, Array]:
+        q, q_dot = (values @ self._response for values in self.tension(times))
+        if self._added is None:
+            return q, q_dot
+        place = self.tension.within(times)
+        moves = self.tension.is_closed | (place == times)
+        return q + self._added(place), q_dot + self._added(place, 1) * moves[:, None]
+
+
+class EquilibriumPath:
+    """Equilibria of an arm whose tensions change slowly, each next to the one before, from where it rests: natural continuation.
+
+    At coordinates `q` (n,) the arm rests under `tension` (n_a,) [N].
+    """
+
+    def __init__(self, setting: Setting, work: Workspace) -> None:
+        """work: of the setting's model."""
+        self.q, self.tension, self._response = setting.rest, setting.tension, setting.response
+        self._balance = Balance(setting.model, setting.tension, work)
+        self._compliance: Array
+        self._linearise()
+
+    def follow(self, tension: Array) -> Array:
+        """Coordinates (m, n) at rest under tensions (m, n_a), one after the other. Raises NoEquilibrium, also where tensions that come back
+        do not bring back the shape."""
+        q = np.empty((len(tension), self.q.size))
+        added: list[Array] = []
+        for i, u in enumerate(tension):
+            response = u @ self._response
+            self.move(u, response + np.dot(EXTRAPOLATIONS[len(added)], added) if added else None)
+            added = [*added[-2:], self.q - response]
+            q[i] = self.q
+            if i % 2 == 0 or self._is_soft:  # a stretch without stability may be short
+                self._linearise()
+        if (tension[-1] == tension[0]).all() and not self._balance.angle(q[-1] - q[0]) <= SAME:
+            raise NoEquilibrium(tension[0], JUMPS)
+        return q
+
+    def move(self, tension: Array, expected: Array | None = None, shorter: int = SHORTER) -> None:
+        """Go on to the equilibrium under other tensions (n_a,), expected at coordinates (n,). Raises NoEquilibrium."""
+        guess = self.q + (tension - self.tension) @ self._response if expected is None else expected
+        q = self._corrected(tension, guess)
+        if q is not None:
+            self.q, self.tension = q, tension
+        elif shorter:
+            self._linearise()
+            self.move(0.5 * (self.tension + tension), None, shorter - 1)
+            self.move(tension, None, shorter - 1)
+        else:
+            raise NoEquilibrium(tension, self._balance.obstacle or JUMPS)
+
+    def _corrected(self, tension: Array, guess: Array) -> Array | None:
+        """The equilibrium (n,) near a guess (n,) to which Newton's method leads, with a stiffness that is kept while it will do."""
+        balance, q, last = self._balance, guess, np.inf
+        balance.tension, balance.obstacle = tension, ""
+        for _ in range(MOST_CORRECTIONS):
+            at = balance.at(q, 1.0)
+            if at is None:
+                return None
+            if at.residual <= RESIDUAL:
+                return q if balance.angle(q - guess) <= NEAR else None
+            size = balance.angle(change := self._compliance @ at.force)
+            if size > STALE * last:
+                if (here := balance.linearised(q, 1.0)) is None:
+                    return None
+                self._compliance = here.compliance
+                size = balance.angle(change := self._compliance @ at.force)
+            if not size <= NEAR:
+                return None
+            q, last = q + change, size
+        return None
+
+    def _linearise(self) -> None:
+        """Compute the stiffness where the arm is. Raises NoEquilibrium where it would not stay there."""
+        self._balance.tension = self.tension
+        here = self._balance.linearised(self.q, 1.0)
+        stability = None if here is None else self._balance.stability(here)
+        if here is None or stability is None or not stability.stable:
+            raise NoEquilibrium(self.tension, "the arm is no longer stable there")
+        self._compliance, self._is_soft = here.compliance, stability.least < SOFT or not stability.has_potential

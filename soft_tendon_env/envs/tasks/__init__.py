@@ -61,15 +61,12 @@ class Task:
 
     @property
     def observable(self) -> dict[str, Group]:
-        """The groups that the task has, by name."""
-        return {**{name: group for name, group in GROUPS.items() if self._fits(group)}, **self.groups}
+        """The groups that the task has, by name: those whose quantities its target has."""
+        lacks = {name for name, group in GROUPS.items() if group.of_shape and not self.shapes or group.of_target and self.goal is not None}
+        return {**{name: group for name, group in GROUPS.items() if name not in lacks}, **self.groups}
 
     def __reduce__(self) -> str:
         return self.name  # pickled by name, since its functions have none; copies share it
-
-    def _fits(self, group: Group) -> bool:
-        """Whether the task's target has what the group is of."""
-        return not (group.of_shape and not self.shapes or group.of_target and self.goal is not None)
 
     @property
     def id(self) -> str:
@@ -91,18 +88,25 @@ def register_task(task: Task, max_episode_steps: int = MAX_EPISODE_STEPS) -> Tas
         raise TypeError(f"a task should be a Task, see soft_tendon_env.envs.tasks, not {type(task).__name__}")
     if not re.fullmatch("[A-Z][A-Za-z0-9]*", task.name):
         raise ValueError(f"a task's name should be one word in capitals such as 'TipPose', not {task.name!r}")
-    _check_names(task, "target", [task.target], TARGETS)
-    if not task.errors:
-        raise ValueError(f"the task {task.name} should have at least one error")
-    if HISTORY in task.groups:
-        raise ValueError(f"the task {task.name} should not call a group {HISTORY!r}, which is what the option of that name adds")
-    if "full" not in task.observations:
-        raise ValueError(f"the task {task.name} should have the observation 'full', the default")
-    for choice, groups in task.observations.items():
-        _check_names(task, f"observations[{choice!r}]", groups, task.observable)
-    _check_names(task, "reference", task.reference, task.observable)
-    _check_names(task, "measured_reference", task.measured_reference, task.observable)
-    _check_names(task, "reward", task.reward, task.terms)
+    rules = {
+        "have at least one error": bool(task.errors),
+        f"not call a group {HISTORY!r}, which is what the option of that name adds": HISTORY not in task.groups,
+        "have the observation 'full', the default": "full" in task.observations,
+    }
+    for rule, holds in rules.items():
+        if not holds:
+            raise ValueError(f"the task {task.name} should {rule}")
+    named: dict[str, tuple[Iterable[str], Mapping[str, object]]] = {
+        "target": ([task.target], TARGETS),
+        **{f"observations[{choice!r}]": (groups, task.observable) for choice, groups in task.observations.items()},
+        "reference": (task.reference, task.observable),
+        "measured_reference": (task.measured_reference, task.observable),
+        "reward": (task.reward, task.terms),
+    }
+    for key, (names, valid) in named.items():
+        for name in names:
+            if name not in valid:
+                raise ValueError(f"the task {task.name}: {key} names {name!r}: {not_among(name, valid)}")
     TASKS[task.name] = task
     register_environment(task.name, max_episode_steps)
     return task
@@ -120,13 +124,6 @@ def task_of_class(name: str, suffix: str, module: str) -> Task:
 def __getattr__(name: str) -> Task:
     """A registered task by its name: for pickles."""
     return task_of_class(name, "", __name__)
-
-
-def _check_names(task: Task, key: str, names: Iterable[str], valid: Mapping[str, object]) -> None:
-    """Raises ValueError."""
-    for name in names:
-        if name not in valid:
-            raise ValueError(f"the task {task.name}: {key} names {name!r}: {not_among(name, valid)}")
 
 
 for _module in pkgutil.iter_modules(__path__):

@@ -9,37 +9,17 @@ SHAPE = register_task(
         description="""
 ## Description
 The policy moves the whole arm through a sequence of shapes: the static equilibria under given tensions (shape control of Mathew,
-Renda et al., RA-L 2024, Section IV-A).
-
-## Action Space
-As in `TipPoseEnv`.
+Renda et al., RA-L 2024, Section IV-A). Actions, episode end and arguments are those of `TipPoseEnv`. The target must be defined by
+tensions; with `target="ramp"` it is the paper's: tensions rise from rest for 2.5 s and are then held.
 
 ## Observation Space
-As in `TipPoseEnv`, with these groups:
-
-| group | size | content |
-|---|---|---|
-| coordinates | n | generalised coordinates |
-| rates | n | rates of the coordinates |
-| tip_position | 3 | tip position divided by the rod's length |
-| tip_rotation | 6 | first two columns of the tip's rotation matrix |
-| target_coordinates | n | coordinates of the target minus those of the arm |
-| coordinate_preview | n p | the same difference at each preview time |
-| last_action | n_a | the previous action |
+`Box(float32)` holds groups side by side: coordinates, rates, tip_position, tip_rotation, target_coordinates, coordinate_preview,
+last_action. See docs/reference/environments.md.
 
 ## Rewards
 As in `TipPoseEnv`, with the term `backbone` (weight 1) in place of `position` and `angle`. Its error is the root mean square
 distance between the backbone and the target, with a scale of 0.05 lengths of the rod. `coordinates` (norm of the coordinates'
 error) and `position` are further terms, with weight 0 by default.
-
-## Starting State
-As in `TipPoseEnv`. `target="ramp"` is the paper's target: tensions rise from rest for 2.5 s and are then held.
-
-## Episode End
-As in `TipPoseEnv`.
-
-## Arguments
-As in `TipPoseEnv`. The target must be defined by tensions.
 
 ## Version History
 * v0: initial version

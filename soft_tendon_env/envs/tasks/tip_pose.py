@@ -18,21 +18,9 @@ smallest and the largest tension, 0 and 60 N on the default arm: tendons pull an
 are the largest decrease and increase of a tension in one control period.
 
 ## Observation Space
-`Box(float32)` holds the groups below side by side. Each group is scaled to about 1 and clipped to ±10, the two errors of the
-target to ±100. There are n coordinates, n_a tendons and p preview times. The option `observation` chooses other groups, see
-docs/reference/environments.md.
-
-| group | size | content |
-|---|---|---|
-| coordinates | n | generalised coordinates |
-| rates | n | rates of the coordinates |
-| tip_position | 3 | tip position divided by the rod's length |
-| tip_rotation | 6 | first two columns of the tip's rotation matrix |
-| tip_twist | 6 | tip twist, angular before linear |
-| target_error | 6 | SE(3) logarithm from tip to target, angular before linear |
-| target_twist | 6 | twist of the target |
-| preview | 6 p | SE(3) logarithm from the tip to the target at each preview time |
-| last_action | n_a | the previous action |
+`Box(float32)` holds groups side by side: coordinates, rates, tip_position, tip_rotation, tip_twist, target_error, target_twist,
+preview, last_action. Each is scaled to about 1 and clipped to ±10, the two errors of the target to ±100. The option `observation`
+chooses others, see docs/reference/environments.md.
 
 ## Rewards
 The reward is a weighted mean of terms between 0 and 1, and 0 where the simulation diverged. `info` has each term as

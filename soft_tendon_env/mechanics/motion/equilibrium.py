@@ -59,23 +59,6 @@ def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
     return -1, 1.0
 
 
-class Samples(NamedTuple):
-    """Coordinates under tensions, and directions to look along from each."""
-
-    tension: np.ndarray  # (samples, n_a)
-    q: np.ndarray  # (samples, n)
-    directions: np.ndarray  # (samples, m, n)
-
-
-@kernel(refcount=True)
-def linearise_balances(arm, samples, part, with_rate, members, work, out, found):
-    """linearise_balance() of the samples named in `members`, into `out` (samples, ..); found (samples): whether there is a strain."""
-    tension, q, directions = samples
-    for i in members:
-        own = Linearisation(out.force[i], out.G[i], out.rate[i], out.slopes[i])
-        found[i] = linearise_balance(arm, tension[i], q[i], part, with_rate, directions[i], work, own)[0] < 0
-
-
 @kernel(refcount=True)
 def strain_is_continuous(arm, q_from, q, work):
     """Whether the strain from rest at q_from becomes that at q on the way between them; tendons that push can part them."""

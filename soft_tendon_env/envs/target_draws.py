@@ -1,0 +1,107 @@
+"""Targets of episodes: drawn clear of obstacles, under loads from a bank of motions, with goals that are yet to be reached."""
+
+import warnings
+from typing import Any
+
+import numpy as np
+
+from soft_tendon_env.envs.contacts import why_target_inside
+from soft_tendon_env.envs.targets import Course, Setting, ShapeCourse, Target
+from soft_tendon_env.envs.trajectories import TargetTrajectories
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.statics import rests_at_tensions
+from soft_tendon_env.registration import MAX_EPISODE_STEPS
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.types import Array
+
+MOST_DRAWS = 200
+"""How often targets are drawn inside of obstacles before that is an error, and goals that are reached already before they are taken."""
+BANK = 256
+"""Motions in a bank. Agents that learn on as many come as near to motions of their own as those that learn on such."""
+BANK_SEED = 2**64
+"""Seed of the first motion of a bank; the others follow, one apart: beyond all seeds of `reset` that have a purpose."""
+CHECKS = 100
+"""Times in an episode of the usual length at which a target is checked not to lie inside of obstacles."""
+
+
+class TargetDraws:
+    """Draws of targets for the rows of an environment.
+
+    Under loads a motion takes many equilibria. There, one of BANK motions is drawn in place of a new one, and the control period of it at
+    which the episode begins. A motion of the bank depends on its number alone, is computed when it is first asked for, and stays.
+    """
+
+    def __init__(
+        self, setting: Setting, trajectories: TargetTrajectories, period: float, has_bank: bool, away: float | None = None
+    ) -> None:
+        """period: of control [s]; has_bank: not where rows have obstacles of their own, of which motions keep clear; away: distance [m]
+        that goals have from where the tip begins."""
+        self._setting, self._trajectories, self._period, self._away = setting, trajectories, period, away
+        self._has_bank = has_bank and not rests_at_tensions(setting.model if setting.free is None else setting.free.model)
+        self._bank: dict[int, Course] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_bank": {}}  # of which every motion can be computed again
+
+    def settled(self, target: Target) -> Target | Course:
+        """The course of a target; one that is drawn as it is. Raises ConfigurationError where the course cannot be, or lies inside of an
+        obstacle."""
+        if target.is_random:
+            return target
+        course = target.draw(np.random.default_rng(0), self._setting)
+        if inside := self.inside(course, self._setting.arms.model):
+            raise ConfigurationError([Problem(("target",), f"lies inside of an obstacle: {inside}")], "environment")
+        return course
+
+    def inside(self, course: Course, model: Model) -> str:
+        """Obstacle standing still that a target's tip is inside of, as the end of a sentence; "": none."""
+        if model.scene.effects.contact is None:
+            return ""
+        times = self._period * np.linspace(0.0, MAX_EPISODE_STEPS, CHECKS)
+        return why_target_inside(model, self._trajectories.tip_positions(course, times))
+
+    def begin(self, row: int, target: Target | Course, generator: np.random.Generator, setting: Setting, tip: Array) -> None:
+        """Give a row its target, a drawn one clear of obstacles, with a goal away from the tip (3,) unless it begins at rest.
+
+        Raises ConfigurationError where all draws are inside of obstacles; where all goals are reached a warning says so.
+        """
+        if not isinstance(target, Target):
+            self._trajectories.begin(row, target)
+            return
+        away = None if target.begins_at_rest else self._away
+        for _ in range(MOST_DRAWS):
+            course, first = self._drawn(target, generator, setting)
+            inside = "" if isinstance(course, ShapeCourse) else self.inside(course, setting.model)
+            begins = first if away is None else self._unreached(course, first, target.repeats, tip, away, generator)
+            if not inside and begins is not None:
+                self._trajectories.begin(row, course, begins)
+                return
+        if inside:
+            text = f"lay inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}, at last {inside}"
+            raise ConfigurationError([Problem(("target",), text)], "environment")
+        text = f"a goal was within the threshold, {1e3 * (away or 0.0):.3g} mm, of where the tip begins in {MOST_DRAWS} draws"
+        warnings.warn(f"{text}: the episode begins solved; choose a smaller threshold, or a larger fraction of tensions", stacklevel=2)
+        self._trajectories.begin(row, course, first)
+
+    def _drawn(self, target: Target, generator: np.random.Generator, setting: Setting) -> tuple[Course, int]:
+        """A course, and the control period of it to begin at."""
+        if not self._has_bank or target.repeats is None:
+            return target.draw(generator, setting), 0
+        number, first = (int(generator.integers(most)) for most in (BANK, self._periods(target.repeats)))
+        if number not in self._bank:
+            self._bank[number] = target.draw(np.random.default_rng(BANK_SEED + number), setting)
+        return self._bank[number], first
+
+    def _periods(self, time: float) -> int:
+        return max(round(time / self._period), 1)
+
+    def _unreached(
+        self, course: Course, first: int, repeats: float | None, tip: Array, away: float, generator: np.random.Generator
+    ) -> int | None:
+        """Control period at which a drawn course begins with a goal away from the tip: `first`, or of motions that repeat one that is
+        drawn; None: there is none."""
+        periods = first + np.arange(1 if repeats is None else self._periods(repeats))
+        times = self._period * periods.astype(np.float64)
+        goals = self._trajectories.tip_positions(course, times).astype(np.float32)  # as they are observed
+        far = periods[np.linalg.norm(goals - tip, axis=1) > away]
+        return None if not far.size else first if far[0] == first else int(generator.choice(far))
