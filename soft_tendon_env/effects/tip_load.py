@@ -28,6 +28,10 @@ class TipLoad(Effect):
     mass: NotNegative = 0.0
     inertia: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
 
+    @property
+    def acts(self) -> bool:
+        return any(self.force) or any(self.moment)
+
     def parameters(self, rod: Discretisation) -> "TipLoadParameters":
         return TipLoadParameters(self.force, self.moment, self.frame == "tip")
 

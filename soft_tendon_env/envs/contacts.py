@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.effects import Effect
 from soft_tendon_env.effects.contact.wrench import ContactReading, number_of_contact
-from soft_tendon_env.envs.arms import Arms, Indices, model_with
+from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import rod_radius
 from soft_tendon_env.tools.types import Array
@@ -161,7 +161,8 @@ class ObstacleFreeSpace:
 
     def __init__(self, arms: Arms, among: Model) -> None:
         """`among`: the model of the arms among the obstacles that count."""
-        self.model = model_with(arms.model, arms.model.scene.effects.everywhere())
+        scene = arms.model.scene
+        self.model = arms.model.with_scene(scene.model_copy(update={"effects": scene.effects.everywhere()}))
         self._arms, self._effects = arms, [*encountered(among).values()]
         places = np.unique(np.concatenate([effect.sample_places(among.discretisation) for effect in self._effects]))
         self._places, self._radius = arms.model.grid.places(places, np.empty(0)), rod_radius(among.scene, places)[0]

@@ -306,9 +306,9 @@ class Episodes:
         """Contact of a row with its obstacles now, per obstacle and along the arm. Raises ValueError where the scene has no contact."""
         return contact_forces(self.arms.model_of(row), self.state(row))
 
-    def drawn_effects(self, row: int) -> dict[str, Array]:
-        """Values that `randomize.effects` has drawn for a row's episode: by key, () or (m,)."""
-        return self.starts.effects.values(self.arms.effects_of(row))
+    def drawn_numbers(self, row: int) -> dict[str, float]:
+        """Numbers of the scene that were drawn for a row's episode, by dotted keys, as `Scene.replace` takes them."""
+        return dict(self.starts.drawn.of_row[row].numbers)
 
 
 def _reward_of(task: Task, options: Options, strongest: Array, length: float, contact: bool) -> Reward:

@@ -6,12 +6,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.envs.arms import Arms, Material, RowEffects
+from soft_tendon_env.effects import Effects
+from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.contacts import ObstacleFreeSpace, encountered, why_base_inside, why_inside, why_target_inside
 from soft_tendon_env.envs.courses import Courses
-from soft_tendon_env.envs.effect_ranges import EffectRanges
+from soft_tendon_env.envs.drawn_arms import Drawn, DrawnArms
 from soft_tendon_env.envs.options import Options, Start, check_start, check_target
-from soft_tendon_env.envs.randomization import Draw, drawn, own_stream
+from soft_tendon_env.envs.randomization import Draw, draw_actuators, own_stream
 from soft_tendon_env.envs.reset_options import ResetOptions
 from soft_tendon_env.envs.targets import TARGETS, Course, Setting, ShapeCourse, Target, make_setting
 from soft_tendon_env.envs.targets.equilibria import Equilibria
@@ -23,12 +24,11 @@ from soft_tendon_env.model.state import State, checked_motion
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.registration import MAX_EPISODE_STEPS
 from soft_tendon_env.tools.checks import shown_numbers
-from soft_tendon_env.tools.configuration import ConfigurationError, Key, Problem, shown
+from soft_tendon_env.tools.configuration import ConfigurationError, Key, Problem
 from soft_tendon_env.tools.types import Array
 
 MOST_DRAWS = 200
-"""How often obstacles are drawn in which the arm would begin, and targets inside of obstacles, before that is an error; and goals that are
-reached already, before they are taken."""
+"""How often targets inside of obstacles are drawn before that is an error, and goals that are reached already, before they are taken."""
 START = 1
 """Purpose of the random stream from which tensions to begin under are drawn."""
 BANK_SEED = 2**64
@@ -68,8 +68,7 @@ class Starts:
     """Beginnings of rows of episodes.
 
     `usual` is how they begin unless a reset says otherwise. `tension` (n_a,) [N] and `command` (n_a,) hold the arm at rest, `q` (n,) are
-    its coordinates there, where nothing is drawn; `effects` are the ranges of effects that are drawn; within `threshold` [m] of the tip a
-    goal is reached.
+    its coordinates there, where nothing is drawn; `drawn` are the arms that are drawn; within `threshold` [m] of the tip a goal is reached.
     """
 
     def __init__(self, task: Task, options: Options, arms: Arms, courses: Courses) -> None:
@@ -79,16 +78,13 @@ class Starts:
         self.threshold = THRESHOLD * arms.model.length if options.threshold is None else options.threshold
         self.limits = np.array([tendon.tension_limits for tendon in arms.model.scene.tendons])
         self.tension = nearest_to_zero(self.limits)
-        self.effects = EffectRanges(options.randomize.effects, arms.model)
         self._meets = encountered(arms.model)
-        self.redraws = bool(self.effects.names & self._meets.keys())
-        """Whether obstacles are drawn, and drawn again where the arm would begin inside of one."""
         self.q = self._rest_of_scene()
         self.command = arms.model.command(self.tension, self.q)
-        self._check_extremes()
+        self.drawn = DrawnArms(options.randomize, arms.model, arms.size, self._rest_of, {*self._meets})
         self._setting = self._among(make_setting(arms, self.limits), self.q)
         target = options.target or TARGETS[task.target](type=task.target)
-        if self.redraws and isinstance(target, Random) and target.bank is not None:
+        if self.drawn.redraws and isinstance(target, Random) and target.bank is not None:
             text = f"is {target.bank}: it should be left out where obstacles are drawn, of which every target keeps clear"
             raise _problem(("target", "bank"), text)
         self._bank: dict[int, Course] = {}
@@ -122,16 +118,15 @@ class Starts:
 
     def begin(self, row: int, how: Beginning, generator: np.random.Generator) -> Begun:
         """Give a row its arm and its target, drawn from a generator. Raises ConfigurationError."""
-        effects = own_stream(generator) if self.effects else None
         start = own_stream(generator, START) if how.start == "random" else None
-        draw = drawn(self._options.randomize, self._model.tendon_count, generator)
-        rest = self._begin_arm(row, draw.material, effects, how.target)
-        tension, command, q = how.shape or self._begin_shape(row, how.start, start, rest)
+        drawn = self.drawn.draw(row, generator, lambda model: self._check_target(how.target, model))
+        self._arms.set_model(row, drawn.model)
+        draw = draw_actuators(self._options.randomize, self._model.tendon_count, generator)
+        tension, command, q = how.shape or self._begin_shape(row, how.start, start, drawn.rest)
         setting = self._setting
         if isinstance(how.target, Target):
-            if self.redraws:
-                shape = self._model.arm.strain.of_softer_rod(rest, np.array(draw.material.stiffness))
-                setting = self._among(setting._replace(model=self._arms.model_among(row)), shape)
+            if self.drawn.redraws:
+                setting = self._among(setting._replace(model=self._obstacles_of(drawn)), drawn.rest / self._arms.ratio[row])
             self._courses.begin(row, *self.draw_course(how.target, generator, setting))
         else:
             self._courses.begin(row, how.target)
@@ -142,26 +137,16 @@ class Starts:
         drawn_away = isinstance(target, Target) and not target.begins_at_rest
         return self._task.goal is not None and drawn_away and self.threshold <= EVERYWHERE * self._model.length
 
-    def _begin_arm(self, row: int, material: Material, stream: np.random.Generator | None, target: Target | Course) -> Array:
-        """Give a row its material, and effects drawn from a stream if any are: the coordinates (n,) at which it rests."""
-        if not self._options.randomize.of_arm:
-            return self.q
-        if stream is None:
-            return self._rest_of(row, material)
-        for last in range(MOST_DRAWS - 1, -1, -1):
-            effects = self.effects.drawn(stream, material.stiffness)
-            try:
-                q = self._rest_of(row, material, effects)
-            except ConfigurationError:
-                if last and self.redraws:
-                    continue
-                raise
-            if isinstance(target, Target) or not self.redraws:
-                return q
-            if not (inside := self._target_inside(target, self._arms.model_of(row))):
-                return q
-        text = f"put the target inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}: {inside}"
-        raise _problem(("randomize", "effects"), text)
+    def _check_target(self, target: Target | Course, model: Model) -> None:
+        """Raises ConfigurationError where a target that is given lies inside of an obstacle that was drawn."""
+        if self.drawn.redraws and not isinstance(target, Target) and (inside := self._target_inside(target, model)):
+            raise _problem(("randomize",), f"can put the target inside of an obstacle: {inside}")
+
+    def _obstacles_of(self, drawn: Drawn) -> Model:
+        """The model of the scene's arm among the obstacles of a drawn one."""
+        scene, other = self._model.scene, drawn.model.scene.effects.chosen()
+        effects = Effects(**{**scene.effects.chosen(), **{name: other[name] for name in self._meets}})
+        return self._model.with_scene(scene.model_copy(update={"effects": effects}))
 
     def _begin_shape(self, row: int, start: Start, stream: np.random.Generator | None, rest: Array) -> Shape:
         """Shape in which a row begins.
@@ -171,7 +156,7 @@ class Starts:
         """
         if start == "rest":
             return self.tension, self.command, rest
-        model = self._arms.model_of(row) if self._options.randomize.of_arm else self._model
+        model = self._arms.model_of(row)
         tension = np.array(start) if stream is None else stream.uniform(*self.limits.T)
         least, greatest = model.scene.effects.command_limits(self.limits).T
         for _ in range(HALVINGS):
@@ -243,35 +228,18 @@ class Starts:
         rest = static_equilibrium(model, tension, settle=True)
         return rest.q, "" if rest.converged else rest.reason
 
-    def _check_extremes(self) -> None:
-        """Raises ConfigurationError where the heaviest arm that can be drawn does not rest."""
-        randomize, draws = self._options.randomize, bool(self.effects) and not self.redraws
-        if randomize.of_material or draws:
-            heaviest = randomize.heaviest
-            for effects in self.effects.extremes(heaviest.stiffness) if draws else (None,):
-                self._rest_of(0, heaviest, effects)
-            self._arms.set_material(0, Material())
-
-    def _rest_of(self, row: int, material: Material, effects: RowEffects | None = None) -> Array:
-        """Give a row its material and effects: the coordinates (n,) at which it rests. Raises ConfigurationError where it does not."""
-        self._arms.set_material(row, material, effects)
-        if not (self._model.arm.effects.load or self.tension.any()):
+    def _rest_of(self, model: Model) -> Array:
+        """Coordinates (n,) at which an arm rests under the tensions nearest to zero. Raises ConfigurationError where it does not."""
+        if model is self._model or not (model.arm.effects.load or self.tension.any()):
             return self.q
-        own = self._arms.model_of(row)
-        inside = why_base_inside(own, self.q)
+        inside = why_base_inside(model, self.q)
         if not inside:
-            q, reason = self._settled(own, self.tension)
-            inside = why_inside(own, q)
+            q, reason = self._settled(model, self.tension)
+            inside = why_inside(model, q)
             if not (inside or reason):
                 return q
-        drawn = {name: f"{value:.4g}" for name, value in material._asdict().items()}
-        if effects is not None:
-            drawn |= {name: shown(value.tolist()) for name, value in self.effects.values(effects.effects).items()}
-        listed = ", ".join(f"{name} {value}" for name, value in drawn.items())
-        if inside:
-            raise _problem(("randomize",), f"can make arms that begin inside of an obstacle: {listed}: {inside}")
-        text = f"can make arms that {shown_numbers(self.tension)} N, nearest to zero, cannot hold: {listed}: {reason}"
-        raise _problem(("randomize",), text)
+        text = f"begin inside of an obstacle: {inside}" if inside else f"{shown_numbers(self.tension)} N, nearest to zero, cannot hold: {reason}"
+        raise _problem((), text)
 
     def _among(self, setting: Setting, rest: Array) -> Setting:
         """The setting with the space that its model's obstacles leave free; as it is where the arm at rest (n,) is not in that."""

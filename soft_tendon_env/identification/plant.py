@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.identification.markers import MarkerSet
 from soft_tendon_env.identification.parameters import DELAY, Parameter
-from soft_tendon_env.model.coordinates import make_arm
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.types import Array
@@ -75,7 +74,7 @@ class Plants:
             scene = self.scene_at(x, self.scene)
             if len(self._models) > 2 * len(self.parameters) + 2:
                 self._models.clear()
-            self._models[key] = scene, Model(scene, self.model.grid, make_arm(scene, self.model.grid, self.model.arm.strain))
+            self._models[key] = scene, self.model.with_scene(scene)
         scene, model = self._models[key]
         return Plant(scene, model, measurement)
 

@@ -1,7 +1,7 @@
 """Discretisation of the rod: intervals, quadrature points and nodes, and the arrays of section and tendons there."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -134,11 +134,12 @@ class AtPoints(NamedTuple):
     geometry: Array  # (n_a, intervals, 2, 5), see `tendon_geometry`
 
 
-def at_points(scene: Scene, grid: Grid) -> AtPoints:
-    """Section and tendons at the points of a grid, which rod, tendons and strain are all made from."""
+def at_points(scene: Scene, grid: Grid, geometry: Array | None = None) -> AtPoints:
+    """Section and tendons at the points of a grid, which rod, tendons and strain are all made from. geometry: of the tendons, if it is at
+    hand."""
     elasticity, damping, _ = (m.reshape(-1, 2, 6) for m in screw_matrices(scene, grid.points.ravel()))
     curvature = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, grid.points)]
-    return AtPoints(elasticity, damping, curvature, tendon_geometry(scene, grid))
+    return AtPoints(elasticity, damping, curvature, tendon_geometry(scene, grid) if geometry is None else geometry)
 
 
 def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], here: AtPoints, seen: Discretisation) -> Rod:
@@ -208,6 +209,16 @@ def discretisation(scene: Scene, grid: Grid, here: AtPoints | None = None) -> Di
         tension_limits=np.array([tendon.tension_limits for tendon in scene.tendons]),
         effects=scene.effects,
         step=scene.integrator.step,
+    )
+
+
+def with_material(seen: Discretisation, scene: Scene) -> Discretisation:
+    """The rod of a scene of the same shape, as effects see it."""
+    return replace(
+        seen,
+        elasticity=lambda arc_length: screw_matrices(scene, arc_length)[0],
+        line_mass=lambda arc_length: screw_matrices(scene, arc_length)[2][:, 3],
+        effects=scene.effects,
     )
 
 

@@ -200,7 +200,7 @@ def read_contact_rows(arm, rows, members, number, section, work, reading):
     for row in members:
         own = struct_at(arm, rows.arm, row)
         place_nodes(own, rows, row, work)
-        contact = parameters_at(ContactParameters, rows.effects[row][first:last])
+        contact = parameters_at(ContactParameters, own.effects.values[first:last])
         obstacles, samples = contact.obstacles.shape[0], contact.samples.shape[0]
         gap, position, force = np.empty((obstacles, samples)), np.empty((samples, 3)), np.empty((obstacles, samples, 3))
         nodes = nodes_with(work.pose, work.eta, work.base, rows.state[row][begin:end], rows.clock[row, 0])
