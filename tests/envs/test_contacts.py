@@ -276,4 +276,4 @@ def test_an_obstacle_of_a_users_own_is_observed_rewarded_and_kept_clear_of(monke
     starts = TipPoseEnv(scene=scene, randomize=drawn, **options)
     for seed in range(5):
         starts.reset(seed=seed)
-        assert starts.episodes.drawn_effects(0)["wall.place"] > -0.01
+        assert starts.episodes.drawn_numbers(0)["effects.wall.place"] > -0.01

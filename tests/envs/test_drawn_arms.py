@@ -1,49 +1,77 @@
-"""Effects drawn at every reset: a row moves as a scene with these numbers does, rows as single environments; the rest is refused."""
+"""Arms drawn at every reset: a row moves as a scene with these numbers does, rows as single environments; the rest is refused."""
+
+import pickle
 
 import numpy as np
 import pytest
 
 from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.options import Options
+from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.model.contact_forces import contact_forces
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.scene.parameters import scene_parameters
 from soft_tendon_env.tools.configuration import ConfigurationError
 
+SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 BALL = {"type": "sphere", "position": [0.25, 0.05, 0.0], "radius": 0.02, "friction": 0.3}
 FLOOR = {"type": "plane", "position": [0.0, 0.0, -0.05]}
 CASES = {
-    "gravity": (GRAVITY, {"gravity.acceleration": [[-1.0, 1.0], 0.5, [-9.0, -5.0]]}),
+    "gravity": (GRAVITY, {"effects.gravity.acceleration": [[-1.0, 1.0], 0.5, [-9.0, -5.0]]}),
     "tip_load": (
         {**GRAVITY, "effects.tip_load": {"force": [0.0, 0.02, 0.01], "mass": 0.003, "inertia": [1e-7, 1e-7, 1e-7]}},
-        {"tip_load.force.1": [-0.02, 0.02], "tip_load.mass": [0.001, 0.006], "tip_load.inertia": {"factor": [0.5, 2.0]}},
+        {
+            "effects.tip_load.force.1": [-0.02, 0.02],
+            "effects.tip_load.mass": [0.001, 0.006],
+            "effects.tip_load.inertia": {"factor": [0.5, 2.0]},
+        },
     ),
     "fluid": (
         {**GRAVITY, "effects.fluid": {"density": 1000.0, "current": [0.0, 0.1, 0.0]}},
-        {"fluid.density": {"factor": [0.9, 1.1]}, "fluid.current": [0.0, [-0.3, 0.3], [0.0, 0.2]], "fluid.added_mass": [0.5, 1.5]},
+        {
+            "effects.fluid.density": {"factor": [0.9, 1.1]},
+            "effects.fluid.current": [0.0, [-0.3, 0.3], [0.0, 0.2]],
+            "effects.fluid.added_mass": [0.5, 1.5],
+        },
     ),
     "disturbance": (
         {"effects.disturbance.loads": [{"at": 0.2, "force": [0.0, 0.05, 0.0], "signal": {"type": "sine", "frequency": 2.0}}]},
-        {"disturbance.loads.0.at": [0.1, 0.3], "disturbance.loads[0].signal.frequency": [1.0, 3.0]},
+        {"effects.disturbance.loads.0.at": [0.1, 0.3], "effects.disturbance.loads[0].signal.frequency": [1.0, 3.0]},
     ),
-    "nonlinear_elasticity": ({"effects.nonlinear_elasticity.bending": 5.0}, {"nonlinear_elasticity.bending": [3.0, 8.0]}),
+    "nonlinear_elasticity": ({"effects.nonlinear_elasticity.bending": 5.0}, {"effects.nonlinear_elasticity.bending": [3.0, 8.0]}),
     "viscoelastic_memory": (
         {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}]},
-        {"viscoelastic_memory.branches.0.modulus": [0.2, 1.0], "viscoelastic_memory.branches.0.relaxation_time": [0.05, 0.2]},
+        {
+            "effects.viscoelastic_memory.branches.0.modulus": [0.2, 1.0],
+            "effects.viscoelastic_memory.branches.0.relaxation_time": [0.05, 0.2],
+        },
     ),
     "contact": (
-        {**GRAVITY, "effects.contact.obstacles": [BALL, FLOOR]},
-        {"contact.obstacles.0.position": [0.25, [0.04, 0.06], [-0.02, 0.02]], "contact.obstacles.1.friction": [0.1, 0.5]},
+        {**GRAVITY, "effects.contact.obstacles": [BALL, {**FLOOR, "friction": 0.3}]},
+        {"effects.contact.obstacles.0.position": [0.25, [0.04, 0.06], [-0.02, 0.02]], "effects.contact.obstacles.1.friction": [0.1, 0.5]},
     ),
     "moving_base": (
         {"effects.moving_base": {"amplitude": [0.0, 0.01, 0.0], "frequency": 2.0}},
-        {"moving_base.amplitude": [0.0, [0.0, 0.02], 0.0], "moving_base.frequency": [1.0, 3.0]},
+        {"effects.moving_base.amplitude": [0.0, [0.0, 0.02], 0.0], "effects.moving_base.frequency": [1.0, 3.0]},
     ),
+    "material": (
+        {**GRAVITY, "tendons.0.routing.offset": [0.01, 0.0]},
+        {
+            "segments.*.young_modulus": {"factor": [0.8, 1.2]},
+            "segments.0.poisson_ratio": [0.3, 0.5],
+            "segments.0.radius": {"offset": [-1e-3, 1e-3]},
+            "tendons.0.routing.offset": [[0.009, 0.011], {"offset": [-1e-3, 1e-3]}],
+            "payload": [0.0, 0.01],
+        },
+    ),
+    "a tip load from nothing": ({}, {"effects.tip_load.force.1": [0.01, 0.02], "effects.tip_load.mass": [0.0, 0.003]}),
     "loads inside": (
         {**GRAVITY, "effects.tip_load.force": [0.0, 0.01, 0.0], "strain.include_loads": True},
-        {"gravity.acceleration.2": [-10.0, -5.0], "tip_load.force": [0.0, [-0.01, 0.01], 0.0]},
+        {"effects.gravity.acceleration.2": [-10.0, -5.0], "effects.tip_load.force": [0.0, [-0.01, 0.01], 0.0]},
     ),
 }
 
@@ -51,14 +79,13 @@ CASES = {
 def options_of(case, **more):
     changes, ranges = CASES[case]
     scene = {"scene": "three_tendon", "quadrature.intervals": 6, **changes}
-    return {"scene": scene, "fidelity": "fast", "randomize": {"effects": ranges}, **more}
+    return {"scene": scene, "fidelity": "fast", "randomize": ranges, **more}
 
 
 def scene_with(env, row=0):
     """The scene of an environment with the numbers that were drawn for a row."""
-    drawn = {f"effects.{key}": value.tolist() for key, value in env.episodes.drawn_effects(row).items()}
-    drawn["quadrature.intervals"] = env.episodes.model.grid.per_piece  # which other numbers may change
-    return env.episodes.model.scene.replace(drawn)
+    drawn = env.episodes.drawn_numbers(row)
+    return env.episodes.model.scene.replace({**drawn, "quadrature.intervals": env.episodes.model.grid.per_piece})
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -84,24 +111,50 @@ def test_a_row_moves_like_the_scene_with_the_numbers_drawn(case):
 def test_rows_are_single_environments_and_differ(case, same, rows_alike):
     vector, singles = TipPoseVectorEnv(3, **options_of(case)), [TipPoseEnv(**options_of(case)) for _ in range(3)]
     assert len([*rows_alike(vector, dict(enumerate(singles)), 6)]) == 6
-    drawn = [vector.episodes.drawn_effects(row) for row in range(3)]
+    drawn = [vector.episodes.drawn_numbers(row) for row in range(3)]
     for row, env in enumerate(singles):
-        assert same(drawn[row], env.episodes.drawn_effects(0))
+        assert same(drawn[row], env.episodes.drawn_numbers(0))
     assert not same(drawn[0], drawn[1])
-    first = singles[0].episodes.drawn_effects(0)
-    singles[0].reset()
-    assert not same(first, singles[0].episodes.drawn_effects(0)), "drawn anew at every reset"
+    first = singles[0].episodes.drawn_numbers(0)
     singles[0].reset(seed=5)
-    assert same(first, singles[0].episodes.drawn_effects(0))
+    assert same(first, singles[0].episodes.drawn_numbers(0))
+
+
+def test_episodes_without_a_seed_take_arms_of_a_bank_and_now_and_then_one_of_their_own(same):
+    """The same ones after the same seed, in rows too; one in sixteen is new."""
+    options = {**SMALL, "randomize": {"segments.*.density": {"factor": [0.5, 2.0]}}}
+    vector, single = TipPoseVectorEnv(2, **options), TipPoseEnv(**options)
+    found = []
+    for env, seed in ((single, 3), (vector, 2), (single, 3)):
+        env.reset(seed=seed)
+        densities = []
+        for _ in range(300):
+            densities.append(env.episodes.drawn_numbers(env is vector)["segments.0.density"])
+            env.reset()
+        found.append(densities)
+    assert same(found[0], found[1]) and same(found[0], found[2])
+    assert 64 < len({*found[0]}) < 64 + 40 and all(a != b for a, b in zip(found[0][:3], found[0][1:4], strict=True))
+
+
+def test_memory_and_copies_keep_the_arm(same):
+    env = TipPoseEnv(**SMALL, randomize={"stiffness": [0.5, 2.0]})
+    env.reset(seed=1)
+    twin = pickle.loads(pickle.dumps(env))
+    for each in (env, twin):
+        each.step(np.ones(3))
+    assert same(env.state.q, twin.state.q) and env.episodes.drawn_numbers(0) == twin.episodes.drawn_numbers(0)
+    for each in (env, twin):
+        each.reset()
+    assert env.episodes.drawn_numbers(0) == twin.episodes.drawn_numbers(0)
 
 
 def test_numbers_lie_within_their_ranges():
     env = TipPoseEnv(**options_of("fluid"))
     for seed in range(10):
         env.reset(seed=seed)
-        drawn = env.episodes.drawn_effects(0)
-        assert 900.0 <= drawn["fluid.density"] <= 1100.0
-        x, y, z = drawn["fluid.current"]
+        drawn = env.episodes.drawn_numbers(0)
+        assert 900.0 <= drawn["effects.fluid.density"] <= 1100.0
+        x, y, z = (drawn[f"effects.fluid.current.{i}"] for i in range(3))
         assert x == 0.0 and -0.3 <= y <= 0.3 and 0.0 <= z <= 0.2
 
 
@@ -112,7 +165,7 @@ def test_contact_is_told_by_the_obstacles_of_the_row():
     vector.reset(seed=0)
     for _ in range(30):
         vector.step(-np.ones((3, 3)))
-    lowest = [vector.episodes.drawn_effects(row)["contact.obstacles.0.position.2"] for row in range(3)]
+    lowest = [vector.episodes.drawn_numbers(row)["effects.contact.obstacles.0.position.2"] for row in range(3)]
     assert np.ptp(lowest) > 1e-3
     for row in range(3):
         model = build_model(scene_with(vector, row))
@@ -124,20 +177,23 @@ def test_contact_is_told_by_the_obstacles_of_the_row():
 
 
 WRONG = {
-    "an unknown effect": ({"fluidity.density": 1.0}, "fluidity.density is of no effect: did you mean 'fluid'?"),
-    "an unknown parameter": ({"fluid.densty": 1.0}, "fluid.densty is no parameter of fluid: did you mean 'density'?"),
-    "an obstacle too many": ({"contact.obstacles.4.radius": 1.0}, "'4' should be 0 to 1"),
-    "a text": ({"contact.obstacles.0.type": 1.0}, "parameters that are numbers"),
+    "an unknown effect": (
+        {"fluidity.density": 1.0},
+        "effects.fluidity.density is no number of the scene: did you mean 'effects.fluid.density'?",
+    ),
+    "an unknown number": ({"fluid.densty": 1.0}, "effects.fluid.densty is no number of the scene: did you mean 'effects.fluid.density'?"),
+    "an obstacle too many": ({"contact.obstacles.4.radius": 1.0}, "effects.contact.obstacles.4.radius is no number of the scene"),
+    "a text": ({"contact.obstacles.0.type": 1.0}, "is no parameter: 'sphere' is no number"),
     "a short vector": ({"fluid.current": [0.0, [0.0, 1.0]]}, "it should be a list of 3"),
     "the wrong way round": ({"fluid.density": [2.0, 1.0]}, "the least should come first"),
     "no number": ({"fluid.density": "heavy"}, "it should be a number, or (least, greatest)"),
-    "a negative density": ({"fluid.density": [-1.0, 1000.0]}, "can draw -1.0, which the effect refuses: effects: fluid.density is -1.0"),
-    "off the rod": ({"disturbance.loads.0.at": [0.1, 0.4]}, "disturbance.loads.0.at can draw 0.4, which the effect refuses"),
-    "twice": ({"fluid.current": [0, 0, 0], "fluid.current.1": [0.0, 1.0]}, "draws what 'fluid.current' draws already"),
-    "other places": ({"contact.spacing": [0.001, 0.01]}, "rows cannot differ in that"),
-    "states from nothing": ({"contact.friction": [0.0, 0.5]}, "internal states"),
-    "a factor of nothing": ({"contact.stiffness": {"factor": 2.0}}, "the scene gives no value"),
-    "no table": ([1], "randomize.effects is [1]: it should be a table from keys"),
+    "a negative density": (
+        {"fluid.density": [-1.0, 1000.0]},
+        "can draw effects.fluid.density -1, which the scene refuses: scene: effects.fluid",
+    ),
+    "twice": ({"fluid.current": [0, 0, 0], "fluid.current.1": [0.0, 1.0]}, "draws what 'effects.fluid.current.1' draws already"),
+    "other places": ({"contact.spacing": [0.001, 0.01]}, "changes the places of an effect along the arm"),
+    "a factor of nothing": ({"contact.stiffness": {"factor": 2.0}}, "is no number of the scene"),
 }
 
 
@@ -155,17 +211,47 @@ def test_what_cannot_be_drawn_is_refused_when_the_environment_is_made(how):
     assert text in str(error.value) and "randomize.effects" in str(error.value) and "\n" not in str(error.value)
 
 
+@pytest.mark.cases(
+    "ranges, message",
+    [
+        ({"segments.0.length": [0.2, 0.3]}, "segments.0.length is no parameter: it decides where the quadrature points lie"),
+        ({"tendons.0.end": {"factor": [0.9, 1.0]}}, "tendons.0.end is no parameter"),
+        ({"quadrature.intervals": 4}, "quadrature.intervals is an unknown key"),
+        ({"segments.*.young_modulus": {"factor": [0.0, 1.0]}}, "can draw segments.0.young_modulus 0, which the scene refuses"),
+        ({"effects": [1]}, "effects is .1.: it should be a number"),
+    ],
+)
+def test_other_keys_that_cannot_be_drawn_are_refused(ranges, message):
+    with pytest.raises(ConfigurationError, match=message):
+        TipPoseEnv(**SMALL, randomize=ranges)
+
+
+def test_what_can_be_identified_can_be_drawn_and_the_other_way_round():
+    """Every number of the scene: the keys are those of `scene_parameters`."""
+    scene = load_scene("two_segment_six").replace({**GRAVITY, "effects.fluid.density": 1000.0, "effects.tendon_friction.coefficient": 0.1})
+    with pytest.raises(ConfigurationError) as error:
+        scene_parameters(scene, ["nothing"])
+    keys = str(error.value).partition("valid: ")[2].split(", ")
+    assert {"segments.*.young_modulus", "effects.tip_load.mass", "effects.fluid.current.*", "tendons.*.routing.offset.*"} <= {*keys}
+    drawn = Randomization(**{key: {"factor": [0.99, 1.01]} for key in keys}).ranges(scene)
+    assert [own.name for own in drawn] == sorted(keys) and [own.keys for own in drawn] == [
+        own.keys for own in scene_parameters(scene, sorted(keys))
+    ]
+
+
 def test_tables_in_tables_are_dotted_keys():
     """As they come from TOML."""
     nested = {"fluid": {"density": [900, 1100], "current": {"factor": [0, 1]}}, "contact": {"obstacles": {"0": {"radius": 0.02}}}}
     dotted = {"fluid.density": [900, 1100], "fluid.current": {"factor": [0, 1]}, "contact.obstacles.0.radius": 0.02}
-    assert Options(randomize={"effects": nested}) == Options(randomize={"effects": dotted})
+    full = {f"effects.{key}": value for key, value in dotted.items()}
+    assert Options(randomize={"effects": nested}) == Options(randomize={"effects": dotted}) == Options(randomize=full)
+    assert Options.parse(Options(randomize=full).model_dump(mode="json"), "options") == Options(randomize=full)
 
 
 def test_loads_that_would_no_longer_be_dead_stay_out_of_the_strain():
     """Of a load that follows the tip nothing is inside; one of size zero is."""
     changes = {**GRAVITY, "effects.tip_load": {"force": [0.0, 0.0, 0.0], "frame": "tip"}, "strain.include_loads": True}
-    with pytest.raises(ConfigurationError, match="takes dead loads inside"):
+    with pytest.raises(ConfigurationError, match="loads inside of the strain|which effects act"):
         TipPoseEnv(scene={"scene": "three_tendon", **changes}, fidelity="fast", randomize={"effects": {"tip_load.force.1": [0.0, 0.01]}})
 
 
@@ -188,7 +274,7 @@ def test_obstacles_are_drawn_again_where_the_arm_would_begin():
         assert env.episodes.contact_forces(0).penetration[0] < 1e-3
     near_the_base = {"contact.obstacles.0.position": [0.02, [0.0, 0.001], 0.0]}
     env = ReachEnv(scene=scene, fidelity="fast", randomize={"effects": near_the_base})
-    with pytest.raises(ConfigurationError, match="begin inside of an obstacle"):
+    with pytest.raises(ConfigurationError, match="can make arms that begin inside of an obstacle"):
         env.reset(seed=0)
 
 
@@ -200,7 +286,7 @@ def test_targets_keep_clear_of_the_row_s_obstacles():
     vector.reset(seed=0)
     close = 0
     for row in range(12):
-        place = vector.episodes.drawn_effects(row)["contact.obstacles.0.position"]
+        place = [vector.episodes.drawn_numbers(row)[f"effects.contact.obstacles.0.position.{i}"] for i in range(3)]
         away = np.linalg.norm(vector.episodes.target_pose[row, :3, 3] - place)
         assert away > 0.05 + 0.9 * 0.01
         close += away < 0.1
