@@ -13,6 +13,7 @@ import numpy as np
 from soft_tendon_env.envs.randomization import SHORT, Randomization, own_stream
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.strain_limits import StrainLimitError
+from soft_tendon_env.scene.parameters import scene_with_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
@@ -123,7 +124,7 @@ class DrawnArms:
     def _model_with(self, changes: Mapping[str, float], *key: str) -> Model:
         """The model with these numbers of the scene, which the range of that key draws. Raises ConfigurationError."""
         try:
-            model = self._model.with_scene(self._model.scene.replace(changes))
+            model = self._model.with_scene(scene_with_numbers(self._model.scene, changes))
             model.metric  # noqa: B018 # there is one where the arm holds the loads inside of its strain
         except (ConfigurationError, StrainLimitError) as error:
             _fail(f"can draw {_listed(changes)}, which the scene refuses: {'; '.join(str(error).splitlines())}", *key)

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from soft_tendon_env.identification.markers import MarkerSet
 from soft_tendon_env.identification.parameters import DELAY, Parameter
 from soft_tendon_env.model.model import Model
+from soft_tendon_env.scene.parameters import scene_with_numbers
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.types import Array
 
@@ -88,7 +89,7 @@ class Plants:
         for parameter, own in zip(self.parameters, x, strict=True):
             value = parameter.at(own)
             changes |= {"effects.actuators.delay": value} if parameter.name == DELAY else parameter.changes(value)
-        return turned(scene.replace(changes), self.measurement(x).rotation)
+        return turned(scene_with_numbers(scene, changes), self.measurement(x).rotation)
 
     def measurement(self, x: Array) -> Measurement:
         """Mount, markers and commands at coordinates (k,)."""

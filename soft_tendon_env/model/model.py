@@ -24,7 +24,7 @@ from soft_tendon_env.model.grid import Grid, discretisation, make_grid, screw_ma
 from soft_tendon_env.model.quadrature import checked_probe
 from soft_tendon_env.model.strain_limits import StrainLimitError, limit_at
 from soft_tendon_env.model.terms import Energy, Terms
-from soft_tendon_env.scene.parameters import scene_parameters
+from soft_tendon_env.scene.parameters import scene_parameters, scene_with_numbers
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.units import warn_of_units
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type
@@ -72,7 +72,7 @@ class Model:
         See `with_scene`. Raises TypeError or ConfigurationError.
         """
         scene_parameters(self.scene, changes)
-        made = self.with_scene(self.scene.replace(changes))
+        made = self.with_scene(scene_with_numbers(self.scene, changes))
         if misfit := self.misfit(made):
             raise ConfigurationError([Problem((key,), f"changes {misfit}: build a model for each value") for key in changes])
         return made

@@ -57,14 +57,29 @@ def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...
     return tuple(_parameter(name, _keys(table, entries, name), entries) for name in names)
 
 
+def scene_with_numbers(scene: Scene, changes: Mapping[str, float]) -> Scene:
+    """The scene with other numbers by dotted keys, among them those of effects that it lacks, see `scene_parameters`.
+
+    Raises ConfigurationError.
+    """
+    named = {key.split(".")[1] for key in changes if key.startswith("effects.")} - scene.effects.chosen().keys()
+    return scene.replace({**{f"effects.{name}": own for name, own in _idle_effects(named).items()}, **changes})
+
+
 def number_tables(scene: Scene) -> dict[str, Any]:
     """The tables of a scene with the numbers of its arm, plain, with those of effects that do nothing by default."""
-    table, absent = scene_to_dict(scene, {*TABLES}), {}
-    for name, kind in EFFECTS.items():
-        with contextlib.suppress(ConfigurationError):
-            if not (effect := kind()).acts:
-                absent[name] = effect.model_dump(mode="json", exclude_none=True)
-    return {**table, "effects": {**absent, **table["effects"]}}
+    table = scene_to_dict(scene, {*TABLES})
+    return {**table, "effects": {**_idle_effects(EFFECTS), **table["effects"]}}
+
+
+def _idle_effects(names: Iterable[str]) -> dict[str, Any]:
+    """Tables of those of the effects that do nothing by default, by name."""
+    found = {}
+    for name in names:
+        with contextlib.suppress(ConfigurationError, KeyError):
+            if not (effect := EFFECTS[name]()).acts:
+                found[name] = effect.model_dump(mode="json", exclude_none=True)
+    return found
 
 
 def _keys(table: Mapping[str, Any], entries: Mapping[str, Any], name: str) -> list[str]:

@@ -30,12 +30,13 @@ class Range(NamedTuple):
         return {key: made(own) for key, own in zip(self.keys, self.values, strict=True)}
 
 
-def checked_ranges(table: Mapping[str, Any]) -> dict[str, Any]:
+def checked_ranges(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """A table of ranges with tables in tables as dotted keys, as far as it can be judged without a scene. Raises ConfigurationError."""
     found: dict[str, Any] = {}
-    for key, value in table.items():
+    for name, value in table.items():
+        key = prefix + name
         if isinstance(value, Mapping) and not _is_relative(value):
-            found |= {f"{key}.{inner}": own for inner, own in checked_ranges(value).items()}
+            found |= checked_ranges(value, f"{key}.")
         elif isinstance(value, str | bool | None):
             _fail(key, f"is {shown(value)}: it should be {NUMBER}, or a table with {' or '.join(KINDS)}")
         else:
