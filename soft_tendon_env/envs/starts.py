@@ -238,8 +238,8 @@ class Starts:
             inside = why_inside(model, q)
             if not (inside or reason):
                 return q
-        text = f"begin inside of an obstacle: {inside}" if inside else f"{shown_numbers(self.tension)} N, nearest to zero, cannot hold: {reason}"
-        raise _problem((), text)
+        held = f"{shown_numbers(self.tension)} N, nearest to zero, cannot hold: {reason}"
+        raise _problem((), f"begin inside of an obstacle: {inside}" if inside else held)
 
     def _among(self, setting: Setting, rest: Array) -> Setting:
         """The setting with the space that its model's obstacles leave free; as it is where the arm at rest (n,) is not in that."""

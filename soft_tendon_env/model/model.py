@@ -62,7 +62,8 @@ class Model:
         """
         arm = make_arm(scene, self.grid, self.arm.strain, self._shape if has_shape_of(scene, self.scene) else None)
         made = Model(scene, self.grid, arm)
-        if type(made.arm.strain) is type(self.arm.strain) and made.arm.effects.state.size == self.arm.effects.state.size:
+        (kind, effects), (own, present) = (type(arm.strain), arm.effects), (type(self.arm.strain), self.arm.effects)
+        if kind is own and (effects.count, effects.state.size) == (present.count, present.state.size):
             made.__dict__["_idle"] = self._idle  # workspaces are as large for one as for the other
         return made
 

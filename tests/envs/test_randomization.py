@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.control.dynamics import slowest_mode
-from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
+from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv
 from soft_tendon_env.envs.options import Options, resolved_scene
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.model.simulation import Simulation

@@ -8,7 +8,6 @@ import pytest
 from scipy.linalg import logm
 
 from soft_tendon_env.envs import ReachEnv, ShapeEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv
-from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.targets import statics
 from soft_tendon_env.envs.targets.equilibria import Equilibria
 from soft_tendon_env.envs.targets.motions import Circle, CircleCourse, ClosedSpline, Rise
@@ -379,7 +378,7 @@ def test_shapes_that_jump_are_not_held(warm):
 def test_a_material_that_cannot_rest_is_refused():
     """Nothing begins in mid-air: the softest arm with the greatest payload is tried when the environment is made, each drawn at reset."""
     hanging = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
-    with pytest.raises(ConfigurationError, match=r"environment: randomize can make arms that \[0, 0, 0\] N, .* cannot hold: .*young_modulus"):
+    with pytest.raises(ConfigurationError, match=r"randomize can make arms that \[0, 0, 0\] N, .* cannot hold: .*young_modulus"):
         TipPoseEnv(scene=hanging, randomize={"stiffness": [1e-6, 1.0], "payload": [0.0, 10.0]})
     with pytest.raises(ConfigurationError, match=r"randomize can make arms that \[4, 4, 4\] N"):
         TipPoseEnv(scene="three_tendon", tension_limits=[4.0, 5.0], randomize={"stiffness": 0.001})
