@@ -72,9 +72,7 @@ class Arms:
         """Coordinates (.., n) that give a row's arm the shape that the scene's has at `shape` (.., n), as those of targets are."""
         return np.asarray(self.ratio[row] * shape)
 
-    def step(
-        self, command: Array, members: Indices, durations: Array | None = None, tape: Tape | None = None, begins: bool = True
-    ) -> None:
+    def step(self, command: Array, members: Indices, durations: Array | None = None, tape: Tape | None = None, begins: bool = True) -> None:
         """Advance the rows `members` under commands (rows, parts, n_a), each held for its duration (rows, parts) [s], by default for an
         integrator step. A tape of `make_tape` keeps what `adjoint` needs; the motion is the same. begins: False where the first command
         is the last one of the step before."""
@@ -233,4 +231,3 @@ class Arms:
         pool, self._pool = self._own_pool(), None
         if pool is not None:
             pool.shutdown()
-

@@ -63,8 +63,8 @@ class Randomization(Configuration):
     Attributes:
         numbers: of the scene by dotted keys, see `scene_parameters`, which can stand beside the other attributes:
             `{"segments.*.young_modulus": ...}`. A value is a number or a range; `{"factor": ...}` or `{"offset": ...}`, with one, of what
-            the scene says; of a vector a list with one for each entry. All that a `*` stands for changes together. `stiffness`, `damping` and
-            `density` are short for factors of the whole rod, `payload` for a mass that is added to that of the tip [kg].
+            the scene says; of a vector a list with one for each entry. All that a `*` stands for changes together. `stiffness`, `damping`
+            and `density` are short for factors of the whole rod, `payload` for a mass that is added to that of the tip [kg].
         tension_gain, tension_offset: of every tendon's actuator, factor and [N].
         latency: delay of the commands [s], of any length.
         noise: of sensors.
