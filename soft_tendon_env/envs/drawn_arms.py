@@ -51,13 +51,12 @@ class DrawnArms:
         drawn = [key.split(".")[:2] for own in self._ranges for key in own.keys]
         self.redraws = any(["effects", name] in drawn for name in obstacles)
         self._generators: list[Any] = [None] * rows
-        self._bank: dict[int, Drawn] = {}
-        self._recent: dict[bytes, Drawn] = {}
+        self._made: dict[int | bytes, Drawn] = {}
         self.of_row = [Drawn({}, model, rest(model))] * rows
         self._check_ends()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_bank": {}, "_recent": {}}
+        return {**self.__dict__, "_made": {}}
 
     def _check_ends(self) -> None:
         for own in self._ranges:
@@ -65,7 +64,7 @@ class DrawnArms:
                 self._model_with(own.changes(end), own.name)
         soft = np.array([own.name.endswith(".young_modulus") for own in self._ranges])
         for shares in (np.zeros(soft.size), np.ones(soft.size), 1.0 - soft) if self._ranges and not self.redraws else ():
-            self._arm_with(shares)
+            self._make(shares)
 
     def draw(self, row: int, generator: np.random.Generator, check: Callable[[Model], None]) -> Drawn:
         """The arm of an episode of a row.
@@ -77,38 +76,34 @@ class DrawnArms:
         if not self._ranges:
             return self.of_row[row]
 
-        def shares() -> Array:
+        def shares() -> bytes:
             of_key = dict(zip(FIRST, first, strict=True))
-            return np.array([of_key[own.name] if own.name in of_key else stream.random() for own in self._ranges])
+            return np.array([of_key[own.name] if own.name in of_key else stream.random() for own in self._ranges]).tobytes()
 
         follows, self._generators[row] = self._generators[row] is generator, generator
         turn, number = divmod(int(first[0] * 2.0**53) % (FRESH * BANK), BANK)  # of its last bits, which change no number
-        place = number if follows and turn else None
+        key = number if follows and turn else shares()
         for last in range(MOST_DRAWS if self.redraws else 1, 0, -1):
             try:
-                drawn = self._arm_with(shares()) if place is None else self._arm_of_bank(place)
+                drawn = self._arm(key)
                 check(drawn.model)
                 break
             except ConfigurationError:
                 if last == 1:
                     raise
-                place = None
+                key = shares()
         self.of_row[row] = drawn
         return drawn
 
-    def _arm_of_bank(self, number: int) -> Drawn:
-        if number not in self._bank:
-            self._bank[number] = self._make(np.random.default_rng([BANK, number]).random(len(self._ranges)))
-        return self._bank[number]
-
-    def _arm_with(self, shares: Array) -> Drawn:
-        """The arm of `_make`, made before or now."""
-        key = shares.tobytes()
-        if key not in self._recent:
-            if len(self._recent) == RECENT:
-                del self._recent[next(iter(self._recent))]
-            self._recent[key] = self._make(shares)
-        return self._recent[key]
+    def _arm(self, key: int | bytes) -> Drawn:
+        """The arm of that number in the bank, or the one with numbers so far between the ends of the ranges, see `_make`."""
+        if key not in self._made:
+            recent = [own for own in self._made if isinstance(own, bytes)]
+            if len(recent) == RECENT:
+                del self._made[recent[0]]
+            shares = np.random.default_rng([BANK, key]).random(len(self._ranges)) if isinstance(key, int) else np.frombuffer(key)
+            self._made[key] = self._make(shares)
+        return self._made[key]
 
     def _make(self, shares: Array) -> Drawn:
         """The arm with numbers so far, 0 to 1, between the ends of every range. Raises ConfigurationError."""

@@ -9,18 +9,7 @@ from numpy.polynomial import legendre
 
 from soft_tendon_env.effects.base import Discretisation, Effects
 from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, Loaded, Loads, StaticsBased, Tendons, point_field
-from soft_tendon_env.model.grid import (
-    STRAIGHT,
-    AtPoints,
-    Grid,
-    at_points,
-    chords,
-    discretisation,
-    make_rod,
-    make_tendons,
-    pack_range,
-    with_material,
-)
+from soft_tendon_env.model.grid import STRAIGHT, AtPoints, Grid, at_points, chords, discretisation, make_rod, make_tendons, pack_range
 from soft_tendon_env.scene.passive_fields import fields_of
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Modes, Snapshots
@@ -44,7 +33,7 @@ def make_arm(scene: Scene, grid: Grid, strain: StaticsBased | Loaded | Explicit 
     scene of the same shape, if it is at hand.
     """
     here = at_points(scene, grid, None if shape is None else shape.geometry)
-    seen = discretisation(scene, grid, here) if shape is None else with_material(shape.seen, scene)
+    seen = discretisation(scene, grid, here, None if shape is None else shape.seen)
     rod = make_rod(scene, grid, scene.strain.free, here, seen)
     tendons = make_tendons(grid, here.geometry) if shape is None else shape.tendons
     effects = effects_outside(scene).table(seen)
