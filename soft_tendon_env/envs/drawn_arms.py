@@ -17,7 +17,7 @@ from soft_tendon_env.scene.parameters import scene_with_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
-BANK, FRESH = 64, 16
+BANK, FRESH = 64, 32
 RECENT = 128
 """Arms besides that are kept, the latest: the same seeds come again, as those of a validation."""
 MOST_DRAWS = 200

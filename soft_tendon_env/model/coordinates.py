@@ -19,7 +19,7 @@ from soft_tendon_env.tools.types import Array
 
 
 class Shape(NamedTuple):
-    """What an arm's shape alone decides on a grid: that of the stress-free rod and of its tendons, whatever they are made of."""
+    """Stress-free shape of rod and tendons on a grid, whatever they are made of."""
 
     geometry: Array  # see AtPoints
     seen: Discretisation

@@ -79,7 +79,7 @@ class Model:
         return made
 
     def misfit(self, other: Model) -> str:
-        """What else than numbers is different in the arm of a model `with_scene`; "": nothing is, and both can be rows of one batch."""
+        """Difference other than in numbers of a model `with_scene`; "": there is none, and both can be rows of one batch."""
         if type(other.arm.strain) is not type(self.arm.strain):
             return "whether there are loads inside of the strain"
         (own, ours), (their, theirs) = (([*model.acting], model.arm.effects) for model in (self, other))

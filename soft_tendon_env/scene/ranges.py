@@ -10,7 +10,7 @@ from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, matching, shown
 
 KINDS = ("factor", "offset")
-"""What a range can be of, beside the value itself."""
+"""Kinds of ranges that are relative to the scene's number."""
 NUMBER = "a number, or (least, greatest)"
 
 

@@ -125,7 +125,7 @@ def test_rows_are_single_environments_and_differ(case, same, rows_alike):
 
 
 def test_episodes_without_a_seed_take_arms_of_a_bank_and_now_and_then_one_of_their_own(same):
-    """The same ones after the same seed, in rows too; one in sixteen is new."""
+    """The same ones after the same seed, in rows too; one in 32 is new."""
     options = {**SMALL, "randomize": {"segments.*.density": {"factor": [0.5, 2.0]}}}
     vector, single = TipPoseVectorEnv(2, **options), TipPoseEnv(**options)
     found = []
