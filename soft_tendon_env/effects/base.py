@@ -104,6 +104,11 @@ class Effect(Configuration):
     is_actuation: ClassVar[bool] = False
     command_unit: ClassVar[str] = "N"
 
+    @property
+    def acts(self) -> bool:
+        """Whether its kernels do anything with these numbers: one that does not costs nothing, as a payload without a force."""
+        return True
+
     def parameters(self, rod: Discretisation) -> Any:
         """The parameters that the kernels read: an instance of the effect's own NamedTuple class, see mechanics/effects.py."""
         raise NotImplementedError(f"{type(self).__name__} needs a method parameters(rod)")
@@ -253,9 +258,13 @@ class Effects(Configuration):
         """Effects that the scene has, by name, in the order of their names: that in which they act."""
         return dict(self.__pydantic_extra__ or {})
 
+    def acting(self) -> dict[str, Effect]:
+        """Effects whose kernels do anything, by name."""
+        return {name: effect for name, effect in self.chosen().items() if effect.acts}
+
     def table(self, rod: Discretisation) -> EffectTable:
-        """Table of the scene's effects for the kernels, in the order of their names. Raises TypeError where one has no kernel."""
-        effects = self.chosen()
+        """Table of the acting effects for the kernels, in the order of their names. Raises TypeError where one has no kernel."""
+        effects = self.acting()
         parameters = {name: effect.parameters(rod) for name, effect in effects.items()}
         for name, own in parameters.items():
             if not has_kernel(type(own)):

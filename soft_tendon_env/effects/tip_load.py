@@ -24,6 +24,10 @@ class TipLoad(Effect):
     mass: NotNegative = Field(0.0, description="mass of a payload with its centre at the tip [kg]")
     inertia: tuple[NotNegative, NotNegative, NotNegative] = Field((0.0, 0.0, 0.0), description="its moments about the tip's axes [kg m^2]")
 
+    @property
+    def acts(self) -> bool:
+        return any(self.force) or any(self.moment)
+
     def parameters(self, rod: Discretisation) -> "TipLoadParameters":
         return TipLoadParameters(self.force, self.moment, self.frame == "tip")
 

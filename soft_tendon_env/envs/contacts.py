@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.envs.arms import Arms, Indices, model_with
+from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.kernels import ContactReading
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import rod_radius
@@ -76,7 +76,8 @@ class ObstacleFreeSpace:
 
     def __init__(self, arms: Arms, among: Model) -> None:
         """`among`: the model of the arms among the obstacles that count."""
-        self.model, self._arms, self._among = model_with(arms.model, arms.model.scene.effects.everywhere()), arms, among
+        scene, self._arms, self._among = arms.model.scene, arms, among
+        self.model = arms.model.with_scene(scene.model_copy(update={"effects": scene.effects.everywhere()}))
         places = among.scene.effects.contact.sample_places(among.discretisation)
         self._places, self._radius = arms.model.grid.places(places, np.empty(0)), rod_radius(among.scene, places)[0]
 

@@ -85,7 +85,7 @@ class Episodes:
         self.starts = starts = Starts(options, self.arms)
         self.threshold = THRESHOLD * model.length if options.threshold is None else options.threshold
         away = self.threshold if task.goal is not None and self.threshold <= EVERYWHERE * model.length else None
-        self._draws = TargetDraws(starts.setting, self._courses, self.period, not starts.redraws, away)
+        self._draws = TargetDraws(starts.setting, self._courses, self.period, not starts.drawn.redraws, away)
         target = self._draws.settled(options.target or TARGETS[task.target](type=task.target))
         self._usual = starts.beginning(options.start, target)
         self.limits, self.start_tension, self.start_command = starts.limits, starts.tension, starts.command
@@ -309,9 +309,9 @@ class Episodes:
         """Contact of a row with its obstacles now, per obstacle and along the arm. Raises ValueError where the scene has no contact."""
         return contact_forces(self.arms.model_of(row), self.state(row))
 
-    def drawn_effects(self, row: int) -> dict[str, Array]:
-        """Values that `randomize.effects` has drawn for a row's episode: by key, () or (m,)."""
-        return self.starts.effects.values(self.arms.effects_of(row))
+    def drawn_numbers(self, row: int) -> dict[str, float]:
+        """Numbers of the scene that were drawn for a row's episode, by dotted keys, as `Scene.replace` takes them."""
+        return dict(self.starts.drawn.of_row[row].numbers)
 
 
 def _replaced(values: Array, members: Indices, new: Array) -> Array:

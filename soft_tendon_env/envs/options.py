@@ -1,6 +1,8 @@
 """Keyword arguments of the environments: plain values, so that specs serialise and worker processes get them."""
 
+import contextlib
 import os
+import re
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal, NoReturn
 
@@ -167,16 +169,19 @@ def parsed_options(values: Mapping[str, Any], source: str) -> Options:
 
 
 def resolved_scene(options: Options) -> Scene:
-    """The scene of the options: at their fidelity, with their tension limits, and with as many columns of extrapolation as the damping
-    and the stiffness allow that can be drawn, where the scene leaves them open. Raises ConfigurationError."""
+    """The scene of the options: at their fidelity, with their tension limits, and with as many columns of extrapolation as the least
+    damping and the greatest stiffness allow that can be drawn, where the scene leaves them open. Raises ConfigurationError."""
     scene = at_fidelity(given_scene(options.scene), options.fidelity)
     changes: dict[str, Any] = {}
     if options.tension_limits is not None:
         changes = {f"tendons.{i}.tension_limits": options.tension_limits for i in range(len(scene.tendons))}
-    drawn = options.randomize
-    columns = extrapolation_columns(scene, drawn.damping[0] / drawn.stiffness[1])
-    if columns != extrapolation_columns(scene):
-        changes["integrator.columns"] = columns
+    ends: dict[str, float] = {}
+    for own in options.randomize.ranges(scene):
+        if re.fullmatch(r"segments\..*\.(young_modulus|damping)", own.name):
+            ends |= own.changes(own.least if own.name.endswith("damping") else own.greatest)
+    with contextlib.suppress(ConfigurationError):  # an end that cannot be is told with its key, when the arms are drawn
+        if ends and (columns := extrapolation_columns(scene.replace(ends))) != extrapolation_columns(scene):
+            changes["integrator.columns"] = columns
     return scene.replace(changes) if changes else scene
 
 

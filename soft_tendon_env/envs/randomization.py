@@ -1,24 +1,33 @@
-"""Domain randomisation per episode: material, payload, effects, actuators, sensors, latency. All off by default."""
+"""Domain randomisation per episode: numbers of the scene, actuators, sensors, latency. All off by default."""
 
 from copy import deepcopy
 from itertools import pairwise
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from soft_tendon_env.control.sensor_noise import SensorNoise
-from soft_tendon_env.envs.arms import Indices, Material
-from soft_tendon_env.envs.effect_ranges import checked_ranges
+from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import perturb_poses
-from soft_tendon_env.tools.configuration import Configuration, plain
+from soft_tendon_env.scene.parameters import TABLES
+from soft_tendon_env.scene.ranges import Range, checked_ranges, ranges_of
+from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, plain, shown
 from soft_tendon_env.tools.types import Array
 
 GREATEST = 1e9
-"""Largest absolute value that can be drawn, and for factors that must not vanish the inverse of the smallest."""
+"""Largest absolute value of gains, offsets and latencies that can be drawn."""
 CHUNK = 128
 """Samples of noise drawn at a time."""
+SHORT = {
+    "stiffness": ("segments.*.young_modulus", "factor"),
+    "damping": ("segments.*.damping", "factor"),
+    "density": ("segments.*.density", "factor"),
+    "payload": ("effects.tip_load.mass", "offset"),
+}
+"""Short names of numbers of the scene: their keys, and how they are drawn."""
 RANGE = "should be a number, or (least, greatest)"
 
 
@@ -38,64 +47,60 @@ def _ordered(value: tuple[float, float]) -> tuple[float, float]:
     return value
 
 
-def _at_least(least: float, said: str) -> AfterValidator:
-    def check(value: tuple[float, float]) -> tuple[float, float]:
-        if value[0] < least:
-            raise ValueError(f"should be {said}")
-        return value
-
-    return AfterValidator(check)
+def _not_negative(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] < 0.0:
+        raise ValueError("should be at least 0")
+    return value
 
 
-Range = Annotated[tuple[float, float], BeforeValidator(_as_range), AfterValidator(_ordered)]
-Factor = Annotated[Range, _at_least(1.0 / GREATEST, f"greater than 0, at least {1.0 / GREATEST:g}")]
-Amount = Annotated[Range, _at_least(0.0, "at least 0")]
+Interval = Annotated[tuple[float, float], BeforeValidator(_as_range), AfterValidator(_ordered)]
+Amount = Annotated[Interval, AfterValidator(_not_negative)]
 
 
 class Randomization(Configuration):
     """Drawn at every reset, uniformly from (least, greatest); a plain number is always taken.
 
     Attributes:
-        stiffness, damping, density: factors of the scene's, for the whole rod.
-        payload: mass fixed to the tip [kg].
+        numbers: of the scene by dotted keys, see `scene_parameters`, which can stand beside the other attributes:
+            `{"segments.*.young_modulus": ...}`. A value is a number or a range; `{"factor": ...}` or `{"offset": ...}`, with one, of what
+            the scene says; of a vector a list with one for each entry. All that a `*` stands for changes together. `stiffness`, `damping`
+            and `density` are short for factors of the whole rod, `payload` for a mass that is added to that of the tip [kg].
         tension_gain, tension_offset: of every tendon's actuator, factor and [N].
         latency: delay of the commands [s], of any length.
         noise: of sensors.
-        effects: parameters of the scene's effects, by keys such as "fluid.density" or "contact.obstacles.0.position": a number or a range;
-            of a vector a list with one of these for each entry; or {"factor": a number or a range} of what the scene says.
     """
 
-    stiffness: Factor = (1.0, 1.0)
-    damping: Amount = (1.0, 1.0)
-    density: Factor = (1.0, 1.0)
-    payload: Amount = (0.0, 0.0)
+    numbers: dict[str, Any] = Field(default_factory=dict)
     tension_gain: Amount = (1.0, 1.0)
-    tension_offset: Range = (0.0, 0.0)
+    tension_offset: Interval = (0.0, 0.0)
     latency: Amount = (0.0, 0.0)
     noise: SensorNoise = Field(default=SensorNoise())
-    effects: dict[str, Any] = Field(default_factory=dict)
 
-    @field_validator("effects", mode="before")
-    @classmethod
-    def _are_ranges(cls, effects: Any) -> Any:
-        if not isinstance(effects, dict):
-            raise ValueError("should be a table from keys such as 'fluid.density' to ranges")
-        return checked_ranges(plain(effects))
+    def __init__(self, /, **values: Any):
+        own = {name: value for name, value in values.items() if name in type(self).model_fields}
+        table = {name: value for name, value in values.items() if name not in own}
+        valid = [*type(self).model_fields, *SHORT, *TABLES]
+        problems = [
+            Problem((name,), f"is an unknown key (given {shown(value)}): {not_among(name, valid)}")
+            for name, value in table.items()
+            if name not in SHORT and name.replace("[", ".").split(".")[0] not in TABLES
+        ]
+        if problems:
+            raise ConfigurationError(problems, type(self).__name__)
+        numbers = checked_ranges(plain({**own.pop("numbers", {}), **table}))
+        super().__init__(**own, numbers=_in_full(numbers))
+
+    def ranges(self, scene: Scene) -> tuple[Range, ...]:
+        """The ranges of numbers of a scene, in the order of their keys. Raises ConfigurationError."""
+        try:
+            return ranges_of(scene, dict(sorted(self.numbers.items())))
+        except ConfigurationError as error:
+            raise ConfigurationError([Problem(("randomize", *key), text) for key, text in error.problems], "environment") from None
 
     @property
     def of_arm(self) -> bool:
         """Whether rows can differ from the scene's arm, or from its effects."""
-        return self.of_material or bool(self.effects)
-
-    @property
-    def of_material(self) -> bool:
-        """Whether the material of rows can differ from the scene's."""
-        return (self.stiffness, self.damping, self.density, self.payload) != ((1.0, 1.0),) * 3 + ((0.0, 0.0),)
-
-    @property
-    def heaviest(self) -> Material:
-        """The material that can be drawn under which an arm hangs most: soft, dense and with the greatest payload."""
-        return Material(stiffness=self.stiffness[0], density=self.density[1], payload=self.payload[1])
+        return bool(self.numbers)
 
     @property
     def of_actuators(self) -> bool:
@@ -108,10 +113,23 @@ class Randomization(Configuration):
         return self.noise != SensorNoise()
 
 
-class Draw(NamedTuple):
-    """Parameters drawn for one episode."""
+def _in_full(numbers: dict[str, Any]) -> dict[str, Any]:
+    """Ranges by the keys that short names stand for, without those that change nothing. Raises ConfigurationError."""
+    found: dict[str, Any] = {}
+    for name, value in numbers.items():
+        key, kind = SHORT.get(name, (name, ""))
+        if key in found:
+            raise ConfigurationError([Problem((name,), f"is {key}, which is drawn already: leave one of them out")])
+        found[key] = {kind: value} if kind else value
+    return {key: value for key, value in found.items() if value not in _NOTHING}
 
-    material: Material
+
+_NOTHING = [{kind: interval} for kind, value in (("factor", 1.0), ("offset", 0.0)) for interval in (value, [value, value])]
+
+
+class Draw(NamedTuple):
+    """Errors of actuators drawn for one episode."""
+
     gain: Array  # (n_a,)
     offset: Array  # (n_a,) [N]
     latency: float  # [s]
@@ -122,12 +140,11 @@ def own_stream(generator: np.random.Generator, *purpose: int) -> np.random.Gener
     return np.random.default_rng([*deepcopy(generator).integers(2**63, size=4), *purpose])
 
 
-def drawn(randomization: Randomization, tendons: int, generator: np.random.Generator) -> Draw:
-    """Draw an episode, always in the same order."""
-    material = Material(*(generator.uniform(*getattr(randomization, name)) for name in Material._fields))
+def draw_actuators(randomization: Randomization, tendons: int, generator: np.random.Generator) -> Draw:
+    """Draw the actuators of an episode, always in the same order."""
     gain = generator.uniform(*randomization.tension_gain, tendons)
     offset = generator.uniform(*randomization.tension_offset, tendons)
-    return Draw(material, gain, offset, generator.uniform(*randomization.latency))
+    return Draw(gain, offset, generator.uniform(*randomization.latency))
 
 
 class Measured(NamedTuple):

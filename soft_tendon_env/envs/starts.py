@@ -5,11 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.envs.arms import Arms, Material, RowEffects
+from soft_tendon_env.effects import Effects
+from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.contacts import ObstacleFreeSpace, why_base_inside, why_inside
-from soft_tendon_env.envs.effect_ranges import EffectRanges
+from soft_tendon_env.envs.drawn_arms import Drawn, DrawnArms
 from soft_tendon_env.envs.options import Options, Start, check_start
-from soft_tendon_env.envs.randomization import Draw, drawn, own_stream
+from soft_tendon_env.envs.randomization import Draw, draw_actuators, own_stream
 from soft_tendon_env.envs.targets import Course, Setting, Target, make_setting
 from soft_tendon_env.envs.targets.statics import HALVINGS, nearest_to_zero
 from soft_tendon_env.mechanics.motion.scratch import Motion
@@ -17,11 +18,9 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.state import State, checked_motion
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.tools.checks import shown_numbers
-from soft_tendon_env.tools.configuration import ConfigurationError, Key, Problem, shown
+from soft_tendon_env.tools.configuration import ConfigurationError, Key, Problem
 from soft_tendon_env.tools.types import Array
 
-MOST_DRAWS = 200
-"""How often obstacles are drawn in which the arm would begin before that is an error."""
 START = 1
 """Purpose of the random stream from which tensions to begin under are drawn."""
 
@@ -56,8 +55,8 @@ class Begun(NamedTuple):
 class Starts:
     """Beginnings of rows of arms.
 
-    `tension` (n_a,) [N] and `command` (n_a,) hold the scene's arm at rest, at coordinates `q` (n,); `effects` are the ranges of effects
-    that are drawn, `redraws` whether obstacles are among them; `setting` is that of the scene's arm.
+    `tension` (n_a,) [N] and `command` (n_a,) hold the scene's arm at rest, at coordinates `q` (n,); `drawn` are the arms that are drawn;
+    `setting` is that of the scene's arm.
     """
 
     def __init__(self, options: Options, arms: Arms) -> None:
@@ -65,8 +64,6 @@ class Starts:
         self._options, self._arms, self._model = options, arms, arms.model
         self.limits = arms.model.discretisation.tension_limits.copy()
         self.tension = nearest_to_zero(self.limits)
-        self.effects = EffectRanges(options.randomize.effects, arms.model)
-        self.redraws = "contact" in self.effects.names
         self.q, inside, reason = self._settled(self._model, self.tension)
         if inside:
             raise _problem(("scene",), f"has obstacles in the arm's way: {inside}; move it to where the arm is not")
@@ -74,7 +71,7 @@ class Starts:
             text = f"leave {shown_numbers(self.tension)} N nearest to zero, which cannot hold the arm: {reason}"
             raise _problem(("tension_limits",), text)
         self.command = arms.model.command(self.tension, self.q)
-        self._check_extremes()
+        self.drawn = DrawnArms(options.randomize, arms.model, arms.size, self._rest_of)
         self.setting = self._among(make_setting(arms, self.limits, self.tension, self.q))
 
     def beginning(self, start: Start, target: Target | Course, state: State | None = None) -> Beginning:
@@ -91,19 +88,25 @@ class Starts:
 
         inside: the obstacle of a model that a target is inside of, as the end of a sentence; obstacles keep clear of those not drawn.
         """
-        effects = own_stream(generator) if self.effects else None
         start = own_stream(generator, START) if how.start == "random" else None
-        draw, setting, rest, model = drawn(self._options.randomize, self._model.tendon_count, generator), self.setting, self.q, self._model
-        if self._options.randomize.of_arm:
-            rest = self._begin_arm(
-                row, draw.material, effects, lambda own: "" if isinstance(how.target, Target) else inside(how.target, own)
-            )
-            model = self._arms.model_of(row)
-        shape = how.shape or self._begin_shape(model, how.start, start, rest)
-        if self.redraws:
-            as_of_scene = self._model.arm.strain.of_softer_rod(rest, np.array(draw.material.stiffness))
-            setting = self._among(setting._replace(model=self._arms.model_among(row), rest=as_of_scene))
-        return Begun(draw, shape, how.motion or (None if how.state is None else checked_motion(model, how.state)), setting)
+        drawn, setting = self.drawn.draw(row, generator, lambda model: self._check_target(how.target, model, inside)), self.setting
+        self._arms.set_model(row, drawn.model)
+        draw = draw_actuators(self._options.randomize, self._model.tendon_count, generator)
+        shape = how.shape or self._begin_shape(drawn.model, how.start, start, drawn.rest)
+        if self.drawn.redraws:
+            setting = self._among(setting._replace(model=self._obstacles_of(drawn), rest=drawn.rest / self._arms.ratio[row]))
+        return Begun(draw, shape, how.motion or (None if how.state is None else checked_motion(drawn.model, how.state)), setting)
+
+    def _check_target(self, target: Target | Course, model: Model, inside: Callable[[Course, Model], str]) -> None:
+        """Raises ConfigurationError where a target that is given lies inside of an obstacle that was drawn."""
+        if self.drawn.redraws and not isinstance(target, Target) and (found := inside(target, model)):
+            raise _problem(("randomize",), f"can put the target inside of an obstacle: {found}")
+
+    def _obstacles_of(self, drawn: Drawn) -> Model:
+        """The model of the scene's arm among the obstacles of a drawn one."""
+        scene = self._model.scene
+        effects = Effects(**{**scene.effects.chosen(), "contact": drawn.model.scene.effects.contact})
+        return self._model.with_scene(scene.model_copy(update={"effects": effects}))
 
     def _begin_shape(self, model: Model, start: Start, stream: np.random.Generator | None, rest: Array) -> Shape:
         """Shape in which a row begins that rests at `rest` (n,).
@@ -135,48 +138,15 @@ class Starts:
         rest = static_equilibrium(model, tension, settle=True)
         return rest.q, why_inside(model, rest.q), rest.reason
 
-    def _begin_arm(self, row: int, material: Material, stream: np.random.Generator | None, blocked: Callable[[Model], str]) -> Array:
-        """Give a row its material, and effects drawn from a stream if there is one: the coordinates (n,) at which it rests."""
-        if stream is None:
-            return self._rest_of(row, material)
-        for last in range(MOST_DRAWS - 1, -1, -1):
-            try:
-                q = self._rest_of(row, material, self.effects.drawn(stream, material.stiffness))
-            except ConfigurationError:
-                if last and self.redraws:
-                    continue
-                raise
-            if not (self.redraws and (inside := blocked(self._arms.model_of(row)))):
-                return q
-        raise _problem(
-            ("randomize", "effects"), f"put the target inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}: {inside}"
-        )
-
-    def _check_extremes(self) -> None:
-        """Raises ConfigurationError where the heaviest arm that can be drawn does not rest."""
-        randomize, draws = self._options.randomize, bool(self.effects) and not self.redraws
-        if randomize.of_material or draws:
-            heaviest = randomize.heaviest
-            for effects in self.effects.extremes(heaviest.stiffness) if draws else (None,):
-                self._rest_of(0, heaviest, effects)
-            self._arms.set_material(0, Material())
-
-    def _rest_of(self, row: int, material: Material, effects: RowEffects | None = None) -> Array:
-        """Give a row its material and effects: the coordinates (n,) at which it rests. Raises ConfigurationError where it does not."""
-        self._arms.set_material(row, material, effects)
-        if not (self._model.arm.effects.load or self.tension.any()):
+    def _rest_of(self, model: Model) -> Array:
+        """Coordinates (n,) at which an arm rests under the tensions nearest to zero. Raises ConfigurationError where it does not."""
+        if model is self._model or not (model.arm.effects.load or self.tension.any()):
             return self.q
-        q, inside, reason = self._settled(self._arms.model_of(row), self.tension)
+        q, inside, reason = self._settled(model, self.tension)
         if not (inside or reason):
             return q
-        values = {name: f"{value:.4g}" for name, value in material._asdict().items()}
-        if effects is not None:
-            values |= {name: shown(value.tolist()) for name, value in self.effects.values(effects.effects).items()}
-        listed = ", ".join(f"{name} {value}" for name, value in values.items())
-        if inside:
-            raise _problem(("randomize",), f"can make arms that begin inside of an obstacle: {listed}: {inside}")
-        text = f"can make arms that {shown_numbers(self.tension)} N, nearest to zero, cannot hold: {listed}: {reason}"
-        raise _problem(("randomize",), text)
+        held = f"{shown_numbers(self.tension)} N, nearest to zero, cannot hold: {reason}"
+        raise _problem((), f"begin inside of an obstacle: {inside}" if inside else held)
 
     def _among(self, setting: Setting) -> Setting:
         """The setting with the space that its model's obstacles leave free; as it is where the arm at rest is not in that."""

@@ -15,9 +15,6 @@ from soft_tendon_env.scene.scene import scene_to_dict
 from soft_tendon_env.tools.configuration import plain
 from soft_tendon_env.tools.files import digest, replacing
 
-RANDOMIZED = {"young_modulus": "stiffness", "damping": "damping", "density": "density"}
-"""Factors of an environment's `randomize` by the number of all segments that they are of."""
-
 
 def save_estimate(found: Estimate, folder: Path) -> list[Path]:
     """Writes an estimate into a folder; returns the files. Without Rerun there is no recording. Raises OSError."""
@@ -102,21 +99,18 @@ def randomize(found: Estimate) -> dict[str, Any]:
     """
     table = dict[str, Any]()
     gains, offsets = list[float](), list[float]()
-    of_rod = {tuple(f"segments.{i}.{name}" for i in range(len(found.scene.segments))): factor for name, factor in RANDOMIZED.items()}
     spread, tension = found.intervals, np.array([tendon.tension_limits for tendon in found.scene.tendons])
     unit = np.ptp(tension, axis=1) / np.ptp(command_limits(found.scene), axis=1)  # [N] of an offset by 1
     for own, value, low, high, seen in zip(found.parameters, found.value, spread.low, spread.high, spread.identified, strict=True):
         if not seen and own.prior is None:
             continue
-        if own.keys in of_rod:
-            table[of_rod[own.keys]] = [low / value, high / value]
+        if own.of_scene is not None:
+            table[own.name] = {"factor": [low, high]} if own.of_scene.is_factor else [low, high]
         elif own.name == DELAY:
             table["latency"] = [0.0, high - value]
         elif own.name.endswith(".gain"):
             gains.extend((low, high))
         elif own.name.startswith("commands."):
             offsets.extend(unit[int(own.name.split(".")[1])] * np.array([low, high]))
-        elif own.name.startswith("effects.") and own.is_factor:
-            table.setdefault("effects", {})[own.name.removeprefix("effects.")] = [low, high]
     table |= {"tension_gain": [min(gains), max(gains)]} if gains else {}
     return dict[str, Any](plain(table | ({"tension_offset": [min(offsets), max(offsets)]} if offsets else {})))

@@ -18,7 +18,7 @@ import numpy as np
 
 from soft_tendon_env.identification.markers import MarkerSet
 from soft_tendon_env.scene.parameters import Parameter as SceneParameter
-from soft_tendon_env.scene.parameters import scene_parameters
+from soft_tendon_env.scene.parameters import scene_parameters, scene_with_numbers
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import ConfigurationError, not_among
 from soft_tendon_env.tools.types import Array
@@ -211,7 +211,7 @@ def _allowed(bound: float, parameter: Parameter, scene: Scene, given: bool) -> f
     for _ in range(HALVINGS):
         at = parameter.at(part * parameter.coordinate(bound))
         try:
-            scene.replace(parameter.changes(at))
+            scene_with_numbers(scene, parameter.changes(at))
         except ConfigurationError as error:
             if given:
                 raise ValueError(f"parameter {parameter.name!r} cannot be {bound:g}: {error}") from None

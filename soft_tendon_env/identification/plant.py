@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.identification.markers import MarkerSet
 from soft_tendon_env.identification.parameters import DELAY, Parameter
-from soft_tendon_env.model.coordinates import make_arm
 from soft_tendon_env.model.model import Model
+from soft_tendon_env.scene.parameters import scene_with_numbers
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.types import Array
 
@@ -75,7 +75,7 @@ class Plants:
             scene = self.scene_at(x, self.scene)
             if len(self._models) > 2 * len(self.parameters) + 2:
                 self._models.clear()
-            self._models[key] = scene, Model(scene, self.model.grid, make_arm(scene, self.model.grid, self.model.arm.strain))
+            self._models[key] = scene, self.model.with_scene(scene)
         scene, model = self._models[key]
         return Plant(scene, model, measurement)
 
@@ -89,7 +89,7 @@ class Plants:
         for parameter, own in zip(self.parameters, x, strict=True):
             value = parameter.at(own)
             changes |= {"effects.actuators.delay": value} if parameter.name == DELAY else parameter.changes(value)
-        return turned(scene.replace(changes), self.measurement(x).rotation)
+        return turned(scene_with_numbers(scene, changes), self.measurement(x).rotation)
 
     def measurement(self, x: Array) -> Measurement:
         """Mount, markers and commands at coordinates (k,)."""

@@ -12,7 +12,6 @@ Psi C^1/2 with C = Sigma^-1 the scaled section stiffness (H = L D L^T), Phi the 
 [Phi_a Phi_p] the columns with G = sum Y^T Y, M D G the mass, damping and stiffness matrices.
 """
 
-from typing import Self
 
 import numpy as np
 
@@ -64,14 +63,6 @@ class Strain(Struct):
         """True if all that acts inside of the strain has a potential, so that G is symmetric."""
         return True
 
-    def damping_matrix(self) -> np.ndarray:
-        """The damping matrix where it is kept; (0, 0) where it is computed at every evaluation."""
-        return np.empty((0, 0))
-
-    def with_damping(self, damping: np.ndarray) -> Self:
-        """The strain of a rod whose damping matrix, where it is kept, is this one."""
-        return self
-
 
 class Implicit(Strain):
     """Base of the strains that static equilibrium defines implicitly: coordinates are tensions and passive wrenches.
@@ -83,11 +74,6 @@ class Implicit(Strain):
     def elastic_force(self, stiffness: np.ndarray, q: FloatVector) -> FloatVector:
         """Elastic force less that of the loads inside, K - F (n,), at q (n,), of which `stiffness` is G (n, n)."""
         return stiffness @ q
-
-    def of_softer_rod(self, q: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
-        """Coordinates of the strain that a rod `stiffness` times as stiff, under loads inside as much greater, has at q (.., n): the same
-        strain takes less tension."""
-        return q / stiffness
 
     def columns(self, points: int) -> FloatVector:
         """Room for the columns Phi at so many points: they are computed at every evaluation."""
@@ -176,18 +162,6 @@ class Explicit(Strain):
     def elastic_force(self, stiffness: np.ndarray, q: FloatVector) -> FloatVector:
         """Elastic force K (n,) at q (n,); its stiffness is constant, G (n, n) has the tendons' share besides."""
         return self.stiffness @ q
-
-    def damping_matrix(self) -> np.ndarray:
-        """The damping matrix (n, n), constant."""
-        return self.damping
-
-    def with_damping(self, damping: np.ndarray) -> Self:
-        """The strain of a rod whose damping matrix (n, n) is this one."""
-        return self.replaced(damping=damping)
-
-    def of_softer_rod(self, q: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
-        """The coordinates q (.., n) themselves, which are strains: a rod of another stiffness has the strain at the same ones."""
-        return q
 
     def columns(self, points: int) -> FloatVector:
         """The columns Phi, which are the fields."""

@@ -2,12 +2,13 @@
 
 import hashlib
 import json
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import legendre
 
-from soft_tendon_env.effects.base import Effects
-from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, Loaded, StaticsBased, point_field
+from soft_tendon_env.effects.base import Discretisation, Effects
+from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, Loaded, StaticsBased, Tendons, point_field
 from soft_tendon_env.model.grid import STRAIGHT, AtPoints, Grid, at_points, chords, discretisation, make_rod, make_tendons, pack_range
 from soft_tendon_env.scene.passive_fields import fields_of
 from soft_tendon_env.scene.scene import Scene
@@ -17,14 +18,24 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
 
-def make_arm(scene: Scene, grid: Grid, strain: StaticsBased | Loaded | Explicit | None = None) -> Arm:
+class Shape(NamedTuple):
+    """Stress-free shape of rod and tendons on a grid, whatever they are made of."""
+
+    geometry: Array  # see AtPoints
+    seen: Discretisation
+    tendons: Tendons
+
+
+def make_arm(scene: Scene, grid: Grid, strain: StaticsBased | Loaded | Explicit | None = None, shape: Shape | None = None) -> Arm:
     """All that the kernels read of a scene, on this grid.
 
-    strain: that of the scene with other numbers, whose combinations of tensions and passive fields stay; made anew if None.
+    strain: that of the scene with other numbers, whose combinations of tensions and passive fields stay; made anew if None. shape: of a
+    scene of the same shape, if it is at hand.
     """
-    here = at_points(scene, grid)
-    seen = discretisation(scene, grid, here)
-    rod, tendons = make_rod(scene, grid, scene.strain.free, here, seen), make_tendons(grid, here.geometry)
+    here = at_points(scene, grid, None if shape is None else shape.geometry)
+    seen = discretisation(scene, grid, here, None if shape is None else shape.seen)
+    rod = make_rod(scene, grid, scene.strain.free, here, seen)
+    tendons = make_tendons(grid, here.geometry) if shape is None else shape.tendons
     effects = effects_outside(scene).table(seen)
     if effects.base.any() and effects_inside(scene):
         text = "is given, but the loads inside of a strain have to stand still beside the arm's base, which moves: leave it out"
@@ -32,6 +43,12 @@ def make_arm(scene: Scene, grid: Grid, strain: StaticsBased | Loaded | Explicit 
     law = strain.law if isinstance(strain, Loaded) else strain
     kept = _under_loads(scene, law, grid) if isinstance(law, StaticsBased) else None
     return Arm(rod=rod, tendons=tendons, strain=kept or make_strain(scene, grid, here), effects=effects)
+
+
+def has_shape_of(scene: Scene, other: Scene) -> bool:
+    """Whether two scenes make arms of one shape, which carry the same tendons and are seen by effects in the same steps of time."""
+    of_rods = [[(own.length, own.radius, own.curvature) for own in each.segments] for each in (scene, other)]
+    return of_rods[0] == of_rods[1] and (scene.tendons, scene.integrator.step) == (other.tendons, other.integrator.step)
 
 
 def effects_inside(scene: Scene) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.mechanics.motion.advance import Scheme
-from soft_tendon_env.mechanics.motion.batch import make_copies, step_rows
+from soft_tendon_env.mechanics.motion.batch import make_batch, step_rows
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.mechanics.motion.status import MESSAGES, OK
 from soft_tendon_env.mechanics.motion.tape import make_tape
@@ -62,7 +62,7 @@ class Period(NamedTuple):
 def ends(model: Model, period: Period, inputs: Array, sensors: Array) -> list[Array]:
     """States (copies, s), tip poses, tendon lengths, tip twists and strains after a period, inf where it fails. Raises LinAlgError."""
     arm, n, count = model.arm, model.coordinate_count, len(inputs)
-    batch = make_copies(arm, model.grid.places(np.zeros(0), sensors), period.start, count)
+    batch = make_batch(arm, model.grid.places(np.zeros(0), sensors), period.start, 0.0, count)
     rows, read, failed = batch.rows, batch.reading, np.zeros(count, dtype=bool)
     rows.q[:], rows.q_dot[:], rows.state[:], commands = np.split(inputs, [n, 2 * n, 2 * n + period.start.state.size], axis=1)
     method, control = step_method(model)._replace(strain_tolerance=STRAIN), step_control(model, period.taken[:, 0].sum() or 1.0)

@@ -134,11 +134,12 @@ class AtPoints(NamedTuple):
     geometry: Array  # (n_a, intervals, 2, 5), see `tendon_geometry`
 
 
-def at_points(scene: Scene, grid: Grid) -> AtPoints:
-    """Section and tendons at the points of a grid, which rod, tendons and strain are all made from."""
+def at_points(scene: Scene, grid: Grid, geometry: Array | None = None) -> AtPoints:
+    """Section and tendons at the points of a grid, which rod, tendons and strain are all made from. geometry: of the tendons, if it is at
+    hand."""
     elasticity, damping, _ = (m.reshape(-1, 2, 6) for m in screw_matrices(scene, grid.points.ravel()))
     curvature = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, grid.points)]
-    return AtPoints(elasticity, damping, curvature, tendon_geometry(scene, grid))
+    return AtPoints(elasticity, damping, curvature, tendon_geometry(scene, grid) if geometry is None else geometry)
 
 
 def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], here: AtPoints, seen: Discretisation) -> Rod:
@@ -190,10 +191,11 @@ def fixed_inertia(effects: Effects, rod: Discretisation) -> Array:
     return inertia
 
 
-def discretisation(scene: Scene, grid: Grid, here: AtPoints | None = None) -> Discretisation:
-    """The rod on this grid, as effects see it. here: its section and tendons at the points, if they are at hand."""
+def discretisation(scene: Scene, grid: Grid, here: AtPoints | None = None, like: Discretisation | None = None) -> Discretisation:
+    """The rod on this grid, as effects see it. here: its section and tendons at the points, if they are at hand; like: that of a scene of
+    the same shape."""
     here = here or at_points(scene, grid)
-    there, (_, chord) = here.geometry[..., 4], chords(here.geometry, here.curvature, STRAIGHT)
+    tendon_length, tendon_turn = _tendon_lengths(grid, here) if like is None else (like.tendon_length, like.tendon_turn)
     return Discretisation(
         length=float(grid.breakpoints[-1]),
         borders=grid.breakpoints,
@@ -203,8 +205,8 @@ def discretisation(scene: Scene, grid: Grid, here: AtPoints | None = None) -> Di
         elasticity=lambda arc_length: screw_matrices(scene, arc_length)[0],
         line_mass=lambda arc_length: screw_matrices(scene, arc_length)[2][:, 3],
         over_nodes=lambda density: over_nodes(grid, density),
-        tendon_length=np.asarray((np.linalg.norm(chord, axis=-1) * there * grid.weights).sum(axis=(1, 2))),
-        tendon_turn=_tendon_turns(grid, chord, there, here.curvature),
+        tendon_length=tendon_length,
+        tendon_turn=tendon_turn,
         tension_limits=np.array([tendon.tension_limits for tendon in scene.tendons]),
         effects=scene.effects,
         step=scene.integrator.step,
@@ -222,13 +224,16 @@ def tendon_geometry(scene: Scene, grid: Grid) -> Array:
     return geometry
 
 
-def _tendon_turns(grid: Grid, chord: Array, there: Array, k: Array) -> Array:
-    """Angles (n_a,) [rad] by which the tendons turn along the stress-free rod, see `chords`, to second order in the intervals."""
+def _tendon_lengths(grid: Grid, here: AtPoints) -> tuple[Array, Array]:
+    """Lengths (n_a,) [m] of the tendons along the stress-free rod, and angles (n_a,) [rad] by which they turn, to second order in the
+    intervals; see `chords`."""
+    there, k, (_, chord) = here.geometry[..., 4], here.curvature, chords(here.geometry, here.curvature, STRAIGHT)
+    length = (np.linalg.norm(chord, axis=-1) * there * grid.weights).sum(axis=(1, 2))
     t = (chord / np.linalg.norm(chord, axis=-1, keepdims=True))[:, grid.real].reshape(len(chord), -1, 3)
     there = there[:, grid.real].reshape(len(chord), -1)
     rate, distance = np.cross(k[grid.real].reshape(-1, 3), t), np.diff(grid.points[grid.real].ravel())[:, None]
     turn = np.diff(t, axis=1) + 0.5 * distance * (rate[:, 1:] + rate[:, :-1])
-    return np.asarray((np.linalg.norm(turn, axis=-1) * there[:, 1:] * there[:, :-1]).sum(axis=1))
+    return length, np.asarray((np.linalg.norm(turn, axis=-1) * there[:, 1:] * there[:, :-1]).sum(axis=1))
 
 
 def chords(geometry: Array, k: Array, p: Array) -> tuple[Array, Array]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.effects import Configured, Discretisation, Effect, Effects
+from soft_tendon_env.effects import Configured, Discretisation, Effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import TOO_FAST, TOO_LARGE, configure, equation_of_motion
 from soft_tendon_env.mechanics.terms.kinematics import poses_inside, strains_inside
@@ -18,11 +18,11 @@ from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, stra
 from soft_tendon_env.mechanics.terms.tendons import tendon_lengths
 from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded
 from soft_tendon_env.mechanics.workspace import Workspace, make_workspace
-from soft_tendon_env.model.coordinates import effects_outside, make_arm, strain_name
-from soft_tendon_env.model.grid import Grid, discretisation, make_grid, screw_matrices
+from soft_tendon_env.model.coordinates import Shape, effects_outside, has_shape_of, make_arm, strain_name
+from soft_tendon_env.model.grid import Grid, discretisation, make_grid, screw_matrices, tendon_geometry
 from soft_tendon_env.model.strain_limits import StrainLimitError, limit_at
 from soft_tendon_env.model.terms import Energy, Terms
-from soft_tendon_env.scene.parameters import scene_parameters
+from soft_tendon_env.scene.parameters import scene_parameters, scene_with_numbers
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
@@ -51,31 +51,40 @@ class Model:
     def __repr__(self) -> str:
         return f"Model({self.scene.name!r}, {self.coordinate_count} coordinates, {self.tendon_count} tendons)"
 
-    def beside(self, arm: Arm, effects: Effects) -> Model:
-        """Model of the same rod on the same grid, with these effects in its scene and another arm; what depends on the rod alone is not
-        computed again."""
-        scene = self.scene if effects is self.scene.effects else self.scene.model_copy(update={"effects": effects})
+    def with_scene(self, scene: Scene) -> Model:
+        """Model of a scene with other numbers or effects, on the same grid.
+
+        Quadrature, combinations of tensions and passive fields stay, so that coordinates are those of the same tensions and wrenches, and
+        what the model computes is a smooth function of the numbers. Raises TypeError or ConfigurationError.
+        """
+        arm = make_arm(scene, self.grid, self.arm.strain, self._shape if has_shape_of(scene, self.scene) else None)
         made = Model(scene, self.grid, arm)
-        made.__dict__.update(bending_energy=self.bending_energy, discretisation=replace(self.discretisation, effects=effects))
-        if arm.effects.state.size == self.arm.effects.state.size:
+        (kind, effects), (own, present) = (type(arm.strain), arm.effects), (type(self.arm.strain), self.arm.effects)
+        if kind is own and (effects.count, effects.state.size) == (present.count, present.state.size):
             made.__dict__["_idle"] = self._idle  # workspaces are as large for one as for the other
         return made
 
     def with_numbers(self, changes: Mapping[str, float]) -> Model:
         """Model of the same arm with other numbers in its scene, `{"segments.*.young_modulus": 1.1e6}`, see scene.parameters.
 
-        Quadrature, combinations of tensions and passive fields stay, so that coordinates are those of the same tensions and wrenches, and
-        what the model computes is a smooth function of the numbers. Raises TypeError or ConfigurationError.
+        See `with_scene`. Raises TypeError or ConfigurationError.
         """
         scene_parameters(self.scene, changes)
-        scene = self.scene.replace(changes)
-        made = Model(scene, self.grid, make_arm(scene, self.grid, self.arm.strain))
-        if not np.array_equal(made.arm.effects.first_state, self.arm.effects.first_state):
-            text = "changes the number of internal states of the effects: build a model for each value"
-            raise ConfigurationError([Problem((key,), text) for key in changes])
-        if type(made.arm.strain) is type(self.arm.strain):
-            made.__dict__["_idle"] = self._idle  # workspaces are as large for one as for the other
+        made = self.with_scene(scene_with_numbers(self.scene, changes))
+        if misfit := self.misfit(made):
+            raise ConfigurationError([Problem((key,), f"changes {misfit}: build a model for each value") for key in changes])
         return made
+
+    def misfit(self, other: Model) -> str:
+        """Difference other than in numbers of a model `with_scene`; "": there is none, and both can be rows of one batch."""
+        if type(other.arm.strain) is not type(self.arm.strain):
+            return "whether there are loads inside of the strain"
+        (own, ours), (their, theirs) = (([*model.acting], model.arm.effects) for model in (self, other))
+        if any(a != b for a, b in zip(own, their, strict=False)) or len(their) < len(own):
+            return f"which effects act, from {', '.join(own) or 'none'} to {', '.join(their) or 'none'}"
+        if not np.array_equal(ours.first_state, theirs.first_state[: len(own) + 1]) or theirs.state.size > ours.state.size:
+            return "the number of internal states of the effects"
+        return "" if np.array_equal(ours.first_value, theirs.first_value[: len(own) + 1]) else "the places of an effect along the arm"
 
     @property
     def coordinate_count(self) -> int:
@@ -142,10 +151,14 @@ class Model:
         """The discretised rod as effects see it."""
         return discretisation(self.scene, self.grid)
 
+    @cached_property
+    def _shape(self) -> Shape:
+        return Shape(tendon_geometry(self.scene, self.grid), self.discretisation, self.arm.tendons)
+
     @property
     def acting(self) -> dict[str, Effect]:
         """The effects that act as forces on the coordinates, by name, in the order of the arm's table of effects."""
-        return effects_outside(self.scene).chosen()
+        return effects_outside(self.scene).acting()
 
     @property
     def length(self) -> float:

@@ -1,10 +1,12 @@
-"""Parameters of a scene: its numbers by dotted keys with wildcards, as identification, derivatives and design vary them."""
+"""Parameters of a scene: its numbers by dotted keys with wildcards, as domain randomisation draws them, identification fits them and
+derivatives vary them."""
 
 import contextlib
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
+from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.scene.scene import Scene, scene_to_dict
 from soft_tendon_env.tools.configuration import ANY, ConfigurationError, Problem, matching, not_among, shown
 
@@ -45,13 +47,39 @@ def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...
     `"tendons.3.routing.offset.0"`, `"effects.gravity.acceleration.2"`.
 
     Any number of `[[segments]]`, `[[tendons]]` and `[effects]` can be one, but for lengths of segments and ends and limits of
-    tendons. Raises TypeError for what is no text, ConfigurationError for keys of anything else, with those that there are.
+    tendons. An effect that does nothing unless it is told to, as a tip load, need not be in the scene. Raises TypeError for what is no
+    text, ConfigurationError for keys of anything else, with those that there are.
     """
     if isinstance(names, str) or not isinstance(names, Iterable):
         raise TypeError(f"keys should be several dotted keys, such as ['segments.*.young_modulus'], not {shown(names)}")
-    table = scene_to_dict(scene, {*TABLES})
+    table = number_tables(scene)
     entries = dict(_leaves(table))
     return tuple(_parameter(name, _keys(table, entries, name), entries) for name in names)
+
+
+def scene_with_numbers(scene: Scene, changes: Mapping[str, float]) -> Scene:
+    """The scene with other numbers by dotted keys, among them those of effects that it lacks, see `scene_parameters`.
+
+    Raises ConfigurationError.
+    """
+    named = {key.split(".")[1] for key in changes if key.startswith("effects.")} - scene.effects.chosen().keys()
+    return scene.replace({**{f"effects.{name}": own for name, own in _idle_effects(named).items()}, **changes})
+
+
+def number_tables(scene: Scene) -> dict[str, Any]:
+    """The tables of a scene with the numbers of its arm, plain, with those of effects that do nothing by default."""
+    table = scene_to_dict(scene, {*TABLES})
+    return {**table, "effects": {**_idle_effects(EFFECTS), **table["effects"]}}
+
+
+def _idle_effects(names: Iterable[str]) -> dict[str, Any]:
+    """Tables of those of the effects that do nothing by default, by name."""
+    found = {}
+    for name in names:
+        with contextlib.suppress(ConfigurationError, KeyError):
+            if not (effect := EFFECTS[name]()).acts:
+                found[name] = effect.model_dump(mode="json", exclude_none=True)
+    return found
 
 
 def _keys(table: Mapping[str, Any], entries: Mapping[str, Any], name: str) -> list[str]:

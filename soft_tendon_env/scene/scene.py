@@ -225,19 +225,18 @@ def tendon_offset(scene: Scene, tendon: Tendon, arc_length: ArrayLike) -> tuple[
     return tendon.routing.offset_and_slope(arc_length, *rod_radius(scene, arc_length), tendon_ends(scene, tendon))
 
 
-def extrapolation_columns(scene: Scene, damping: float = 1.0) -> int:
+def extrapolation_columns(scene: Scene) -> int:
     """Number of columns (order) of the extrapolated integrator, with a tolerance the most: the scene's, or what its damping allows.
 
     On undamped oscillations 2 columns are stable; 3, 4, 5 and 6 grow by up to 0.16, 0.48, 0.74 and 0.95 % a step (stability function,
     at omega h = 0.64, 1.2, 1.8 and 2.4). Damping ratios in proportion to the frequency (Kelvin-Voigt) outweigh that from 0.0029,
     0.0023, 0.0015 and 0.0011 at omega h = 0.64 on: 3 columns need the most. Where every segment has 0.01 there, 3 columns are chosen,
     or up to 6 with a tolerance; elsewhere 2.
-    `damping`: factor of the damping ratios, for arms that have other viscosity or stiffness than the scene's.
     """
     if scene.integrator.columns is not None:
         return scene.integrator.columns
     omega = 0.64 / scene.integrator.step
-    ratios = [1.5 * damping * segment.damping * omega / segment.young_modulus for segment in scene.segments]  # Kelvin-Voigt, bending
+    ratios = [1.5 * segment.damping * omega / segment.young_modulus for segment in scene.segments]  # Kelvin-Voigt, bending
     if min(ratios) < 0.01:
         return 2
     return 3 if scene.integrator.tolerance is None else MOST_COLUMNS

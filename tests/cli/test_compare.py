@@ -137,7 +137,7 @@ def test_episodes_errors_and_options_are_given_on_the_command_line(tmp_path, cat
     record = json.loads((tmp_path / "configuration.json").read_text())
     assert record["model_errors"] == {"nominal": {}, both: {"tension_gain": 0.9, "latency": 0.02}}
     assert (record["seeds"], record["settings"]["episodes"]) == ([7, 2_000_000], 2)
-    assert record["environments"][0]["options"]["randomize"]["payload"] == [0.0, 0.1]
+    assert record["environments"][0]["options"]["randomize"]["numbers"] == {"effects.tip_load.mass": {"offset": [0.0, 0.1]}}
     again = {key: record["settings"][key] for key in ("episodes", "seeds", "errors")}
     assert settings.Settings.parse(again, "record").seeds == (7, 2_000_000)
 

@@ -29,5 +29,5 @@ def test_an_agent_is_evaluated_under_every_error_asked_for(tmp_path, agent, comm
     configuration = json.loads(png.with_suffix(".configuration.json").read_text())
     (environment,) = configuration["environments"]
     assert environment["options"]["scene"] == "three_tendon", "from config.json"
-    assert environment["options"]["randomize"]["payload"] == [0.0, 0.0], "what an agent trained with is not what it is judged on"
+    assert environment["options"]["randomize"]["numbers"] == {}, "what an agent trained with is not what it is judged on"
     assert configuration["settings"]["seconds"] == 0.2 and configuration["versions"]["soft_tendon_env"]

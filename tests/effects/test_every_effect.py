@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.effects import EFFECTS
-from soft_tendon_env.envs.arms import Arms, Material
+from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.state import State
@@ -114,18 +114,14 @@ def test_a_saved_state_continues_bit_for_bit(name, build, tmp_path):
 @pytest.mark.parametrize("name", CASES)
 def test_rows_are_like_simulations(name, build):
     """Also a row of another material, as a simulation of a scene of that material is, to round-off."""
-    factors = Material(stiffness=1.5, damping=0.8, density=0.9)
     segment = build("three_tendon").scene.segments[0]
-    other = {
-        "segments.0.young_modulus": factors.stiffness * segment.young_modulus,
-        "segments.0.damping": factors.damping * segment.damping,
-        "segments.0.density": factors.density * segment.density,
-    }
+    factors = {"young_modulus": 1.5, "damping": 0.8, "density": 0.9}
+    other = {f"segments.0.{key}": factor * getattr(segment, key) for key, factor in factors.items()}
     changes = {"quadrature.intervals": 6, "strain": {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z"], "order": 1}]}}
     changes["strain"]["modes"][0]["span"] = "rod"
     models = [build("three_tendon", {**changes, **CASES[name], **more}) for more in ({}, other)]
     arms = Arms(models[0], 3, 0.02, np.array([0.3]), np.array([0.1]), 1)
-    arms.set_material(2, factors)
+    arms.set_model(2, models[0].with_numbers(other))
     arms.place(np.arange(3), np.zeros((3, models[0].coordinate_count)))
     simulations = [Simulation(models[i]) for i in (0, 0, 1)]
     rng = np.random.default_rng(0)

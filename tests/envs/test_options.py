@@ -85,11 +85,15 @@ BAD = [
     ({"reward": {"position": {"scale": 1e-300}}}, r"reward\.position\.scale is 1e-300"),
     ({"threshold": 1e-300}, "threshold is 1e-300"),
     ({"randomize": {"stifness": 1.0}}, r"randomize\.stifness is an unknown key .* did you mean 'stiffness'"),
-    ({"randomize": {"stiffness": 0.0}}, r"randomize\.stiffness is .*greater than 0"),
-    ({"randomize": {"stiffness": [1.2, 0.8]}}, r"randomize\.stiffness is .*\(least, greatest\)"),
-    ({"randomize": {"stiffness": 1e-300}}, r"randomize\.stiffness is 1e-300: it should be greater than 0, at least 1e-09"),
-    ({"randomize": {"damping": [1.0, 2.0, 3.0]}}, r"randomize\.damping is .*: it should be a number, or \(least, greatest\)$"),
-    ({"randomize": {"payload": "heavy"}}, r"randomize\.payload is 'heavy': it should be a number, or \(least, greatest\)$"),
+    ({"randomize": {"stiffness": 0.0}}, r"randomize\.segments\.\*\.young_modulus can draw .*greater than 0"),
+    ({"randomize": {"stiffness": [1.2, 0.8]}}, r"randomize\.segments\.\*\.young_modulus has \[1.2, 0.8\]: the least should come first"),
+    ({"randomize": {"stiffness": 1e-300}}, r"randomize\.segments\.\*\.young_modulus can draw .*should be 1e-20 to 1e\+20"),
+    (
+        {"randomize": {"damping": [1.0, 2.0, 3.0]}},
+        r"randomize\.segments\.\*\.damping has .*: it should be a number, or \(least, greatest\)$",
+    ),
+    ({"randomize": {"payload": "heavy"}}, r"randomize\.payload is 'heavy': it should be a number, or \(least, greatest\)"),
+    ({"randomize": {"density": 1.0, "segments.*.density": [2.0, 3.0]}}, r"randomize\.segments\.\*\.density .*drawn already"),
     ({"randomize": {"tension_gain": [0.0, 1e300]}}, r"randomize\.tension_gain is .* within ±1e\+09"),
     ({"randomize": {"tension_offset": [-1e308, 1e308]}}, r"randomize\.tension_offset is .* within ±1e\+09"),
     ({"randomize": {"latency": -0.1}}, r"randomize\.latency is .*at least 0"),
@@ -175,7 +179,7 @@ def test_a_tolerance_that_no_step_meets_is_told(kind):
 
 def test_every_mistake_is_told_at_once():
     with pytest.raises(ConfigurationError) as caught:
-        TipPoseEnv(actio="tension", threshold=-1.0, randomize={"stiffness": 0.0, "noise": {"length": -1.0}})
+        TipPoseEnv(actio="tension", threshold=-1.0, randomize={"latency": -1.0, "noise": {"length": -1.0}})
     assert len(caught.value.problems) == 4 and str(caught.value).count("TipPoseEnv: ") == 4
 
 

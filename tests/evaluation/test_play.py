@@ -120,7 +120,8 @@ def test_environments_that_cannot_be_evaluated_are_refused(play_on, make_env, se
 def test_every_model_error_is_one_of_the_options_and_fixed(name):
     chosen = Randomization(**MODEL_ERRORS[name])
     assert (chosen == Randomization()) == (name == "nominal")
-    for field in ("stiffness", "damping", "density", "payload", "tension_gain", "tension_offset", "latency"):
+    assert all(isinstance(value, float) for own in chosen.numbers.values() for value in own.values())
+    for field in ("tension_gain", "tension_offset", "latency"):
         least, greatest = getattr(chosen, field)
         assert least == greatest
 
@@ -164,9 +165,11 @@ def test_what_every_arm_has_is_under_the_model_errors():
         cell = make_cell(given, (0,), "TipPose", "feedforward", given.options, error)
         return Randomization(**cell.options["randomize"])
 
-    assert (drawn("nominal").stiffness, drawn("nominal").density) == ((1.1, 1.1), (0.9, 1.1))
+    stiffness, density = "segments.*.young_modulus", "segments.*.density"
+    assert drawn("nominal").numbers == {stiffness: {"factor": 1.1}, density: {"factor": [0.9, 1.1]}}
     both = drawn("stiffness-20%,latency-20ms")
-    assert (both.stiffness, both.density, both.latency) == ((0.8, 0.8), (0.9, 1.1), (0.02, 0.02)), "a model error overrides"
+    assert both.numbers == {stiffness: {"factor": 0.8}, density: {"factor": [0.9, 1.1]}}, "a model error overrides"
+    assert both.latency == (0.02, 0.02)
 
 
 def test_noise_changes_what_is_seen_and_not_what_is_judged():

@@ -213,7 +213,7 @@ def test_files_of_an_estimate_lead_to_it_again_and_to_an_environment(arm, record
     again = identify(scene, turned, tmp_path / "markers.toml", [E], fidelity="scene", held_out=0)
     assert again.before[0] == pytest.approx(found.errors[0], rel=1e-6)
     table = json.loads((tmp_path / "estimate.json").read_text())["randomize"]
-    assert table.keys() == {"stiffness", "density"} and table["stiffness"][0] < 1.0 < table["stiffness"][1]
+    assert table.keys() == {E, RHO} and table[E][0] < found.value[0] < table[E][1]
     gym.make("TendonRod-Reach-v0", scene=scene, fidelity="fast", randomize=table).reset(seed=0)
 
 

@@ -39,7 +39,7 @@ def test_values_that_are_alike_are_one_number_and_others_share_a_factor(scene):
             "segments.0.yong_modulus is no number of the scene: did you mean 'segments.*.young_modulus'?.*valid: .*tendons",
         ),
         ("effects.gravity.acceleration", r"did you mean 'effects.gravity.acceleration.\*'"),
-        ("effects.tip_load.mass", "effects.tip_load.mass is no number of the scene.*valid: .*effects.gravity"),
+        ("effects.fluid.density", "effects.fluid.density is no number of the scene.*valid: .*effects.gravity"),
         ("segments.7.density", "segments.7.density is no number of the scene"),
         ("integrator.step", "integrator.step is no number of the scene"),
         ("segments.*.length", "is no number of the scene"),

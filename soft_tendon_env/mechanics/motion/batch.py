@@ -1,4 +1,4 @@
-"""Batches of arms, the rows: each has a material and a motion of its own, and the same compiled code takes them one after another.
+"""Batches of arms, the rows: each has an arm and a motion of its own, and the same compiled code takes them one after another.
 
 What a row does depends on nothing but that row, so it is the same bit for bit whatever other rows there are, and any row may be
 stepped on any thread with any scratch.
@@ -25,34 +25,15 @@ from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector
 
 
 class Rows(Struct):
-    """Material and motion of every row; see Rod for the material and Motion for the motion."""
+    """Motion of every row, see Motion, and the address of its arm."""
 
-    mass: FloatVector  # (rows, 1)
-    root_compliance: np.ndarray  # (rows, points x 6)
-    root_stiffness: np.ndarray
-    viscosity: np.ndarray
-    inertia: np.ndarray  # (rows, nodes x 6)
-    node_mass: np.ndarray  # (rows, nodes)
-    damping: np.ndarray  # (rows, n, n) where the strain keeps a damping matrix, else (rows, 0, 0)
-    effects: np.ndarray  # (rows, values) parameters of the effects
     q: np.ndarray  # (rows, n)
     q_dot: np.ndarray  # (rows, n)
     xi: np.ndarray  # (rows, points x 6)
     state: np.ndarray  # (rows, states) internal states of the effects
     clock: np.ndarray  # (rows, 1) time [s]
-    arm: IntVector  # (rows) addresses of the arms with the material of each
+    arm: IntVector  # (rows) addresses of the arms, all of one type
     step: FloatVector  # (rows) [s] to try next, where steps follow a tolerance
-
-
-def arm_of_row(arm: Arm, rows: Rows, row: int) -> Arm:
-    """The arm with the material and the effects' parameters of one row, which it shares with the rows."""
-    own = {name: getattr(rows, name)[row] for name in ("mass", "root_compliance", "root_stiffness", "viscosity", "inertia", "node_mass")}
-    return Arm(
-        rod=arm.rod.replaced(**own),
-        tendons=arm.tendons,
-        strain=arm.strain.with_damping(rows.damping[row]),
-        effects=arm.effects.replaced(values=rows.effects[row]),
-    )
 
 
 class Places(Struct):
@@ -111,19 +92,12 @@ class Batch(Struct):
     reading: Reading
 
 
-def make_copies(arm: Arm, places: Places, motion: Motion, count: int) -> Batch:
-    """Batch of one arm, material included, from a motion so many times."""
+def make_batch(arm: Arm, places: Places, motion: Motion, step: float, count: int) -> Batch:
+    """Batch of so many rows of one arm in one motion, read at these places; step: [s] to try next."""
     own = {name: aligned(np.tile(values, (count, 1))) for name, values in motion._asdict().items()}
-    shared = ("mass", "root_compliance", "root_stiffness", "viscosity", "inertia", "node_mass", "effects")
-    none = {**dict.fromkeys(shared, np.zeros((count, 0))), "damping": np.zeros((count, 0, 0))}
-    counts = {name: np.zeros(count, dtype=np.int64) for name in ("status", "rejected")}
-    return Batch(
-        arm=arm,
-        places=places,
-        rows=Rows(arm=np.full(count, arm.address), step=np.zeros(count), **none, **own),
-        outcome=Outcome(error=np.zeros(count), **counts),
-        reading=make_reading(arm, places, count),
-    )
+    rows = Rows(arm=np.full(count, arm.address), step=np.full(count, step), **own)
+    outcome = Outcome(error=np.zeros(count), **{name: np.zeros(count, dtype=np.int64) for name in ("status", "rejected")})
+    return Batch(arm=arm, places=places, rows=rows, outcome=outcome, reading=make_reading(arm, places, count))
 
 
 @kernel

@@ -60,8 +60,10 @@ def forces_at_strain(arm, u, q, q_dot, work):
     """All forces of (23) at (q, q_dot, u), where strain_from_guess() has just left the strain at q; see evaluate_forces()."""
     drive_strained_rod(arm, u, q, q_dot, work)
     bias_force(arm.rod, arm.strain, work)
-    if arm.effects.count > 0:  # without any, work.load stays the zero that it is
+    if arm.effects.count > 0:
         external_force(arm, work)
+    else:
+        work.load[:] = 0.0  # which another arm has filled, if it shares the workspace
 
 
 @kernel
@@ -109,6 +111,8 @@ def balance_at_rest(arm, u, q, tolerance, work):
     if arm.effects.count > 0:
         rest_states(arm, u, work)
         external_force(arm, work)
+    else:
+        work.load[:] = 0.0
     return -1
 
 

@@ -8,7 +8,7 @@ import pytest
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.effects import Effect, base, kernel, makes_tension, register_effect
 from soft_tendon_env.effects.actuators import Actuators
-from soft_tendon_env.envs.arms import Arms, Material
+from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.model.simulation import Simulation
 
 PERIOD, ROWS = 0.02, 6
@@ -283,8 +283,8 @@ def test_what_has_no_adjoint_is_named(build):
     arms, command = moving_rows(build, {})
     tape, members, cotangents = arms.make_tape(), np.arange(ROWS), drawn(arms, STATE)
     arms.step(command, members, None, tape)
-    arms.set_material(2, Material(stiffness=1.1))
-    with pytest.raises(ValueError, match="row 2 has got another material"):
+    arms.set_model(2, arms.model.with_numbers({"segments.*.young_modulus": 1.1e6}))
+    with pytest.raises(ValueError, match="row 2 has got another arm"):
         arms.adjoint(tape, members, cotangents)
     arms.rows.q_dot[1] = 1e9
     arms.step(command, members, None, tape)

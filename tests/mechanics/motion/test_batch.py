@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.envs.arms import Arms, Material
+from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.model.simulation import Simulation
 
 SENSORS = np.array([0.0, 0.07, 0.15, 0.29, 0.3])
@@ -177,9 +177,12 @@ def test_a_row_is_read_as_the_model_says(small):
 
 
 @pytest.mark.no_jit
-def test_a_material_like_the_scene_s_changes_nothing(small):
-    arms = arms_of(small)
-    before = [values.copy() for values in of_rows(arms)]
-    arms.set_material(0, Material())
-    for old, new in zip(before, of_rows(arms), strict=True):
-        np.testing.assert_array_equal(old, new)
+def test_a_row_with_the_scene_s_numbers_moves_as_the_scene_s_arm(small):
+    arms, rng = arms_of(small, rows=2), np.random.default_rng(0)
+    arms.set_model(1, small.with_scene(small.scene))
+    placed(arms)
+    for _ in range(3):
+        arms.step(np.tile(rng.uniform(0.0, 3.0, (1, 1, 3)), (2, 1, 1)), np.arange(2))
+    assert (arms.ratio == 1.0).all()
+    for values in of_rows(arms):
+        np.testing.assert_array_equal(values[0], values[1])
