@@ -76,6 +76,11 @@ def is_of_package(named: Any) -> bool:
     return (named.__module__ or "").partition(".")[0] == PACKAGE.name and "<locals>" not in named.__qualname__
 
 
+def _is_of_package(kind: types.Type) -> bool:
+    """Whether no class in a type is a user's own."""
+    return is_of_package(getattr(kind, "instance_class", Kernel)) and all(map(_is_of_package, getattr(kind, "types", ())))
+
+
 class NotCompiledError(RuntimeError):
     """Raised by machine code that calls a kernel which cannot be compiled."""
 
@@ -105,12 +110,17 @@ class Kernel:
         """numba's function without a way in from Python, which is a fifth of a compilation."""
         return self._jitted("from_kernels", no_cpython_wrapper=True)
 
-    def _jitted(self, below: str, **options: bool) -> Any:
+    @functools.cached_property
+    def from_kernels_of_users(self) -> Any:
+        """The same for arguments of a user's own classes, which may come with other kernels in the next process: it is not kept."""
+        return self._jitted(None, no_cpython_wrapper=True)
+
+    def _jitted(self, below: str | None, **options: bool) -> Any:
         """numba's function, whose machine code numba keeps in a folder below the cache folder, if there is one."""
-        folder = cache_folder() if self._keep else None
+        folder = cache_folder() if self._keep and below else None
         with _setting, contextlib.ExitStack() as after:
             after.callback(setattr, config, "CACHE_DIR", config.CACHE_DIR)
-            config.CACHE_DIR = str(folder / below) if folder else ""
+            config.CACHE_DIR = str(folder / below) if folder and below else ""
             dispatcher = numba.njit(**self._options, **options, cache=folder is not None)(self._function)
         compile = dispatcher.compile
 
@@ -126,9 +136,10 @@ class Kernel:
 
     def compiled(self, kinds: tuple[types.Type, ...]) -> Any:
         """The compiled function for arguments of these types, as kernels call it."""
-        if kinds not in self.from_kernels.overloads:
-            self.from_kernels.compile(kinds)
-        return self.from_kernels.overloads[kinds]
+        dispatcher = self.from_kernels if all(map(_is_of_package, kinds)) else self.from_kernels_of_users
+        if kinds not in dispatcher.overloads:
+            dispatcher.compile(kinds)
+        return dispatcher.overloads[kinds]
 
     def _with_defaults(self, kinds: tuple[types.Type, ...]) -> tuple[types.Type, ...]:
         left_out = [*inspect.signature(self._function).parameters.values()][len(kinds) :]

@@ -8,8 +8,8 @@ import pytest
 from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.randomization import Randomization
-from soft_tendon_env.model.contact_forces import contact_forces
 from soft_tendon_env.model.build import build_model
+from soft_tendon_env.model.contact_forces import contact_forces
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene

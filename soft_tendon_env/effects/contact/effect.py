@@ -1,12 +1,12 @@
 """Contact of a whole arm with obstacles as an effect: the table of the scene, its kernels and its potential energy."""
 
 import functools
+import sys
 from typing import ClassVar, cast
 
 import numpy as np
 from pydantic import Field
 
-from soft_tendon_env.compiler.code_digest import selects_code
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, Solid, register_effect
 from soft_tendon_env.effects.contact.bodies import SHAPES_OF, ContactParameters, read_distances
 from soft_tendon_env.effects.contact.collision_check import check_collisions, limit_step
@@ -26,13 +26,12 @@ def parameters_class(*own: type[Obstacle]) -> type[ContactParameters]:
     kind: type[ContactParameters] = ContactParameters
     name = "_".join(["ContactParameters", *(shape.__name__ for shape in own)])
     if own:
-        kind = cast(type[ContactParameters], type(name, (ContactParameters,), {"__module__": __name__, "__slots__": ()}))
-        globals()[name] = kind  # where pickle looks
+        module = own[0].__module__  # so that machine code for it is not kept: the shape's file may change
+        kind = cast(type[ContactParameters], type(name, (ContactParameters,), {"__module__": module, "__slots__": ()}))
+        setattr(sys.modules[module], name, kind)  # where pickle looks
         SHAPES_OF[kind] = (*SHAPES_OF[ContactParameters], *own)
     for hook, function in ((adds_wrench, contact_wrench), (limits_step, limit_step), (sweeps_motion, check_collisions)):
         hook(kind)(function)
-    for shape in own:
-        selects_code(kind, shape.__name__, shape.distance)
     return kind
 
 
