@@ -23,8 +23,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 import soft_tendon_env as ste
+from soft_tendon_env.control.dynamics import Gains
 from soft_tendon_env.control.paper_laws import (
-    Gains,
     LeftInverse,
     TipPoseTarget,
     energy_left_inverse,
