@@ -134,8 +134,6 @@ WRONG = {
     "a negative density": ({"fluid.density": [-1.0, 1000.0]}, "can draw -1.0, which the effect refuses: effects: fluid.density is -1.0"),
     "off the rod": ({"disturbance.loads.0.at": [0.1, 0.4]}, "disturbance.loads.0.at can draw 0.4, which the effect refuses"),
     "twice": ({"fluid.current": [0, 0, 0], "fluid.current.1": [0.0, 1.0]}, "draws what 'fluid.current' draws already"),
-    "other places": ({"contact.spacing": [0.001, 0.01]}, "rows cannot differ in that"),
-    "states from nothing": ({"contact.friction": [0.0, 0.5]}, "internal states"),
     "a factor of nothing": ({"contact.stiffness": {"factor": 2.0}}, "the scene gives no value"),
     "no table": ([1], "randomize.effects is [1]: it should be a table from keys"),
 }
