@@ -223,7 +223,7 @@ def test_a_loaded_tip_that_can_twist_rolls_down_an_incline_without_slipping(buil
     theta = np.arctan2(R[2, 1], R[1, 1])
     assert friction < MU * normal
     assert theta == pytest.approx(friction * RADIUS * 0.3 / (5e5 / 3.0 * np.pi * RADIUS**4 / 2), rel=0.02)
-    assert way == pytest.approx(RADIUS * theta, rel=0.03)
+    assert 0.0 < way - RADIUS * theta < 5e-4, "[m], by which it slides while it is first pressed on"
 
 
 WRAPPED = {"young_modulus": 5e6, "poisson_ratio": 0.5, "density": 1070.0, "damping": 1e5, "radius": 0.002}
