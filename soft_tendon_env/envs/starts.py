@@ -232,14 +232,14 @@ class Starts:
         """Coordinates (n,) at which an arm rests under the tensions nearest to zero. Raises ConfigurationError where it does not."""
         if model is self._model or not (model.arm.effects.load or self.tension.any()):
             return self.q
-        inside = why_base_inside(model, self.q)
+        q, reason, inside = self.q, "", why_base_inside(model, self.q)
         if not inside:
             q, reason = self._settled(model, self.tension)
             inside = why_inside(model, q)
-            if not (inside or reason):
-                return q
-        held = f"{shown_numbers(self.tension)} N, nearest to zero, cannot hold: {reason}"
-        raise _problem((), f"begin inside of an obstacle: {inside}" if inside else held)
+        if inside or reason:
+            held = f"{shown_numbers(self.tension)} N, nearest to zero, cannot hold: {reason}"
+            raise _problem((), f"begin inside of an obstacle: {inside}" if inside else held)
+        return q
 
     def _among(self, setting: Setting, rest: Array) -> Setting:
         """The setting with the space that its model's obstacles leave free; as it is where the arm at rest (n,) is not in that."""
