@@ -191,21 +191,12 @@ WRONG = {
     "a short vector": ({"fluid.current": [0.0, [0.0, 1.0]]}, "it should be a list of 3"),
     "the wrong way round": ({"fluid.density": [2.0, 1.0]}, "the least should come first"),
     "no number": ({"fluid.density": "heavy"}, "it should be a number, or (least, greatest)"),
-<<<<<<< HEAD:tests/envs/test_drawn_arms.py
     "a negative density": (
         {"fluid.density": [-1.0, 1000.0]},
         "can draw effects.fluid.density -1, which the scene refuses: scene: effects.fluid",
     ),
     "twice": ({"fluid.current": [0, 0, 0], "fluid.current.1": [0.0, 1.0]}, "draws what 'effects.fluid.current.1' draws already"),
-    "other places": ({"contact.spacing": [0.001, 0.01]}, "changes the places of an effect along the arm"),
     "a factor of nothing": ({"contact.stiffness": {"factor": 2.0}}, "is no number of the scene"),
-=======
-    "a negative density": ({"fluid.density": [-1.0, 1000.0]}, "can draw -1.0, which the effect refuses: effects: fluid.density is -1.0"),
-    "off the rod": ({"disturbance.loads.0.at": [0.1, 0.4]}, "disturbance.loads.0.at can draw 0.4, which the effect refuses"),
-    "twice": ({"fluid.current": [0, 0, 0], "fluid.current.1": [0.0, 1.0]}, "draws what 'fluid.current' draws already"),
-    "a factor of nothing": ({"contact.stiffness": {"factor": 2.0}}, "the scene gives no value"),
-    "no table": ([1], "randomize.effects is [1]: it should be a table from keys"),
->>>>>>> contact:tests/envs/test_effect_ranges.py
 }
 
 
@@ -215,7 +206,7 @@ def test_what_cannot_be_drawn_is_refused_when_the_environment_is_made(how):
     effects = {
         "effects.gravity.acceleration": [0.0, 0.0, -9.81],
         "effects.fluid.density": 1000.0,
-        "effects.contact": {"obstacles": [{**BALL, "friction": 0.0}, FLOOR], "spacing": 0.01},
+        "effects.contact": {"obstacles": [{**BALL, "friction": 0.0}, FLOOR]},
         "effects.disturbance.loads": [{"at": 0.2, "force": [0.0, 0.0, 0.0]}],
     }
     with pytest.raises(ConfigurationError) as error:
