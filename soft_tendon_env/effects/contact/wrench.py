@@ -13,15 +13,15 @@ import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.contact.distance import body_at, distance, in_frame
-from soft_tendon_env.effects.contact.forces import advanced_bristle, stored_energy, touch_of, traction_of
-from soft_tendon_env.effects.contact.rows import FRICTION, H_A, H_B, RADIUS, REACH_A, REACH_B, ContactParameters, T, triple
+from soft_tendon_env.effects.contact.forces import stored_energy, touch_of, traction_of
+from soft_tendon_env.effects.contact.rows import H_A, H_B, RADIUS, REACH_A, REACH_B, ContactParameters, T, triple
 from soft_tendon_env.effects.contact.samples import ends_of, interval_balls, is_away, position_of
 from soft_tendon_env.effects.nodes import add_wrench, nodes_with
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import cross, minus, rotate, rotate_back, times
 from soft_tendon_env.mechanics.algebra.structs import struct_at
 from soft_tendon_env.mechanics.effect_parameters import parameters_at
-from soft_tendon_env.mechanics.effects import EffectTable, adds_wrench, advances_state, kinds_of
+from soft_tendon_env.mechanics.effects import EffectTable, adds_wrench, kinds_of
 from soft_tendon_env.mechanics.motion.batch import place_nodes
 
 
@@ -112,32 +112,6 @@ def contact_wrench(contact, nodes):
                 if i > 0 and t < 1.0:
                     before = Share(samples[m, H_A], samples[m, REACH_A], 1.0 - t, 1.0 - t)
                     add_to_node(nodes, i - 1, ends.R_a, before, samples[m, RADIUS], touch, traction)
-
-
-@advances_state(ContactParameters)
-@kernel(counted=True)
-def contact_advance(contact, step, nodes, points):
-    """Bristles follow the slip, up to the limit of friction; those of samples that touch nothing, and of an arm at rest, are slack."""
-    intervals, samples = contact.intervals, contact.samples
-    if nodes.state.size == 0:
-        return
-    balls = np.empty((intervals.shape[0], 4))
-    count = interval_balls(intervals, nodes, balls)
-    for j in range(contact.obstacles.shape[0]):
-        body = body_at(contact.obstacles, j, nodes.time)
-        for i in range(count):
-            near = body.obstacles[body.j, FRICTION] > 0.0 and math.isfinite(step) and not is_away(body, balls, i)
-            ends = ends_of(nodes, i)
-            for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
-                at, s = 3 * (j * samples.shape[0] + m), (0.0, 0.0, 0.0)
-                if near:
-                    x = position_of(samples, m, ends)
-                    away, out = distance(body, in_frame(body, x))
-                    depth = samples[m, RADIUS] - away
-                    if depth > 0.0:
-                        touch = touch_of(body, samples, m, ends, nodes, x, depth, rotate(body.R, out))
-                        s = advanced_bristle(body, samples, m, touch, nodes.state, at, step)
-                nodes.state[at], nodes.state[at + 1], nodes.state[at + 2] = s
 
 
 @kernel(counted=True)

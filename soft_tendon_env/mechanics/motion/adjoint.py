@@ -12,20 +12,20 @@ import math
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
+from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 from soft_tendon_env.mechanics.motion.advance import Record, Scheme, advance
 from soft_tendon_env.mechanics.motion.batch import Places
+from soft_tendon_env.mechanics.motion.filter_adjoint import FilterMemory, begin_filter, filter_adjoint, make_filter_memory
 from soft_tendon_env.mechanics.motion.force_gradient import GradientMemory, corrected, force_gradient, make_gradient_memory
-from soft_tendon_env.mechanics.motion.implicit_map import MapMemory, linearise, make_map_memory, tensions_by_command, transposed_map
-from soft_tendon_env.mechanics.motion.path_adjoint import PathMemory, begin_path, make_path_memory, path_adjoint
+from soft_tendon_env.mechanics.motion.implicit_map import MapMemory, linearise, make_map_memory, transposed_map
 from soft_tendon_env.mechanics.motion.reading_adjoint import read_adjoint
 from soft_tendon_env.mechanics.motion.scratch import Motion
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.motion.tape import Tape, make_tape, tape_border, tape_part
 from soft_tendon_env.mechanics.terms.strain_under_loads import combined_columns
 from soft_tendon_env.mechanics.terms.tendons import tendon_forces
-from soft_tendon_env.mechanics.terms.transmission import ON_PARTS, delivered, transmitted
+from soft_tendon_env.mechanics.terms.transmission import tension_slope
 from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector
 from soft_tendon_env.mechanics.workspace import zeros_of
 
@@ -71,7 +71,7 @@ class AdjointMemory(Struct):
 
     map: MapMemory
     gradient: GradientMemory
-    path: PathMemory
+    filter: FilterMemory
     tape: Tape  # of one row: a part in pieces
     rate: float  # [1/s] of pieces that resolve the slowest vibration of the scene's arm
     share: FloatVector  # (1) of a part, where its matrices are evaluated
@@ -83,11 +83,10 @@ class AdjointMemory(Struct):
     lasting: FloatVector  # (1) [s] of a piece
     poses: np.ndarray  # (0, 4, 4) of no samples
     still: np.ndarray  # (n_a) zeros
-    pull: np.ndarray  # (2, n_a) cotangents of the tensions in the halves of a piece
 
 
-def make_adjoint_memory(arm: Arm, state_tendons: IntVector | None, rate: float) -> AdjointMemory:
-    """Zeroed AdjointMemory for one arm. state_tendons: see make_path_memory; rate: [1/s] of pieces that resolve the slowest vibration."""
+def make_adjoint_memory(arm: Arm, rate: float) -> AdjointMemory:
+    """Zeroed AdjointMemory for one arm. rate: [1/s] of pieces that resolve the slowest vibration."""
     n, n_a, points = arm.strain.size, arm.tendons.size, 2 * arm.rod.length.size
     arrays = zeros_of(
         ((n,), "middle rates"),
@@ -96,9 +95,8 @@ def make_adjoint_memory(arm: Arm, state_tendons: IntVector | None, rate: float) 
         ((1,), "clock share lasting"),
         ((0, 4, 4), "poses"),
         ((n_a,), "still"),
-        ((2, n_a), "pull"),
     )
-    own = {"map": make_map_memory(arm), "gradient": make_gradient_memory(arm), "path": make_path_memory(arm, state_tendons)}
+    own = {"map": make_map_memory(arm), "gradient": make_gradient_memory(arm), "filter": make_filter_memory(arm)}
     return AdjointMemory(tape=make_tape(arm, 1, MOST_PIECES), rate=rate, **own, **arrays)
 
 
@@ -114,8 +112,7 @@ def adjoint_rows(batch, scheme, tape, members, cotangents, scratch, memory):
             clear_row(cotangents, row)
         else:
             status = read_adjoint(own, batch.places, tape, cotangents, row, scratch.work, memory)
-            transmitted(own, tape.command[row, part], scratch.work)
-            memory.share[0] = 0.5 if scratch.work.bounded.any[0] == 0.0 else 1.0
+            memory.share[0] = 1.0 if own.effects.transmission.elastic else 0.5
             while part >= 0 and status == OK:
                 status = part_adjoint(own, scheme, tape, (row, part), rate, cotangents, scratch, memory)
                 part -= 1
@@ -142,8 +139,7 @@ def clear_row(cotangents, row):
 
 @kernel
 def motion_within(tape, row, part, memory):
-    """The motion at memory.share of a part, between its ends, with its mean acceleration in memory.gradient.a and the states of
-    memory.path."""
+    """The motion at memory.share of a part, between its ends, with its mean acceleration in memory.gradient.a."""
     h, q, v, xi, share = tape.duration[row, part], tape.q[row], tape.q_dot[row], tape.xi[row], memory.share[0]
     for i in range(memory.middle.size):
         memory.middle[i] = q[part, i] + share * (q[part + 1, i] - q[part, i])
@@ -151,7 +147,7 @@ def motion_within(tape, row, part, memory):
         memory.gradient.a[i] = (v[part + 1, i] - v[part, i]) / h
     for m in range(memory.xi.size):
         memory.xi[m] = xi[part, m] + share * (xi[part + 1, m] - xi[part, m])
-    copy(memory.path.middle if share < 1.0 else memory.path.end, memory.state)
+    copy(tape.state[row, part], memory.state)
     memory.clock[0] = tape.clock[row, part] + share * h
     return Motion(memory.middle, memory.rates, memory.xi, memory.state, memory.clock)
 
@@ -212,28 +208,28 @@ def piece_adjoint(arm, method, tape, place, state, command, scratch, memory):
     """Cotangents memory.map.q, memory.map.v and `state` (states) from the end of a part on a tape to its beginning, in place, and those
     added to `command` (n_a), which was held; place: row and part; a status."""
     row, part = place
-    work, own, gradient, path, h = scratch.work, memory.map, memory.gradient, memory.path, tape.duration[row, part]
-    has_states = path.start.size > 0
-    if has_states:
-        begin_path(arm, tape, place, scratch, path)
+    work, own, gradient, path, h = scratch.work, memory.map, memory.gradient, memory.filter, tape.duration[row, part]
+    times, u, is_filtered = tape.clock[row, part : part + 2], tape.command[row, part], arm.effects.transmission.filter >= 0
+    begins = tape.begins[row, part] == 1
+    if is_filtered:
+        begin_filter(arm.effects, tape.state[row, part], u, times, begins, path)
+        u = path.after[0 if memory.share[0] < 1.0 else 1]
     motion = motion_within(tape, row, part, memory)
-    u = delivered(arm.effects, tape.command[row, part], False, motion.clock[0], motion.state, scratch.acting, scratch.until)
     status = linearise(arm, method, u, motion, h, scratch, own)
     if status != OK:
         return status
-    work.driven[0] = ON_PARTS
     transposed_map(method.with_inertia, scratch.first, h, own)
     for side in range(2):
         combined_columns(work.Phi, own.impulse[side], gradient.along)
-        tendon_forces(arm.rod, arm.tendons, work.share, work.tangent, gradient.along, memory.pull[side])
-    if not has_states:
-        tensions_by_command(arm, u, work, own.command, own.by_command)
+        tendon_forces(arm.rod, arm.tendons, work.share, work.tangent, gradient.along, path.force[side])
         for i in range(command.size):
-            for j in range(command.size):
-                command[j] += (memory.pull[0, i] + memory.pull[1, i]) * own.by_command[i, j]
+            path.force[side, i] *= tension_slope(arm.effects.transmission, i, work)
+            if not is_filtered:
+                command[i] += path.force[side, i]
     for i in range(gradient.w.size):
         gradient.w[i] = own.impulse[0, i] + own.impulse[1, i]
     force_gradient(arm, u, motion, h, method.with_inertia, work, gradient)
     corrected(scratch.first, gradient, own.q, own.v)
-    copy_matrix(memory.pull, path.force)
-    return path_adjoint(arm, tape.clock[row, part : part + 2], scratch, path, state, command) if has_states else OK
+    if is_filtered:
+        filter_adjoint(arm.effects, times, begins, state, command, path)
+    return OK

@@ -13,15 +13,11 @@ import numpy as np
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, product, row_stride, solve_factored, solve_positive_definite
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.late_kernels import call_late
-from soft_tendon_env.mechanics.motion.implicit_euler import start_matrices
+from soft_tendon_env.mechanics.motion.implicit_euler import linear_matrices
 from soft_tendon_env.mechanics.motion.stages import evaluate_force
 from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK
-from soft_tendon_env.mechanics.terms.transmission import makes_tensions, transmit
 from soft_tendon_env.mechanics.types import Arm, FloatVector
 from soft_tendon_env.mechanics.workspace import zeros_of
-
-COMMAND_SHARE = 1e-6  # of the largest command, or 1: the difference by which what effects make of commands is differentiated
 
 
 class MapMemory(Struct):
@@ -35,20 +31,16 @@ class MapMemory(Struct):
     kept_v: FloatVector  # (n)
     solution: FloatVector  # (n)
     impulse: np.ndarray  # (2, n) what a force that acts in the first or in the second half of the period changes
-    command: FloatVector  # (n_a)
-    by_command: np.ndarray  # (n_a, n_a) of a tension by a command
 
 
 def make_map_memory(arm: Arm) -> MapMemory:
     """Zeroed MapMemory for one arm."""
-    n, n_a = arm.strain.size, arm.tendons.size
+    n = arm.strain.size
     return MapMemory(
         **zeros_of(
             ((n * row_stride(n + 1),), "whole half"),
             ((n,), "q v kept_q kept_v solution"),
             ((2, n), "impulse"),
-            ((n_a,), "command"),
-            ((n_a, n_a), "by_command"),
         )
     )
 
@@ -73,7 +65,7 @@ def linearise(arm, method, u, motion, h, scratch, memory):
     status = evaluate_force(arm, method, u, motion.q, motion.q_dot, motion.state, motion.clock[0], scratch)
     if status != OK:
         return status
-    start_matrices(arm, scratch)
+    linear_matrices(arm, scratch)
     status = factorise_step(method.with_inertia, scratch.first, h, memory.whole, memory.solution)
     if status != OK:
         return status
@@ -114,24 +106,3 @@ def transposed_map(with_inertia, balance, h, memory):
         second[i] -= 0.5 * h * y[i]
         q[i] = 2.0 * q[i] - kept_q[i]
         v[i] = 2.0 * v[i] - kept_v[i]
-
-
-@kernel
-def tensions_by_command(arm, u, work, command, out):
-    """Derivative out (n_a, n_a) of the tensions (rows) by the command u (n_a), of what effects make of it in the present configuration."""
-    for i in range(u.size):
-        for j in range(u.size):
-            out[i, j] = 1.0 if i == j else 0.0
-    if not makes_tensions(arm.effects, work):
-        return
-    largest = 1.0
-    for i in range(u.size):
-        largest = max(largest, abs(u[i]))
-    small = COMMAND_SHARE * largest
-    for j in range(u.size):
-        copy(u, command)
-        for side in (1.0, -1.0):
-            command[j] = u[j] + side * small
-            call_late(transmit, arm.effects.late, (arm, command, work))
-            for i in range(u.size):
-                out[i, j] = (work.tension[i] if side > 0.0 else out[i, j] - work.tension[i]) / (1.0 if side > 0.0 else 2.0 * small)

@@ -15,12 +15,12 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import add_product, copy, copy_matrix, solve_columns, total
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.motion.advance import Record, advance
-from soft_tendon_env.mechanics.motion.implicit_euler import start_matrices
+from soft_tendon_env.mechanics.motion.implicit_euler import linear_matrices
 from soft_tendon_env.mechanics.motion.stages import evaluate_force
 from soft_tendon_env.mechanics.motion.status import OK
+from soft_tendon_env.mechanics.terms.command_filter import command_at, receive
 from soft_tendon_env.mechanics.terms.evaluate import copy_tip
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix
-from soft_tendon_env.mechanics.terms.transmission import delivered
 from soft_tendon_env.mechanics.types import Arm, FloatVector
 from soft_tendon_env.mechanics.workspace import zeros_of
 
@@ -130,7 +130,8 @@ class Tip(NamedTuple):
 def begin_period(arm, method, command, motion, k, scratch, plan):
     """Evaluates the motion under a command (n_a) and keeps it as the beginning of the k-th period; a status."""
     copy(motion.xi, scratch.work.xi)
-    u = delivered(arm.effects, command, False, motion.clock[0], motion.state, scratch.acting, scratch.until)
+    receive(arm.effects, command, False, motion.clock[0], motion.state, scratch.acting, scratch.until)
+    u = command_at(arm.effects, scratch.acting, motion.state, 0.0, scratch.command)
     status = evaluate_force(arm, method, u, motion.q, motion.q_dot, motion.state, motion.clock[0], scratch)
     if status == OK:
         copy(motion.q, plan.q[k])
@@ -152,7 +153,7 @@ def linearised_rollout(arm, scheme, motion, steps, scratch, plan):
         status = begin_period(arm, method, plan.command[k, 0], motion, k, scratch, plan)
         if status != OK:
             return status, k
-        start_matrices(arm, scratch)
+        linear_matrices(arm, scratch)
         actuation_matrix(arm.rod, arm.tendons, arm.strain, scratch.work, plan.forces)
         plan.jacobian[k] = 0.0
         add_steps(scratch.first, method.with_inertia, length, 2 * steps, 2.0, plan, plan.jacobian[k])
