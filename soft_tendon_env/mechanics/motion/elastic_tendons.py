@@ -17,14 +17,15 @@ from soft_tendon_env.mechanics.motion.scratch import make_scratch
 def _example(arm):
     """Examples of the arguments of stretch_tendons()."""
     scratch = make_scratch(arm, 1)
-    return arm, np.zeros(1), scratch.now, 0.0, scratch
+    return arm, np.zeros(1), scratch.now, 0.0, True, 0.0, scratch
 
 
 @late(lambda effects: effects.transmission.elastic, _example)
 @kernel
-def stretch_tendons(arm, command, balance, h, scratch):
+def stretch_tendons(arm, command, balance, h, begins, near, scratch):
     """Changes scratch.delta, of the substep of length h that has just been solved, to what it is with the tensions at its end under a
-    command (n_a) there."""
+    command (n_a) there. `begins` in the first substep of a step, which is smooth as long as no tendon goes farther than `near` [m] to
+    where it becomes slack, taut or as tense as can be."""
     path, held, n_a = arm.effects.transmission, scratch.held, arm.tendons.size
     for j in range(n_a):
         for a in range(scratch.delta.size):
@@ -43,3 +44,17 @@ def stretch_tendons(arm, command, balance, h, scratch):
     for j in range(n_a):
         for a in range(scratch.delta.size):
             scratch.delta[a] += (held.tension[j] - balance.tension[j]) * held.answer[j, a]
+    if begins:
+        scratch.kinked[0] = 0.0
+    for i in range(n_a):
+        if begins:
+            free = path.stiffness[i] * (command[i] - balance.shortening[i])
+            far = max(held.least[i] - free, free - path.strength[i], 0.0) if held.part[i] == 0.0 else 0.0
+            far = free - held.least[i] if held.part[i] < 0.0 else path.strength[i] - free if held.part[i] > 0.0 else far
+            changed = far > path.stiffness[i] * near
+        else:
+            changed = held.part[i] != held.parts[i]
+        if changed:
+            scratch.kinked[0] = 1.0
+    if begins:
+        copy(held.part, held.parts)

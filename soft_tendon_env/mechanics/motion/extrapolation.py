@@ -32,13 +32,13 @@ def extrapolate(table, row):
 
 
 @kernel
-def substeps(arm, method, u, motion, step, row, scratch):
+def substeps(arm, method, tolerance, u, motion, step, row, scratch):
     """The first entry of a row of the table: row + 1 substeps, to scratch.q, scratch.v; a status and the number of evaluations."""
     evaluations = 0
     copy(motion.q, scratch.q)
     copy(motion.q_dot, scratch.v)
     for substep in range(row + 1):
-        status, more = take_substep(arm, method, u, motion, step, row, substep, scratch)
+        status, more = take_substep(arm, method, tolerance, u, motion, step, row, substep, scratch)
         evaluations += more
         if status != OK:
             return status, evaluations
@@ -46,7 +46,7 @@ def substeps(arm, method, u, motion, step, row, scratch):
 
 
 @kernel
-def take_substep(arm, method, u, motion, step, row, substep, scratch):
+def take_substep(arm, method, tolerance, u, motion, step, row, substep, scratch):
     """One substep of a row from scratch.q, scratch.v, in place; a status and the number of evaluations.
 
     The first substep of every row goes from the evaluation at the start, which they share.
@@ -72,7 +72,7 @@ def take_substep(arm, method, u, motion, step, row, substep, scratch):
             copy(work.xi, work.before)
     if row == 0:
         start_matrices(arm, scratch)
-    return implicit_euler(arm, method, u, motion, step, row, substep, scratch), evaluations
+    return implicit_euler(arm, method, tolerance, u, motion, step, row, substep, scratch), evaluations
 
 
 @kernel
@@ -88,7 +88,11 @@ def fill_row(row, scratch):
 
 @kernel
 def complete_row(row, scratch):
-    """Extrapolate a row of the table from its first entry, with the error estimate."""
+    """Extrapolate a row of the table from its first entry, with the error estimate.
+
+    Where the tension of an elastic tendon has a kink within the step nothing is smooth enough to be extrapolated: the first entry is kept,
+    with the estimate of a method of first order.
+    """
     fill_row(row, scratch)
     scratch.rows[0] = row + 1.0
     if row == 0:
@@ -96,6 +100,12 @@ def complete_row(row, scratch):
     for i in range(scratch.q.size):
         scratch.error_q[i] = scratch.q[i] - scratch.table_q[row, row - 1, i]
         scratch.error_v[i] = scratch.v[i] - scratch.table_v[row, row - 1, i]
+    if scratch.kinked[0] != 0.0:
+        copy(scratch.table_q[row, 0], scratch.q)
+        copy(scratch.table_v[row, 0], scratch.v)
+        for i in range(scratch.q.size):
+            scratch.error_q[i] = scratch.table_q[row, 1, i] - scratch.q[i]
+            scratch.error_v[i] = scratch.table_v[row, 1, i] - scratch.v[i]
 
 
 @kernel
@@ -132,7 +142,7 @@ def extrapolated_step(arm, method, demand, u, motion, step, scratch):
     copy(motion.xi, scratch.work.xi)
     evaluations, error = 0, math.inf
     for row in range(method.columns):
-        status, more = substeps(arm, method, u, motion, step, row, scratch)
+        status, more = substeps(arm, method, demand.tolerance, u, motion, step, row, scratch)
         evaluations += more
         if status != OK:
             return Attempt(status, row + 1, evaluations, math.inf)
@@ -142,7 +152,7 @@ def extrapolated_step(arm, method, demand, u, motion, step, scratch):
         before = error
         status, error = error_estimate(arm.rod, demand.horizon, scratch)
         if status != OK or error <= demand.tolerance:
-            return Attempt(status, row + 1, evaluations, error)
+            return Attempt(status, row + 1 if scratch.kinked[0] == 0.0 else method.columns, evaluations, error)
         foreseen = error * (error / before) ** (method.columns - row - 1)
         if foreseen > HOPELESS * demand.tolerance:
             return Attempt(INACCURATE, method.columns, evaluations, foreseen)

@@ -16,6 +16,9 @@ from soft_tendon_env.mechanics.terms.parametrisation import strain_matrices
 from soft_tendon_env.mechanics.terms.transmission import add_tendon_stiffness
 
 
+NEAR = 0.05  # of a step's tolerance: how far a tendon may go to a kink of its tension in a step that is extrapolated
+
+
 @kernel
 def start_matrices(arm, scratch):
     """M, D and G with the effects' share, and the force, of the evaluation at the start of the step."""
@@ -83,7 +86,7 @@ def move(h, scratch):
 
 
 @kernel
-def implicit_euler(arm, method, u, motion, step, row, substep, scratch):
+def implicit_euler(arm, method, tolerance, u, motion, step, row, substep, scratch):
     """One substep from scratch.q, scratch.v, in place, under what has arrived, u (n_a): the first of a row from the evaluation at the start
     of the step."""
     h = step / (row + 1)
@@ -94,6 +97,6 @@ def implicit_euler(arm, method, u, motion, step, row, substep, scratch):
     if status == OK:
         if arm.effects.transmission.elastic:
             command = command_at(arm.effects, u, motion.state, (substep + 1) * h, scratch.command)
-            call_late(stretch_tendons, arm.effects.late, (arm, command, balance, h, scratch))
+            call_late(stretch_tendons, arm.effects.late, (arm, command, balance, h, row == 0, NEAR * tolerance, scratch))
         move(h, scratch)
     return status

@@ -43,7 +43,8 @@ class Held(Struct):
     tension: np.ndarray  # (n_a) [N], the solution
     least: np.ndarray  # (n_a) [N], zeros
     wanted: np.ndarray  # (n_a)
-    part: np.ndarray  # (n_a)
+    part: np.ndarray  # (n_a) -1 slack, 0 between, 1 as tense as can be
+    parts: np.ndarray  # (n_a) likewise in the first substep of the step
     answer: np.ndarray  # (n_a, n) change of rates by a newton
     matrix: np.ndarray  # (n_a, n_a)
     system: np.ndarray  # (n_a, n_a + 1)
@@ -60,6 +61,7 @@ class Scratch(Struct):
     rod_damping: np.ndarray  # (n, n) D and G at the start of the step without the effects' share
     rod_stiffness: np.ndarray
     held: Held
+    kinked: np.ndarray  # (1) 1 where elastic tendons become slack, taut or as tense as can be within the step, else 0
     force: np.ndarray  # (n) drive - C v - D v + F of the last evaluation
     q_last: np.ndarray  # (n) where that was
     system: np.ndarray  # n rows, see linear
@@ -88,13 +90,13 @@ def make_scratch(arm: Arm, columns: int, log: int = 0) -> Scratch:
         ((n,), "force q_last delta q v error_q error_v"),
         ((n * row_stride(n + 1),), "system"),
         ((n_a,), "acting command"),
-        ((1,), "until rows"),
+        ((1,), "kinked until rows"),
         ((2,), "meeting"),
         ((log, 2), "taken"),
         ((work.pose.size,), "pose"),
         ((work.base.size,), "base"),
     )
-    held = zeros_of(((n_a,), "tension least wanted part"), ((n_a, n), "answer"), ((n_a, n_a), "matrix"), ((n_a, n_a + 1), "system"))
+    held = zeros_of(((n_a,), "tension least wanted part parts"), ((n_a, n), "answer"), ((n_a, n_a), "matrix"), ((n_a, n_a + 1), "system"))
     kept = zeros_of(((n, n), "mass damping stiffness"), ((n,), "force"), ((n_a,), "tension shortening"), ((n_a, n), "columns rubbed"))
     same = {name: getattr(work, name) for name in ("tension", "shortening", "columns", "rubbed")}
     return Scratch(
