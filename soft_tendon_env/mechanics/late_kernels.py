@@ -27,6 +27,7 @@ LATE = {
     "arrive": "terms.command_filter",
     "transmit": "terms.transmission",
     "stretch_tendons": "motion.elastic_tendons",
+    "slide_tendons": "motion.sliding_tendons",
     "find_longest": "motion.advance",
     "begin_limits": "motion.advance",
 }

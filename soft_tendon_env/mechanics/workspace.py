@@ -134,10 +134,12 @@ class Workspace(Struct):
     tension: FloatVector  # (n_a) [N] that come of a command, where effects are between
     shortening: FloatVector  # (n_a) [m] of elastic tendons beside the stress-free rod
     pull_rate: FloatVector  # (n_a) [m/s] at which tendons that rub are pulled in
-    grip: FloatVector  # (n_a) [N s/m] the derivative of friction by that, for a tendon as a whole
+    grip: FloatVector  # (n_a) [N] the derivative of friction by the direction of sliding, for a tendon as a whole
     columns: np.ndarray  # (n_a, n) B_i of tendons that are elastic or rub
     rubbed: np.ndarray  # (n_a, n) the same, with what friction leaves of the tension
+    rubbing: np.ndarray  # (n_a, n) -d force / d direction of sliding
     share: FloatVector  # tendon x points, of the tension
+    slip: FloatVector  # tendon x points, -d share / d direction of sliding
     load: FloatVector  # (n) F
     under_loads: LoadMemory  # of a strain with loads inside
 
@@ -151,7 +153,7 @@ def make_workspace(arm: Arm) -> Workspace:
         ((n_a,), "tau tau_dot tension shortening pull_rate grip"),
         ((n,), "bias drive load"),
         ((n, n), "M D G extra"),
-        ((n_a, n), "columns rubbed"),
+        ((n_a, n), "columns rubbed rubbing"),
         ((points * 6,), "mismatch xi xi_dot xi_bias stress point_stiffness point_damping"),
         ((points * 21,), "factor"),
         ((n_a * points * 4,), "tangent"),
@@ -169,6 +171,7 @@ def make_workspace(arm: Arm) -> Workspace:
         state=arm.effects.state.copy(),
         unit=aligned(np.ones(points * 6)),
         share=aligned(np.ones(n_a * points)),
+        slip=aligned_zeros(n_a * points),
         before=aligned_zeros(6 * points if arm.effects.remembers else 0),
         under_loads=make_load_memory(*((n, nodes) if isinstance(strain, Loaded) else (0, 0))),
     )

@@ -22,7 +22,7 @@ def shares(model, q, direction):
     assert configure(model.arm, q, 1e-12, work) == (-1, 1.0)
     assert evaluate(model.arm, np.ones(model.tendon_count), q, 0.0 * q, 1e-12, work) == -1
     for i in range(model.tendon_count):
-        find_share(model.arm, i, -MU * direction, work)
+        find_share(model.arm, i, MU, direction, work)
     return model.grid.at_points(work.share.reshape(model.tendon_count, -1), 1)[..., 0].reshape(model.tendon_count, -1)
 
 

@@ -256,12 +256,12 @@ def turned(model, q, points):
     return np.interp(points, 0.5 * (places[1:] + places[:-1]), angle)
 
 
-def shares(model, q, slip):
-    """What is left of the first tendon's tension at the points where it slides, exp(slip phi)."""
+def shares(model, q, coefficient, direction):
+    """What is left of the first tendon's tension at the points where it slides in a direction."""
     work = make_workspace(model.arm)
     assert configure(model.arm, q, 1e-12, work) == (-1, 1.0)
     assert evaluate(model.arm, np.ones(model.tendon_count), q, 0.0 * q, 1e-12, work) == -1
-    find_share(model.arm, 0, slip, work)
+    find_share(model.arm, 0, coefficient, direction, work)
     rows = model.grid.at_points(work.share.reshape(model.tendon_count, -1), 1)[0, ..., 0]
     return rows.ravel()[: model.grid.points[model.grid.real].size]
 
@@ -289,7 +289,7 @@ def test_friction_of_any_angle(measured):
             q = np.zeros(model.coordinate_count)
             q[:2] = 3.0, 1.0
             angle = coefficient * turned(model, q, model.grid.points[model.grid.real].ravel())
-            pulled, let_out = shares(model, q, -coefficient), shares(model, q, coefficient)
+            pulled, let_out = shares(model, q, coefficient, 1.0), shares(model, q, coefficient, -1.0)
             np.testing.assert_allclose(pulled * let_out, 1.0, rtol=1e-5)
             off = np.abs(pulled - np.exp(-angle)).max(), abs(np.log(let_out[-1]) / angle[-1] - 1.0) if size > 1e-3 else 0.0
             worst[name] = np.maximum(worst.get(name, 0.0), off)

@@ -9,12 +9,12 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix, product, row_stride, solve_positive_definite
 from soft_tendon_env.mechanics.late_kernels import call_late
 from soft_tendon_env.mechanics.motion.elastic_tendons import stretch_tendons
+from soft_tendon_env.mechanics.motion.sliding_tendons import slide_tendons
 from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK
 from soft_tendon_env.mechanics.terms.command_filter import command_at
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit
 from soft_tendon_env.mechanics.terms.parametrisation import strain_matrices
-from soft_tendon_env.mechanics.terms.transmission import add_tendon_stiffness
-
+from soft_tendon_env.mechanics.terms.transmission import add_tendon_matrices
 
 NEAR = 0.05  # of a step's tolerance: how far a tendon may go to a kink of its tension in a step that is extrapolated
 
@@ -33,18 +33,20 @@ def start_matrices(arm, scratch):
     copy_matrix(now.damping, first.damping)
     copy_matrix(now.stiffness, first.stiffness)
     copy(now.force, first.force)
-    if arm.effects.transmission.elastic:
+    if arm.effects.transmission.elastic or arm.effects.transmission.friction > 0.0:
         copy(now.tension, first.tension)
         copy(now.shortening, first.shortening)
+        copy(now.pull_rate, first.pull_rate)
         copy_matrix(now.columns, first.columns)
         copy_matrix(now.rubbed, first.rubbed)
+        copy_matrix(now.rubbing, first.rubbing)
 
 
 @kernel
 def linear_matrices(arm, scratch):
-    """start_matrices(), with the stiffness of elastic tendons: for what is linear in the motion."""
+    """start_matrices(), with elastic tendons and those that rub: for what is linear in the motion."""
     start_matrices(arm, scratch)
-    add_tendon_stiffness(arm, scratch.work, scratch.first.stiffness)
+    add_tendon_matrices(arm, scratch.work, scratch.first.damping, scratch.first.stiffness)
 
 
 @kernel
@@ -95,6 +97,8 @@ def implicit_euler(arm, method, tolerance, u, motion, step, row, substep, scratc
     balance = scratch.now if substep > 0 else scratch.first
     status = rate_change(method.with_inertia, balance, h, scratch)
     if status == OK:
+        if arm.effects.transmission.friction > 0.0:
+            call_late(slide_tendons, arm.effects.late, (arm, balance, h, scratch))
         if arm.effects.transmission.elastic:
             command = command_at(arm.effects, u, motion.state, (substep + 1) * h, scratch.command)
             call_late(stretch_tendons, arm.effects.late, (arm, command, balance, h, row == 0, NEAR * tolerance, scratch))

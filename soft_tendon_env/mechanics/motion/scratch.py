@@ -25,7 +25,7 @@ class Motion(NamedTuple):
 
 
 class Balance(Struct):
-    """Forces and matrices of one substep; behind the force what is of elastic tendons alone."""
+    """Forces and matrices of one substep; behind the force what is of elastic tendons, and of those that rub."""
 
     mass: np.ndarray  # (n, n) M
     damping: np.ndarray  # (n, n) D and G with the effects' share
@@ -35,10 +35,12 @@ class Balance(Struct):
     shortening: np.ndarray  # (n_a) [m]
     columns: np.ndarray  # (n_a, n) see Workspace
     rubbed: np.ndarray  # (n_a, n)
+    rubbing: np.ndarray  # (n_a, n)
+    pull_rate: np.ndarray  # (n_a) [m/s]
 
 
 class Held(Struct):
-    """Scratch of stretch_tendons(): tensions of elastic tendons at the end of a substep."""
+    """Scratch of stretch_tendons() and slide_tendons(): tendons at the end of a substep."""
 
     tension: np.ndarray  # (n_a) [N], the solution
     least: np.ndarray  # (n_a) [N], zeros
@@ -46,7 +48,9 @@ class Held(Struct):
     part: np.ndarray  # (n_a) -1 slack, 0 between, 1 as tense as can be
     parts: np.ndarray  # (n_a) likewise in the first substep of the step
     answer: np.ndarray  # (n_a, n) change of rates by a newton
+    rate: np.ndarray  # (n_a) [m/s] at which they are pulled in
     matrix: np.ndarray  # (n_a, n_a)
+    give: np.ndarray  # (n_a, n_a)
     system: np.ndarray  # (n_a, n_a + 1)
 
 
@@ -96,9 +100,9 @@ def make_scratch(arm: Arm, columns: int, log: int = 0) -> Scratch:
         ((work.pose.size,), "pose"),
         ((work.base.size,), "base"),
     )
-    held = zeros_of(((n_a,), "tension least wanted part parts"), ((n_a, n), "answer"), ((n_a, n_a), "matrix"), ((n_a, n_a + 1), "system"))
-    kept = zeros_of(((n, n), "mass damping stiffness"), ((n,), "force"), ((n_a,), "tension shortening"), ((n_a, n), "columns rubbed"))
-    same = {name: getattr(work, name) for name in ("tension", "shortening", "columns", "rubbed")}
+    held = zeros_of(((n_a,), "tension least wanted part parts rate"), ((n_a, n), "answer"), ((n_a, n_a), "matrix give"), ((n_a, n_a + 1), "system"))
+    kept = zeros_of(((n, n), "mass damping stiffness"), ((n,), "force"), ((n_a,), "tension shortening pull_rate"), ((n_a, n), "columns rubbed rubbing"))
+    same = {name: getattr(work, name) for name in ("tension", "shortening", "pull_rate", "columns", "rubbed", "rubbing")}
     return Scratch(
         work=work,
         first=Balance(**kept),

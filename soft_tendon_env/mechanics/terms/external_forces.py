@@ -16,7 +16,7 @@ from soft_tendon_env.mechanics.late_kernels import call_late, late
 from soft_tendon_env.mechanics.terms.command_filter import rest_filter
 from soft_tendon_env.mechanics.terms.dynamics import gram_within, node_rows, point_rows, project
 from soft_tendon_env.mechanics.terms.tendon_friction import add_lost_stress, find_shares
-from soft_tendon_env.mechanics.terms.transmission import add_grip
+from soft_tendon_env.mechanics.terms.transmission import find_columns
 from soft_tendon_env.mechanics.workspace import make_workspace
 
 
@@ -150,7 +150,7 @@ def add_implicit(arm, work):
     if stresses:
         add_point_gram(rod, strain, work.point_stiffness, work, work.G)
         add_point_gram(rod, strain, work.point_damping, work, work.D)
-    add_grip(arm, work)
+    find_columns(arm, work)
 
 
 @kernel

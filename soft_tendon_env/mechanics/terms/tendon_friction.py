@@ -18,7 +18,8 @@ BEFORE = 0.5 - math.sqrt(3.0) / 6.0  # of an interval, what lies before its firs
 
 @kernel
 def find_shares(arm, work):
-    """Shares of the tensions that are left along the tendons, in work.share, and what their friction is by their rate, in work.grip; True
+    """Shares of the tensions that are left along the tendons, in work.share, and what their friction is by their direction of sliding, in
+    work.slip and work.grip; True
     if there is friction."""
     friction, tendons = arm.effects.transmission, arm.tendons
     if friction.friction == 0.0 or work.u_is_command[0] == 0.0:
@@ -26,10 +27,9 @@ def find_shares(arm, work):
     work.share[:] = 1.0
     tendon_forces(arm.rod, tendons, work.share, work.tangent, work.xi_dot, work.pull_rate)
     for i in range(tendons.size):
-        speed = math.hypot(work.pull_rate[i], friction.stiction_speed)
-        z, slope = work.pull_rate[i] / speed, (friction.stiction_speed / speed) ** 2 / speed
-        turned = friction.friction * find_share(arm, i, -friction.friction * z, work)
-        work.grip[i] = turned * mean_slope(turned * z) * work.tension[i] * slope
+        z = work.pull_rate[i] / math.hypot(work.pull_rate[i], friction.stiction_speed)
+        turned = friction.friction * find_share(arm, i, friction.friction, z, work)
+        work.grip[i] = turned * mean_slope(turned * z) * work.tension[i]
     return True
 
 
@@ -50,8 +50,8 @@ def turned_by(one, other, distance):
 
 
 @kernel
-def find_share(arm, i, slip, work):
-    """Shares exp(slip phi) of the tension of a tendon that are left at the points, into work.share; the whole angle phi."""
+def find_share(arm, i, friction, z, work):
+    """Shares exp(-mu z phi) of the tension of a tendon that are left at the points, into work.share; the whole angle phi."""
     rod, geometry, blocks = arm.rod, arm.tendons.geometry, 2 * arm.rod.packs
     angle, before, width_before = 0.0, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 0.0
     for pack in range(arm.tendons.first[i], arm.tendons.last[i]):
@@ -63,11 +63,18 @@ def find_share(arm, i, slip, work):
             inside = turned_by(one, other, (1.0 - 2.0 * BEFORE) * width)
             across = turned_by(before, one, BEFORE * (width + width_before))
             angle += across if width_before > 0.0 else BEFORE / (1.0 - 2.0 * BEFORE) * inside
-            work.share[first * LANES + m] = math.exp(slip * angle)
+            leave_share(friction * angle, z, first * LANES + m, work)
             angle += inside
-            work.share[(first + 1) * LANES + m] = math.exp(slip * angle)
+            leave_share(friction * angle, z, (first + 1) * LANES + m, work)
             before, width_before = other, width
     return angle
+
+
+@kernel
+def leave_share(turned, z, at, work):
+    """Share exp(-z mu phi) at a point, and its derivative."""
+    work.share[at] = math.exp(-z * turned)
+    work.slip[at] = turned * work.share[at]
 
 
 @kernel
@@ -94,9 +101,11 @@ def add_lost_stress(arm, work):
 
 
 @kernel
-def rubbed_column(arm, i, work, out):
-    """Column (n) of the forces that a tendon makes by the share of its tension in work.share, where actuation_column() has just been."""
-    for block in range(2 * arm.rod.packs):
-        at, left = block * 6 * LANES, load(work.share, (i * 2 * arm.rod.packs + block) * LANES)
-        store6(work.mismatch, at, twist_scaled(left, load6(work.mismatch, at)))
-    project(work.Phi, work.mismatch, point_rows(arm.rod), arm.strain.first, arm.strain.last, out)
+def weighted_column(arm, i, shares, work, out):
+    """Column (n) of the forces that a tendon makes by shares (tendons x points) of its tension, where actuation_column() has left its
+    wrenches in work.mismatch."""
+    blocks, field = 2 * arm.rod.packs, work.stress
+    for block in range(blocks):
+        at = block * 6 * LANES
+        store6(field, at, twist_scaled(load(shares, (i * blocks + block) * LANES), load6(work.mismatch, at)))
+    project(work.Phi, field, point_rows(arm.rod), arm.strain.first, arm.strain.last, out)

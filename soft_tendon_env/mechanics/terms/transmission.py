@@ -4,12 +4,14 @@ An elastic tendon pulls with k (u - shortening), between nothing and the strengt
 enters a step.
 """
 
+import math
+
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.late_kernels import call_late, late
-from soft_tendon_env.mechanics.terms.tendon_friction import rubbed_column
+from soft_tendon_env.mechanics.terms.tendon_friction import weighted_column
 from soft_tendon_env.mechanics.terms.tendons import actuation_column, tendon_lengths
 from soft_tendon_env.mechanics.workspace import make_workspace
 
@@ -38,32 +40,36 @@ def transmit(arm, u, work):
 
 
 @kernel
-def add_grip(arm, work):
-    """Add the damping of tendons that rub, sum c B_i B_i^T, to work.D; work.columns and work.rubbed of those and of elastic ones."""
+def find_columns(arm, work):
+    """Columns of the forces of elastic tendons and of those that rub, into work.columns, work.rubbed and work.rubbing."""
     path = arm.effects.transmission
-    rubs = path.friction > 0.0
-    if work.u_is_command[0] == 0.0 or not (path.elastic or rubs):
+    if work.u_is_command[0] == 0.0 or not (path.elastic or path.friction > 0.0):
         return
     for i in range(arm.tendons.size):
-        column = work.columns[i]
-        actuation_column(arm.rod, arm.tendons, arm.strain, i, work, column)
-        copy(column, work.rubbed[i])
-        if rubs:
-            rubbed_column(arm, i, work, work.rubbed[i])
-            for a in range(column.size):
-                for b in range(column.size):
-                    work.D[a, b] += work.grip[i] * column[a] * column[b]
+        actuation_column(arm.rod, arm.tendons, arm.strain, i, work, work.columns[i])
+        copy(work.columns[i], work.rubbed[i])
+        if path.friction > 0.0:
+            if path.elastic:
+                weighted_column(arm, i, work.share, work, work.rubbed[i])
+            weighted_column(arm, i, work.slip, work, work.rubbing[i])
+            for a in range(work.rubbing.shape[1]):
+                work.rubbing[i, a] *= work.tension[i]
 
 
 @kernel
-def add_tendon_stiffness(arm, work, stiffness):
-    """Add that of elastic tendons between slack and their strength, sum k B_i B_i^T, to a matrix (n, n) of which add_grip() has made the
-    columns: for what is linear in the motion."""
+def add_tendon_matrices(arm, work, damping, stiffness):
+    """Add what is linear in small motions of elastic tendons and of those that rub, sum c B_i B_i^T and k B_i B_i^T, to matrices (n, n)
+    without them; after find_columns()."""
     path = arm.effects.transmission
-    for i in range(arm.tendons.size if path.elastic else 0):
+    for i in range(arm.tendons.size if path.elastic or path.friction > 0.0 else 0):
+        slope, steepness = tension_slope(path, i, work) if path.elastic else 0.0, 0.0
+        if path.friction > 0.0:
+            speed = math.hypot(work.pull_rate[i], path.stiction_speed)
+            steepness = work.grip[i] * (path.stiction_speed / speed) ** 2 / speed
         for a in range(stiffness.shape[0]):
             for b in range(stiffness.shape[0]):
-                stiffness[a, b] += tension_slope(path, i, work) * work.rubbed[i, a] * work.columns[i, b]
+                stiffness[a, b] += slope * work.rubbed[i, a] * work.columns[i, b]
+                damping[a, b] += steepness * work.columns[i, a] * work.columns[i, b]
 
 
 @kernel
