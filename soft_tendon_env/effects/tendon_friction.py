@@ -28,12 +28,12 @@ STEEPEST = 100.0  # mu phi along the stress-free arm
 
 @register_effect("tendon_friction")
 class TendonFriction(Effect):
-    """`[effects.tendon_friction]`. `coefficient` mu [-]; `stiction_speed` v_s [m/s], 1 mm/s by default."""
+    """`[effects.tendon_friction]`. `coefficient` mu [-]; `stiction_speed` v_s [m/s], 0.1 mm/s by default."""
 
     is_actuation: ClassVar[bool] = True
 
     coefficient: Annotated[float, Field(ge=0, le=10)]
-    stiction_speed: Positive = 1e-3
+    stiction_speed: Positive = 1e-4
 
     def transmission(self, rod: Discretisation) -> dict[str, Any]:
         i = int(np.argmax(rod.tendon_turn))

@@ -145,7 +145,8 @@ def test_gradients_of_a_single_environment_are_finite_where_the_arm_lies_on_a_fl
 
 
 def test_effects_whose_states_follow_the_motion_are_refused_backward():
-    env = rows_of("TipPose", scene={"scene": "three_tendon", "effects.viscoelastic_memory": {"branches": [{"modulus": 0.5, "relaxation_time": 0.1}]}})
+    memory = {"branches": [{"modulus": 0.5, "relaxation_time": 0.1}]}
+    env = rows_of("TipPose", scene={"scene": "three_tendon", "effects.viscoelastic_memory": memory})
     env.reset(seed=0)
     action = torch.zeros(3, 3, requires_grad=True)
     with pytest.raises(ValueError, match="effects.viscoelastic_memory has internal states"):

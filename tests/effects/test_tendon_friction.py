@@ -95,7 +95,7 @@ def test_hysteresis_of_a_slow_cycle(uniform):
 
 
 def test_what_sticks_creeps(uniform):
-    """An arm whose tension falls stays where friction holds it, creeps slower than the stiction speed, and comes to rest without friction."""
+    """An arm whose tension falls stays where friction holds it, creeps below the stiction speed, and comes to rest without friction."""
     changes = friction(**{"integrator.quasi_static": True, "quadrature.intervals": 4, "integrator.step": 0.01})
     changes["effects.tendon_friction"]["stiction_speed"] = 1e-5
     simulation = Simulation(uniform(("bend_z",), 0, changes))

@@ -100,8 +100,18 @@ def make_scratch(arm: Arm, columns: int, log: int = 0) -> Scratch:
         ((work.pose.size,), "pose"),
         ((work.base.size,), "base"),
     )
-    held = zeros_of(((n_a,), "tension least wanted part parts rate"), ((n_a, n), "answer"), ((n_a, n_a), "matrix give"), ((n_a, n_a + 1), "system"))
-    kept = zeros_of(((n, n), "mass damping stiffness"), ((n,), "force"), ((n_a,), "tension shortening pull_rate"), ((n_a, n), "columns rubbed rubbing"))
+    held = zeros_of(
+        ((n_a,), "tension least wanted part parts rate"),
+        ((n_a, n), "answer"),
+        ((n_a, n_a), "matrix give"),
+        ((n_a, n_a + 1), "system"),
+    )
+    kept = zeros_of(
+        ((n, n), "mass damping stiffness"),
+        ((n,), "force"),
+        ((n_a,), "tension shortening pull_rate"),
+        ((n_a, n), "columns rubbed rubbing"),
+    )
     same = {name: getattr(work, name) for name in ("tension", "shortening", "pull_rate", "columns", "rubbed", "rubbing")}
     return Scratch(
         work=work,

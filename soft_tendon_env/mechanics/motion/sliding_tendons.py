@@ -13,8 +13,8 @@ from soft_tendon_env.mechanics.algebra.linear import product, solve_factored
 from soft_tendon_env.mechanics.late_kernels import late
 from soft_tendon_env.mechanics.motion.scratch import make_scratch
 
-MOST = 50  # linear problems
-SAME = 1e-9  # change of a direction of sliding that ends them
+MOST = 30  # linear problems
+SAME = 1e-6  # change of a direction of sliding that ends them
 
 
 def _example(arm):
