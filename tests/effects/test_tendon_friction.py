@@ -97,14 +97,14 @@ def test_hysteresis_of_a_slow_cycle(uniform):
 def test_what_sticks_creeps(uniform):
     """An arm whose tension falls stays where friction holds it, creeps below the stiction speed, and comes to rest without friction."""
     changes = friction(**{"integrator.quasi_static": True, "quadrature.intervals": 4, "integrator.step": 0.01})
-    changes["effects.tendon_friction"]["stiction_speed"] = 1e-5
+    changes["effects.tendon_friction"]["stiction_speed"] = 1e-4
     simulation = Simulation(uniform(("bend_z",), 0, changes))
-    simulation.step([2.0, 0.0, 0.0], 60.0)
+    simulation.step([2.0, 0.0, 0.0], 100.0)
     lengths = [simulation.model.tendon_lengths(simulation.state.q)[0]]
-    for duration in (0.1, 1.0, 1.0, 300.0):
+    for duration in (0.1, 1.0, 1.0, 100.0):
         simulation.step([1.95, 0.0, 0.0], duration)
         lengths.append(simulation.model.tendon_lengths(simulation.state.q)[0])
-    assert 0.0 < np.diff(lengths)[2] < 1e-5, "[m/s]"
+    assert 0.0 < np.diff(lengths)[2] < 1e-4, "[m/s]"
     np.testing.assert_allclose(simulation.state.q[0], bent(simulation.model, 1.95, 0.0), rtol=1e-6)
 
 
