@@ -49,6 +49,7 @@ class Held(Struct):
     parts: np.ndarray  # (n_a) likewise in the first substep of the step
     answer: np.ndarray  # (n_a, n) change of rates by a newton
     rate: np.ndarray  # (n_a) [m/s] at which they are pulled in
+    better: np.ndarray  # (n_a) likewise
     matrix: np.ndarray  # (n_a, n_a)
     give: np.ndarray  # (n_a, n_a)
     system: np.ndarray  # (n_a, n_a + 1)
@@ -101,7 +102,7 @@ def make_scratch(arm: Arm, columns: int, log: int = 0) -> Scratch:
         ((work.base.size,), "base"),
     )
     held = zeros_of(
-        ((n_a,), "tension least wanted part parts rate"),
+        ((n_a,), "tension least wanted part parts rate better"),
         ((n_a, n), "answer"),
         ((n_a, n_a), "matrix give"),
         ((n_a, n_a + 1), "system"),

@@ -14,6 +14,8 @@ from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
 from soft_tendon_env.mechanics.terms.tendons import tendon_forces, wrench_column
 
 BEFORE = 0.5 - math.sqrt(3.0) / 6.0  # of an interval, what lies before its first Gauss point and after its second
+CUT_ACROSS, CUT_INSIDE = ((part**2 / (3.0 * (1.0 - part))) for part in (2.0 * BEFORE, 1.0 - 2.0 * BEFORE))
+"""Shortening of the chord of a part of a curve against the part, as a share of that of the chord of both parts: of third order."""
 
 
 @kernel
@@ -44,9 +46,8 @@ def tangent_at(arm, i, pack, z, m, work):
 
 @kernel
 def turned_by(one, other, distance):
-    """Angle between the tangents at two points of a path at this distance: they turn within the section, and with it."""
-    turned = plus(minus(other[0], one[0]), times(0.5 * distance, plus(one[1], other[1])))
-    return math.sqrt(dot(turned, turned))
+    """How the tangent of a path turns between two points at this distance: within the section, and with it."""
+    return plus(minus(other[0], one[0]), times(0.5 * distance, plus(one[1], other[1])))
 
 
 @kernel
@@ -60,9 +61,15 @@ def find_share(arm, i, friction, z, work):
             if width == 0.0 or geometry[(first * 5 + 4) * LANES + m] == 0.0:
                 continue
             one, other = tangent_at(arm, i, pack, 0, m, work), tangent_at(arm, i, pack, 1, m, work)
-            inside = turned_by(one, other, (1.0 - 2.0 * BEFORE) * width)
-            across = turned_by(before, one, BEFORE * (width + width_before))
-            angle += across if width_before > 0.0 else BEFORE / (1.0 - 2.0 * BEFORE) * inside
+            turned_inside = turned_by(one, other, (1.0 - 2.0 * BEFORE) * width)
+            inside = math.sqrt(dot(turned_inside, turned_inside))
+            if width_before > 0.0:
+                turned = turned_by(before, one, BEFORE * (width + width_before))
+                across, both = math.sqrt(dot(turned, turned)), plus(turned, turned_inside)
+                cut = inside + across - math.sqrt(dot(both, both))
+                angle, inside = angle + across + CUT_ACROSS * cut, inside + CUT_INSIDE * cut
+            else:
+                angle += BEFORE / (1.0 - 2.0 * BEFORE) * inside
             leave_share(friction * angle, z, first * LANES + m, work)
             angle += inside
             leave_share(friction * angle, z, (first + 1) * LANES + m, work)
