@@ -131,7 +131,7 @@ def rollout_error(model: Model) -> tuple[float, float]:
     unit = np.append(scale, scale / HOLD)
     pairs = ((cheap.by_state[0] * unit, exact.state[: 2 * n, : 2 * n] * unit), (cheap.by_tension[0], exact.command[: 2 * n]))
     by_state, by_tension = (np.abs((x - y) / unit[:, None]).max() / max(np.abs(y / unit[:, None]).max(), 1e-30) for x, y in pairs)
-    return by_state, np.nan if model.arm.effects.transmit else by_tension
+    return by_state, np.nan if model.arm.effects.transmission.acts else by_tension
 
 
 def placed(model: Model, rows: int) -> Arms:

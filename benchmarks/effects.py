@@ -139,7 +139,7 @@ def costs(arms: dict[str, dict[str, Any]], turns: int) -> tuple[dict[str, float]
             model, random = model_on(ste.load_scene("paper").replace(changes), INTERVALS), np.random.default_rng(0)
             scratch = make_scratch(model.arm, 3)
             scratch.work.xi[:] = model.arm.rod.reference_strain
-            scratch.work.driven[0] = 1.0  # under commands, of which effects make tensions
+            scratch.work.u_is_command[0] = 1.0
             ready[name] = (model.arm, np.full(10, 3.0), random.uniform(0.0, 5.0, 10), random.normal(size=10), scratch)
             often(*ready[name], 5)
         for _ in range(turns):

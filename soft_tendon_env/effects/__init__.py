@@ -10,13 +10,8 @@ from soft_tendon_env.mechanics.effect_parameters import Matrix, Vector
 from soft_tendon_env.mechanics.effects import (
     adds_stress,
     adds_wrench,
-    advances_state,
     allow_turning,
-    delivers_command,
-    follows_command,
     limits_step,
-    loses_tension,
-    makes_tension,
     moves_base,
     sweeps_motion,
 )
@@ -26,6 +21,5 @@ for _module in pkgutil.iter_modules(__path__):
 
 __all__ = [
     "EFFECTS", "LANES", "Configured", "Discretisation", "Effect", "Effects", "Matrix", "Solid", "Vector", "adds_stress", "adds_wrench",
-    "advances_state", "allow_turning", "delivers_command", "follows_command", "limits_step", "kernel", "loses_tension", "makes_tension",
-    "moves_base", "register_effect", "sweeps_motion",
+    "allow_turning", "limits_step", "kernel", "moves_base", "register_effect", "sweeps_motion",
 ]  # fmt: skip

@@ -12,12 +12,9 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar
 import numpy as np
 from pydantic import ConfigDict
 
-from soft_tendon_env.mechanics.effects import EffectTable, acts_on_tendons, has_kernel, make_table
+from soft_tendon_env.mechanics.effects import DIRECT, EffectTable, has_kernel, make_table
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, odd_keys, shown
 from soft_tendon_env.tools.types import Array as Array
-
-SMALL_SHORTENING = 1e-7
-"""Step of the differences by which stiffnesses of tendons are found, as a share of the rod's length."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +79,10 @@ class DeadLoads(NamedTuple):
         return any(component != 0.0 for vector in self for component in vector)
 
 
+class NoParameters(NamedTuple):
+    """Parameters of an effect that no kernel reads."""
+
+
 class Solid(NamedTuple):
     """A simple solid, as pictures and recordings show it."""
 
@@ -96,7 +97,8 @@ class Effect(Configuration):
     Attributes:
         is_encountered: whether the arm comes upon it in places only, as upon obstacles: passive fields are made without it. Environments
             then observe and reward contact with it, and begin and aim clear of it, by `bodies`, `distances` and `sample_places`.
-        is_actuation: whether it lies between commands and tensions: what is told of the arm under given tensions is without it.
+        is_actuation: whether it lies between commands and tensions, as numbers of the `transmission`: what is told of the arm under given
+            tensions is without it.
         command_unit: unit of the commands that it takes; "N": the tension that comes of them at rest.
     """
 
@@ -111,7 +113,13 @@ class Effect(Configuration):
 
     def parameters(self, rod: Discretisation) -> Any:
         """The parameters that the kernels read: an instance of the effect's own NamedTuple class, see mechanics/effects.py."""
+        if self.is_actuation:
+            return NoParameters()
         raise NotImplementedError(f"{type(self).__name__} needs a method parameters(rod)")
+
+    def transmission(self, rod: Discretisation) -> dict[str, Any]:
+        """Numbers of `mechanics.effects.Transmission` by name, of an effect between commands and tensions."""
+        return {}
 
     def added_inertia(self, rod: Discretisation) -> Array:
         """Screw inertia (nodes, 6) [kg m^2, kg] that moves with the slices of the rod, about their axes: none unless a class says so."""
@@ -126,15 +134,6 @@ class Effect(Configuration):
         """The internal state (m,) of the effect in the stress-free arm that has always been at rest: none unless a class says so."""
         return np.zeros(0)
 
-    def state_of(self) -> str:
-        """Words that tell its internal states from others of the same size: a state of something else is refused."""
-        return ""
-
-    def state_tendons(self, rod: Discretisation) -> Array | None:
-        """Tendon (m,) that each internal state belongs to, -1 for those without derivatives such as times, of an effect that treats every
-        tendon by itself: derivatives of all tendons are then found at once. None, unless a class says otherwise: it may mix tendons."""
-        return None
-
     def potential_energy(self, arm: Configured) -> float:
         """Potential energy [J] of the effect. Raises ValueError where it has none, as unless a class says so."""
         raise ValueError(f"the effect {type(self).__name__} has no potential energy")
@@ -142,16 +141,6 @@ class Effect(Configuration):
     def dead_loads(self) -> DeadLoads | None:
         """Dead loads in place of the kernel, for a strain with `include_loads`: all that it would add, or None."""
         return None
-
-    def command(self, tension: Array, shortening: Array) -> Array:
-        """The command (.., n_a) that holds tensions (.., n_a) [N] at rest, in an arm within which the tendons are shorter by `shortening`
-        (.., n_a) [m] than in the stress-free one: the tensions, unless a class says otherwise."""
-        return tension
-
-    def tension(self, command: Array, shortening: Array, limits: Array) -> Array:
-        """The tensions (.., n_a) [N] that a command (.., n_a) holds at rest, its inverse where tendons are not slack; limits: (n_a, 2) [N]
-        of the tensions."""
-        return command
 
     def command_limits(self, limits: Array) -> Array:
         """Limits (n_a, 2) of commands where those of tensions are `limits` (n_a, 2) [N]."""
@@ -183,12 +172,6 @@ class Effect(Configuration):
     def covers(self, other: Self) -> bool:
         """Whether `varied` reaches another effect of the class: what was made under the one holds under the other."""
         return self == other
-
-
-def _declares_its_own(kind: type[Effect]) -> bool:
-    """Whether the class that says `state_tendons` has not been given other parameters or states by one that is derived from it."""
-    by = {name: next(own for own in kind.__mro__ if name in vars(own)) for name in ("state_tendons", "parameters", "state")}
-    return all(issubclass(by["state_tendons"], own) for own in by.values())
 
 
 def size(vector: tuple[float, float, float]) -> float:
@@ -267,25 +250,13 @@ class Effects(Configuration):
         effects = self.acting()
         parameters = {name: effect.parameters(rod) for name, effect in effects.items()}
         for name, own in parameters.items():
-            if not has_kernel(type(own)):
+            if not has_kernel(type(own)) and not effects[name].is_actuation:
                 kind = type(own).__name__
                 raise TypeError(f"the effect {name!r} has no kernel for its parameters: decorate one with @adds_wrench({kind})")
-        return make_table(list(parameters.values()), [effect.state(rod) for effect in effects.values()])
-
-    def state_tendons(self, rod: Discretisation) -> Array | None:
-        """Tendon that each internal state of all effects belongs to, see `Effect.state_tendons`; None where an effect may mix tendons."""
-        known = [np.empty(0)]
-        for name, effect in self.chosen().items():
-            size, own = effect.state(rod).size, effect.state_tendons(rod)
-            if size == 0 and not acts_on_tendons(type(effect.parameters(rod))):
-                continue
-            if own is None or not _declares_its_own(type(effect)):
-                return None
-            if own.shape != (size,) or not np.isin(own, np.arange(-1, rod.tendon_length.size)).all():
-                allowed = f"{size} numbers of tendons, 0 to {rod.tendon_length.size - 1}, or -1"
-                raise ValueError(f"the effect {name!r}: state_tendons should give {allowed}, not {shown(own)}")
-            known.append(own)
-        return np.concatenate(known).astype(np.int64)
+        numbers, states = {}, [effect.state(rod) for effect in effects.values()]
+        for i, effect in enumerate(effects.values()):
+            numbers.update(effect.transmission(rod), **({"filter": i} if effect.is_actuation and states[i].size else {}))
+        return make_table(list(parameters.values()), states, DIRECT.replaced(**numbers))
 
     def added_inertia(self, rod: Discretisation) -> Array:
         """Screw inertia (nodes, 6) that the effects add to the slices of the rod."""
@@ -323,24 +294,6 @@ class Effects(Configuration):
     def on_arm(self) -> "Effects":
         """Effects that act on the arm, without what lies between commands and tensions."""
         return self._those(lambda effect: not effect.is_actuation)
-
-    def command(self, tension: Array, shortening: Array) -> Array:
-        """The command (.., n_a) that holds tensions (.., n_a) [N] at rest, see `Effect.command`."""
-        for effect in reversed(self.chosen().values()):
-            tension = effect.command(tension, shortening)
-        return tension
-
-    def tension(self, command: Array, shortening: Array, limits: Array) -> Array:
-        """The tensions (.., n_a) [N] that a command (.., n_a) holds at rest, see `Effect.tension`."""
-        for effect in self.chosen().values():
-            command = effect.tension(command, shortening, limits)
-        return command
-
-    def slopes(self, tension: Array, shortening: Array, length: float) -> tuple[Array, Array]:
-        """Derivatives of the command (n_a,) that holds tensions: by each of them, and by each tendon's shortening, over a small part of
-        a length [m]."""
-        small, held = SMALL_SHORTENING * length, self.command(tension, shortening)
-        return self.command(tension + 1.0, shortening) - held, (self.command(tension, shortening + small) - held) / small
 
     def command_limits(self, limits: Array) -> Array:
         """Limits (n_a, 2) of commands where those of tensions are `limits` (n_a, 2) [N]."""

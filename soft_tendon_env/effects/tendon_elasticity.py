@@ -8,19 +8,15 @@ with the length L along the strained rod, L_0 along the stress-free one, and the
 (D. B. Camarillo et al., Mechanics modeling of tendon-driven continuum manipulators, IEEE Trans. Robotics 24, 2008). A tendon that the arm
 shortens by more than it was pulled in hangs slack. An actuator holds its displacement with no more than its strength T_m, the limit of
 the current of a motor, and gives way beyond: where a command jumps, a steel cable would pull with thousands of newton otherwise, and
-throw or tear the arm. Springs stiffer than the arm are the rule, so that they enter the implicit step.
+throw or tear the arm. Springs stiffer than the arm are the rule: their tensions are those at the end of every substep.
 """
 
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import field_validator
 
-from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Discretisation, Effect, register_effect
-from soft_tendon_env.mechanics.effect_parameters import Vector
-from soft_tendon_env.mechanics.effects import makes_tension
-from soft_tendon_env.mechanics.terms.tendons import path_lengths
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Number, Positive
 
@@ -45,47 +41,16 @@ class TendonElasticity(Effect):
             raise ValueError("should be (least, greatest), least before greatest")
         return limits
 
-    def parameters(self, rod: Discretisation) -> "ElasticityParameters":
+    def transmission(self, rod: Discretisation) -> dict[str, Any]:
         tendons = len(rod.tension_limits)
         for key in ("stiffness", "strength"):
             given = getattr(self, key)
             if isinstance(given, tuple) and len(given) != tendons:
                 text = f"has {len(given)} values: it should be one number, or one for each of the {tendons} tendons"
                 raise ConfigurationError([Problem(("effects", "tendon_elasticity", key), text)])
-        stiffness, strength = (Vector(np.full(tendons, values)) for values in (self.stiffness, self._strengths(rod.tension_limits)))
-        return ElasticityParameters(stiffness, Vector(rod.tendon_length), strength)
-
-    def state_tendons(self, rod: Discretisation) -> Array:
-        return np.empty(0)
-
-    def _strengths(self, limits: Array) -> Array:
-        return np.asarray(np.maximum(limits[:, 1], 0.0) if self.strength is None else self.strength)
-
-    def command(self, tension: Array, shortening: Array) -> Array:
-        return tension / np.asarray(self.stiffness) + shortening
-
-    def tension(self, command: Array, shortening: Array, limits: Array) -> Array:
-        return np.clip(np.asarray(self.stiffness) * (command - shortening), 0.0, self._strengths(limits))
+        strength = np.maximum(rod.tension_limits[:, 1], 0.0) if self.strength is None else self.strength
+        each = {"stiffness": np.full(tendons, self.stiffness), "strength": np.full(tendons, strength), "length": rod.tendon_length.copy()}
+        return {"elastic": 1, **each}
 
     def command_limits(self, limits: Array) -> Array:
         return np.tile(np.array(self.displacement_limits), (len(limits), 1))
-
-
-class ElasticityParameters(NamedTuple):
-    """The springs."""
-
-    stiffness: Vector  # (n_a) [N/m]
-    length: Vector  # (n_a) [m] along the stress-free rod
-    strength: Vector  # (n_a) [N] of the actuators
-
-
-@makes_tension(ElasticityParameters)
-@kernel(refcount=True)
-def spring_tension(springs, actuation):
-    """k times the stretch of every tendon, between slack and what its actuator can hold."""
-    length = np.empty(actuation.tension.size)
-    path_lengths(actuation.geometry, actuation.first, actuation.last, actuation.weight, actuation.strain, 2 * actuation.packs, length)
-    for i in range(length.size):
-        actuation.tension[i] = springs.stiffness[i] * (actuation.tension[i] - (springs.length[i] - length[i]))
-        actuation.stiffness[i] = springs.stiffness[i]
-        actuation.least[i], actuation.greatest[i] = 0.0, springs.strength[i]

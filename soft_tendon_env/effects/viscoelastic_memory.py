@@ -5,9 +5,10 @@ e = xi - xi* and the strain s_k of its damper, s_k_dot = (e - s_k) / tau_k: unde
 and what moves fast meets a modulus that is greater by the sum of the m_k (J. D. Ferry, Viscoelastic Properties of Polymers, 1980,
 chapter 3; J. C. Simo and T. J. R. Hughes, Computational Inelasticity, 1998, section 10.2). At rest it adds nothing.
 
-The internal state, s_k at every point, is advanced exactly for a strain that changes evenly over a step. Over a time step h a branch
-answers as a spring of modulus m_k where h is short beside tau_k, as a damper of viscosity m_k tau_k where it is long, and as that it
-enters the implicit step, so that it may be as stiff and as fast as it likes.
+The internal state is s_k at every point. Between its values at one time and another the strain is taken for a quadratic of time, with
+the rate at the end, for which s_k is exact. Over a time step h a branch answers as a spring of modulus m_k where h is short beside tau_k,
+as a damper of viscosity m_k tau_k where it is long, and as that it enters the implicit step, so that it may be as stiff and as fast as it
+likes.
 """
 
 import math
@@ -20,7 +21,7 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
 from soft_tendon_env.mechanics.effect_parameters import Vector
-from soft_tendon_env.mechanics.effects import adds_stress, advances_state
+from soft_tendon_env.mechanics.effects import adds_stress
 from soft_tendon_env.mechanics.types import point_field
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.types import Positive
@@ -56,9 +57,6 @@ class ViscoelasticMemory(Effect):
     def state(self, rod: Discretisation) -> Array:
         return np.zeros(len(self.branches) * rod.point.size * 6)
 
-    def state_of(self) -> str:
-        return f"of {', '.join(f'{branch.relaxation_time:g} s' for branch in self.branches)}"
-
     def potential_energy(self, arm: Configured) -> float:
         strain, stiffness = (point_field(field.reshape(-1, 2, 6)) for field in (arm.strain, arm.weight[:, None] * arm.stiffness))
         return 0.5 * float(self.moduli @ ((strain - arm.state.reshape(-1, strain.size)) ** 2 @ stiffness))
@@ -82,32 +80,35 @@ class MemoryParameters(NamedTuple):
     damper: Vector  # (branches) [s], and for damping
 
 
+@kernel
+def lag_weights(x):
+    """What makes the lag e - s_k after a time of x relaxation times: of the lag before, of the change of strain, and of the product of that
+    time and the rate."""
+    if x == 0.0 or x == math.inf:
+        return (1.0, 1.0, 0.0) if x == 0.0 else (0.0, 0.0, 0.0)
+    mean = -math.expm1(-x) / x
+    slope = (1.0 - mean) / x if x > 1e-3 else 0.5 - x / 6.0 + x * x / 24.0
+    return math.exp(-x), 2.0 * (mean - slope), 2.0 * slope - mean
+
+
 @adds_stress(MemoryParameters)
 @kernel
 def remembered_stress(memory, points):
-    """sum_k m_k Sigma (e - s_k) at every point, beside the linear stress."""
-    per_branch = points.strain.size
-    for at in range(0, per_branch, LANES):
-        root = load(points.root_stiffness, at)
-        strain = load(points.strain, at) - load(points.reference, at)
-        stress, spring, damper = 0.0 * root, 0.0, 0.0
-        for k in range(memory.time.size):
-            stress = stress + memory.modulus[k] * (strain - load(points.state, k * per_branch + at))
-            spring, damper = spring + memory.spring[k], damper + memory.damper[k]
-        store(points.stress, at, load(points.stress, at) + root * root * stress)
-        store(points.stiffness, at, load(points.stiffness, at) + spring * root * root)
-        store(points.damping, at, load(points.damping, at) + damper * root * root)
-
-
-@advances_state(MemoryParameters)
-@kernel
-def remember(memory, step, nodes, points):
-    """s_k after a step h in which e goes on at its rate: e + (s_k - e) exp(-h / tau) + e_dot (h - tau (1 - exp(-h / tau)))."""
-    per_branch = points.strain.size
+    """sum_k m_k Sigma (e - s_k) at every point, beside the linear stress, with s_k as it is now."""
+    per_branch, h = points.strain.size, points.since
     for k in range(memory.time.size):
-        decay = math.exp(-step / memory.time[k])
-        drift = step + memory.time[k] * math.expm1(-step / memory.time[k]) if step < math.inf else 0.0
+        kept, changed, rated = lag_weights(h / memory.time[k])
         for at in range(0, per_branch, LANES):
+            root, own = load(points.root_stiffness, at), k * per_branch + at
+            stiffness = root * root
             strain = load(points.strain, at) - load(points.reference, at)
-            lag = load(points.state, k * per_branch + at) - strain
-            store(points.state, k * per_branch + at, strain + decay * lag + drift * load(points.rate, at))
+            lag = strain - load(points.state, own)
+            if h > 0.0:
+                change = load(points.strain, at) - load(points.before, at)
+                lag = kept * (lag - change) + changed * change
+                if h < math.inf:
+                    lag = lag + (rated * h) * load(points.rate, at)
+                store(points.state, own, strain - lag)
+            store(points.stress, at, load(points.stress, at) + memory.modulus[k] * stiffness * lag)
+            store(points.stiffness, at, load(points.stiffness, at) + memory.spring[k] * stiffness)
+            store(points.damping, at, load(points.damping, at) + memory.damper[k] * stiffness)

@@ -93,13 +93,13 @@ class Arms:
         return make_cotangents(self.model.arm, self.places, self.size, parts)
 
     def check_adjoint(self) -> None:
-        """Raises ValueError where internal states of effects follow the motion, as those of friction and memory."""
+        """Raises ValueError where stresses depend on the strain before, as those of memory."""
         table = self.model.arm.effects
-        follows = (np.diff(table.first_state) > 0) & ((table.advance != 0) | (table.loss != 0))
-        for name, refused in zip(self.model.acting, follows.tolist(), strict=True):
-            if refused:
-                text = "has internal states that follow the motion of the arm, through which there is no adjoint"
-                raise ValueError(f"effects.{name} {text}; Simulation.linearize has them")
+        if table.remembers:
+            sizes = np.diff(table.first_state)
+            name = next(own for i, own in enumerate(self.model.acting) if sizes[i] and i != table.transmission.filter)
+            text = "has internal states that follow the motion of the arm, through which there is no adjoint"
+            raise ValueError(f"effects.{name} {text}; Simulation.linearize has them")
 
     def adjoint(self, tape: Tape, members: Indices, cotangents: Cotangents) -> None:
         """Derivatives of a scalar by what went into the period on the tape, of the rows `members`: given those by the state after it and by
@@ -117,9 +117,8 @@ class Arms:
         if changed.size:
             raise ValueError(f"row {changed[0]} has got another arm since the period on the tape: go back before that")
         if self._adjoint_memory is None:
-            tendons = self.model.scene.effects.state_tendons(self.model.discretisation)
             rate = linear_rate(self.model)
-            self._adjoint_memory = [make_adjoint_memory(self.model.arm, tendons, rate) for _ in range(self.threads)]
+            self._adjoint_memory = [make_adjoint_memory(self.model.arm, rate) for _ in range(self.threads)]
         memories, scheme = self._adjoint_memory, self._scheme
 
         def go_back(part: Indices, scratch: Scratch) -> None:
@@ -135,7 +134,7 @@ class Arms:
     def place(self, members: Indices, q: Array, tension: Array | None = None) -> None:
         """Put the rows `members` at rest at their coordinates q (members, n), where tensions (members, n_a) [N], or none, hold them."""
         commands = np.zeros((self.size, self.model.tendon_count))
-        if self.model.arm.effects.transmit:
+        if self.model.arm.effects.transmission.acts:
             held = np.broadcast_to(0.0 if tension is None else tension, (members.size, self.model.tendon_count))
             commands[members] = [self._models[row].command(*own) for row, *own in zip(members.tolist(), held, q, strict=True)]
         self.rows.q[members], self.rows.q_dot[members], self.rows.step[members] = q, 0.0, self._scheme.control.step

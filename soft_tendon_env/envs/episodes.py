@@ -102,7 +102,7 @@ class Episodes:
         noise = options.randomize.noise if options.randomize.of_sensors else None
         self._sensors = Sensors(noise, rows, model.tendon_count, self.sensors.size) if noise is not None else None
         self.history = History(rows, options.history, self.layout.kept) if options.history else None
-        self._all, self._transmits, self._simulated = np.arange(rows, dtype=np.int64), model.arm.effects.transmit, True
+        self._all, self._transmits, self._simulated = np.arange(rows, dtype=np.int64), model.arm.effects.transmission.acts, True
         self.arms.place(self._all, np.tile(starts.q, (rows, 1)), self.start_tension)
         self._rest_values = RestValues(self.arms.reading.tendon_length[0].copy(), stress_free_strain(scene, self.sensors))
         self.step_count: Indices = np.zeros(rows, dtype=np.int64)

@@ -14,7 +14,7 @@ from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 from soft_tendon_env.mechanics.effect_parameters import parameters_at
 from soft_tendon_env.mechanics.motion.batch import place_nodes
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
-from soft_tendon_env.mechanics.terms.transmission import values_of
+from soft_tendon_env.mechanics.terms.external_forces import values_of
 from soft_tendon_env.mechanics.types import FloatVector, IntVector
 
 EFFORT, SMOOTHNESS = -1, -2

@@ -68,7 +68,9 @@ class Points(NamedTuple):
 
     packs: int
     time: float  # [s]
-    state: np.ndarray  # the effect's own internal state
+    since: float  # [s] since the strain was `before` and the effect's own state was what it is; infinity: the arm has rested
+    state: np.ndarray  # the effect's own internal state then, which its stress brings up to the present
+    before: np.ndarray  # points x 6, xi then
     strain: np.ndarray  # points x 6, xi
     rate: np.ndarray  # points x 6, xi_dot
     reference: np.ndarray  # points x 6, xi*
@@ -87,63 +89,52 @@ class Base(NamedTuple):
     acceleration: np.ndarray  # (6) its rate
 
 
-class Actuation(NamedTuple):
-    """The tendons: what an effect reads of them, and what it makes of the command that moves them; layout as in types.py.
+class Transmission(Struct):
+    """Path from commands to tensions: a filter in front of the tendons, elastic tendons, friction along them. Each may be off."""
 
-    A command [N] is the tension that each actuator is to hold, unless an effect makes tensions of something else, as tendon elasticity
-    does of displacements.
-    """
+    filter: int  # index of the effect whose internal state is that of the filter, see transmission; -1: commands act at once
+    lags: int  # 1 where what has arrived acts with a lag or a limited rate, else 0
+    delay: float  # [s]
+    time_constant: float  # [s] of the lag
+    rate_limit: float  # [N/s], or where commands are displacements [m/s]
+    finest: float  # [s], the shortest step that a command on its way asks for
+    elastic: int  # 1 where tendons are springs and commands are displacements of their actuators [m], else 0
+    stiffness: np.ndarray  # (n_a) [N/m] of the springs
+    strength: np.ndarray  # (n_a) [N] of their actuators
+    length: np.ndarray  # (n_a) [m] of the tendons along the stress-free rod
+    friction: float  # coefficient of friction [-]; 0: tensions are the same all along a tendon
+    stiction_speed: float  # [m/s] at which friction is 1 / sqrt(2) of that of fast sliding
 
-    packs: int
-    time: float  # [s]
-    state: np.ndarray  # the effect's own internal state
-    command: np.ndarray  # tendons, that which has arrived
-    tension: np.ndarray  # tendons [N], at the actuators: the command to begin with, then what effects earlier by name make of it
-    stiffness: np.ndarray  # tendons [N/m], d tension / d length, or of what else moves in proportion to it: 0 to begin with
-    creep: np.ndarray  # tendons [N/s], the rate at which a tension grows besides in proportion to its length: 0 to begin with
-    least: np.ndarray  # tendons [N], below which a stiff tension never falls, however short it is: -infinity to begin with
-    greatest: np.ndarray  # tendons [N], above which it never grows: infinity to begin with
-    share: np.ndarray  # tendons x points, of its tension at the actuator that a tendon has at a point: 1 to begin with
-    strain: np.ndarray  # points x 6, xi
-    rate: np.ndarray  # points x 6, xi_dot
-    weight: np.ndarray  # points [m], the integral's weight, 0 in empty intervals
-    geometry: np.ndarray  # tendons x points x 5: y, z [m], y', z', presence
-    tangent: np.ndarray  # tendons x points x 4: unit tangent t in the section's frame, and 1 / |t_c|; in the tendon's packs
-    first: np.ndarray  # tendons, int64: the first pack that holds a part of the tendon
-    last: np.ndarray  # tendons, int64: one past the last such pack
+    @property
+    def makes_tensions(self) -> bool:
+        """True if tendons are elastic or rub."""
+        return self.elastic != 0 or self.friction > 0.0
+
+    @property
+    def acts(self) -> bool:
+        """True if any of it is on."""
+        return self.filter >= 0 or self.makes_tensions
 
 
-class Delivery(NamedTuple):
-    """A command on its way to the tendons."""
-
-    time: float  # [s]
-    state: np.ndarray  # the effect's own internal state
-    command: np.ndarray  # tendons: what is commanded from now on; to be replaced by what acts now
-    until: np.ndarray  # (1) [s] up to which that acts unless another command comes; infinity at first. -infinity: there is no room for it
-    begins: bool  # whether it is commanded anew from this time on, though it may repeat the last one
+DIRECT = Transmission(
+    filter=-1, lags=0, delay=0.0, time_constant=0.0, rate_limit=math.inf, finest=0.0, elastic=0,
+    stiffness=np.zeros(0), strength=np.zeros(0), length=np.zeros(0), friction=0.0, stiction_speed=1.0,
+)  # fmt: skip
+"""Commands that are tensions at once."""
 
 
 _ROW = np.zeros(1)
 _NODES = Nodes(1, 0.0, *(_ROW for _ in Nodes._fields[2:]))
-_POINTS = Points(1, 0.0, *(_ROW for _ in Points._fields[2:]))
-_INDEX = np.zeros(1, dtype=np.int64)
-_ACTUATION = Actuation(1, 0.0, *(_ROW for _ in Actuation._fields[2:]))._replace(first=_INDEX, last=_INDEX)
+_POINTS = Points(1, 0.0, 0.0, *(_ROW for _ in Points._fields[3:]))
 HOOKS: dict[str, tuple[Any, ...]] = {
     "wrench": (_NODES,),
     "stress": (_POINTS,),
-    "advance": (0.0, _NODES, _POINTS),
     "base": (Base(0.0, _ROW, _ROW, _ROW),),
     "limit": (_NODES, _ROW),
     "sweep": (Before(0.0, _ROW, _ROW), _NODES, _ROW, make_contact_flags()),
-    "deliver": (Delivery(0.0, _ROW, _ROW, _ROW, False),),
-    "tension": (_ACTUATION,),
-    "loss": (_ACTUATION,),
-    "follow": (0.0, _ACTUATION),
 }
 """Kinds of kernels that an effect can have, with examples of their arguments but for the parameters, and of the fields of `EffectTable`: a
-wrench at the nodes, stress at the points, an internal state that advances in time, motion of the base, the longest step that it allows,
-what the arm meets on its way; and on the way from command to tension: when commands arrive, which tensions they make, what is lost along
-the tendons, and an internal state of that which advances in time."""
+wrench at the nodes, stress at the points, motion of the base, the longest step that it allows, what the arm meets on its way."""
 
 
 class EffectTable(Struct):
@@ -155,14 +146,10 @@ class EffectTable(Struct):
     count: int
     wrench: np.ndarray  # (count) int64
     stress: np.ndarray
-    advance: np.ndarray
     base: np.ndarray
     limit: np.ndarray
     sweep: np.ndarray
-    deliver: np.ndarray
-    tension: np.ndarray
-    loss: np.ndarray
-    follow: np.ndarray
+    transmission: Transmission
     first_value: np.ndarray  # (count + 1) int64, where in `values` the parameters of each begin
     first_state: np.ndarray  # (count + 1) int64
     values: np.ndarray  # parameters of all effects
@@ -177,9 +164,15 @@ class EffectTable(Struct):
         return bool(np.any([self.wrench, self.stress, self.base]))
 
     @property
-    def transmit(self) -> bool:
-        """True if an effect changes the command before it becomes tension, as delay, elasticity and friction do."""
-        return bool(np.any([self.deliver, self.tension, self.loss]))
+    def filter_size(self) -> int:
+        """Numbers of the internal state of the filter in front of the tendons."""
+        i = self.transmission.filter
+        return int(self.first_state[i + 1] - self.first_state[i]) if i >= 0 else 0
+
+    @property
+    def remembers(self) -> bool:
+        """True if a stress depends on the strain before."""
+        return self.state.size > self.filter_size
 
     def __getstate__(self) -> dict[str, Any]:
         kinds = {hook: [_KINDS.get(int(address)) for address in getattr(self, hook)] for hook in HOOKS}
@@ -210,17 +203,9 @@ def adds_wrench(kind: type) -> Decorator:
 
 def adds_stress(kind: type) -> Decorator:
     """Decorator: the kernel (parameters, points) of an effect. It adds to `points.stress`, and the diagonals of its derivatives to
-    `points.stiffness` and `points.damping`, see `Points`."""
+    `points.stiffness` and `points.damping`, see `Points`. Of an effect with an internal state it brings `points.state` up to the present,
+    by the strain `before`, that of now and its rate; for a time `since` of 0 it leaves it, for one of infinity it is that at rest."""
     return _registers("stress", kind)
-
-
-def advances_state(kind: type) -> Decorator:
-    """Decorator: the kernel (parameters, step, nodes, points) of an effect with an internal state, `nodes.state` and `points.state` alike.
-
-    It advances the state by a time step [s], from the configuration before the step and the rates after it; a step of infinity leads to
-    where the state rests in this configuration.
-    """
-    return _registers("advance", kind)
 
 
 def moves_base(kind: type) -> Decorator:
@@ -252,34 +237,6 @@ def allow_turning(rate, longest):
         longest[0] = min(longest[0], TURN / abs(rate))
 
 
-def delivers_command(kind: type) -> Decorator:
-    """Decorator: the kernel (parameters, delivery) of an effect by which commands act later. It keeps what is commanded in
-    `delivery.state`, and replaces `delivery.command` by what acts, and `delivery.until` by when that ends, see `Delivery`. No integrator
-    step goes across the end."""
-    return _registers("deliver", kind)
-
-
-def makes_tension(kind: type) -> Decorator:
-    """Decorator: the kernel (parameters, actuation) of an effect that makes tensions of the command: it replaces `actuation.tension`,
-    and where that is stiff sets `actuation.stiffness`, see `Actuation`. A stiff tension that is bounded, as that of a cable which hangs
-    slack, is to be given as it would be without bounds, with `actuation.least` and `actuation.greatest`: within a step it may come to
-    them and leave them."""
-    return _registers("tension", kind)
-
-
-def loses_tension(kind: type) -> Decorator:
-    """Decorator: the kernel (parameters, actuation) of an effect that takes tension away along a tendon, as friction does: it multiplies
-    `actuation.share` at the points, and where that is stiff adds to `actuation.stiffness`."""
-    return _registers("loss", kind)
-
-
-def follows_command(kind: type) -> Decorator:
-    """Decorator: the kernel (parameters, step, actuation) of such an effect with an internal state, as `advances_state`: it advances
-    `actuation.state` by a time step [s], from the configuration before the step and the rates after it, under the command that acts; a step
-    of infinity leads to where the state rests."""
-    return _registers("follow", kind)
-
-
 def _registers(hook: str, kind: type) -> Decorator:
     def register(function: Any) -> Any:
         _KERNELS[hook, kind] = function
@@ -290,7 +247,7 @@ def _registers(hook: str, kind: type) -> Decorator:
 
 def kinds_of(table: EffectTable) -> list[type]:
     """The classes of the parameters of a table's effects, in their order."""
-    return [_KINDS[next(int(row[i]) for hook in HOOKS if (row := getattr(table, hook))[i])] for i in range(len(table))]
+    return [_KINDS.get(max(int(getattr(table, hook)[i]) for hook in HOOKS), object) for i in range(len(table))]
 
 
 def has_kernel(kind: type) -> bool:
@@ -298,13 +255,9 @@ def has_kernel(kind: type) -> bool:
     return any((hook, kind) in _KERNELS for hook in HOOKS)
 
 
-def acts_on_tendons(kind: type) -> bool:
-    """True if a kernel for parameters of this class acts on the way from commands to tensions."""
-    return any((hook, kind) in _KERNELS for hook in ("deliver", "tension", "loss", "follow"))
-
-
-def make_table(parameters: list[Any], states: list[np.ndarray]) -> EffectTable:
-    """The table of effects with these parameters and internal states, in their order; compiles their kernels when needed."""
+def make_table(parameters: list[Any], states: list[np.ndarray], transmission: Transmission = DIRECT) -> EffectTable:
+    """The table of effects with these parameters and internal states, in their order, and a transmission; compiles their kernels when
+    needed. Those whose parameters no kernel reads, as an empty tuple, act by the transmission alone."""
     kernels = {hook: np.array([_address(hook, type(own)) for own in parameters], dtype=np.int64) for hook in HOOKS}
     for own in parameters:
         _tell_of_unlimited_steps(type(own))
@@ -315,6 +268,7 @@ def make_table(parameters: list[Any], states: list[np.ndarray]) -> EffectTable:
         first_state=np.cumsum([0, *(part.size for part in states)]),
         values=np.concatenate([np.zeros(0), *values]),
         state=np.concatenate([np.zeros(0), *states]),
+        transmission=transmission,
         **kernels,
     )
 

@@ -11,22 +11,6 @@ from soft_tendon_env.mechanics.types import Arm, FloatVector, Loaded
 PER_LINE = LINE // 8  # numbers of a cache line
 
 
-class Bounded(Struct):
-    """Tensions that grow with the length of stiff tendons between bounds, as those of cables that hang slack at one."""
-
-    any: FloatVector  # (1) 1 where there are such tendons, else 0
-    free: FloatVector  # (n_a) [N] what the tensions would be without bounds
-    stiffness: FloatVector  # (n_a) [N/m] between the bounds; 0 where a tension has none
-    least: FloatVector  # (n_a) [N]
-    greatest: FloatVector  # (n_a) [N]
-    part: FloatVector  # (n_a) -1 at the least, 0 between, 1 at the greatest: what forces and matrices are made for
-
-
-def make_bounded(tendons: int) -> Bounded:
-    """Zeroed Bounded for so many tendons."""
-    return Bounded(**zeros_of(((1,), "any"), ((tendons,), "free stiffness least greatest part")))
-
-
 def zeros_of(*shapes: tuple[tuple[int, ...], str]) -> dict[str, np.ndarray]:
     """Zeros by name, each aligned to cache lines, for pairs of a shape and the names of all arrays that have it; in one piece of memory."""
     places, end = [], 0
@@ -58,8 +42,8 @@ def make_load_memory(nodes: int) -> LoadMemory:
 class Workspace(Struct):
     """Arrays that one evaluation fills. The kernels read what the same evaluation has written, and besides:
 
-    xi, the guess from which the Newton of the statics-based strain starts; `clock` and `state`, where and when effects are evaluated;
-    xi_dot of the evaluation before, for effects that make tensions; what make_workspace() fills and nothing writes: `unit`, `base` of an
+    xi, the guess from which the Newton of the statics-based strain starts; `clock`, `state`, `before` and `since`, when effects are
+    evaluated and what was before; what make_workspace() fills and nothing writes: `unit`, `base` of an
     arm that stands still, Phi of explicit strains, which are their fields, and zeros: the columns Phi, Y and J in packs where their
     coordinate moves nothing, xi_bias of explicit strains, load without effects.
     """
@@ -89,6 +73,8 @@ class Workspace(Struct):
     point_stiffness: FloatVector  # points x 6
     point_damping: FloatVector  # points x 6
     state: FloatVector  # internal states of the effects
+    before: FloatVector  # points x 6, the strain to which they belong; empty where no effect remembers it
+    since: FloatVector  # (1) time since then [s]
     clock: FloatVector  # (1) time [s]
     touched: FloatVector  # (1) set to 1 where the arm touches what it came upon, see effects.Nodes
     loaded: FloatVector  # coordinate x nodes x 6, node stiffness times J
@@ -99,15 +85,16 @@ class Workspace(Struct):
     G: np.ndarray  # (n, n)
     bias: FloatVector  # (n) C q_dot
     drive: FloatVector  # (n) B u - K - D q_dot
-    driven: FloatVector  # (1) 1, or ON_PARTS, where u is a command, of which effects make tensions; 0 where it is the tensions
-    command: FloatVector  # (n_a) that which has arrived
-    tension: FloatVector  # (n_a) [N] that effects make of it
-    tendon_stiffness: FloatVector  # (n_a) [N/m]
-    tendon_creep: FloatVector  # (n_a) [N/s]
-    bounded: Bounded  # stiff tensions within bounds
-    drift: FloatVector  # (n) sum of B_i times that
-    tendon_columns: np.ndarray  # (n_a, n) B_i of the stiff tendons
+    u_is_command: FloatVector  # (1) 1 where u is a command, 0 where it is the tensions
+    tension: FloatVector  # (n_a) [N] that come of a command, where effects are between
+    shortening: FloatVector  # (n_a) [m] of elastic tendons beside the stress-free rod
+    pull_rate: FloatVector  # (n_a) [m/s] at which tendons that rub are pulled in
+    grip: FloatVector  # (n_a) [N] the derivative of friction by the direction of sliding, for a tendon as a whole
+    columns: np.ndarray  # (n_a, n) B_i of tendons that are elastic or rub
+    rubbed: np.ndarray  # (n_a, n) the same, with what friction leaves of the tension
+    rubbing: np.ndarray  # (n_a, n) -d force / d direction of sliding
     share: FloatVector  # tendon x points, of the tension
+    slip: FloatVector  # tendon x points, -d share / d direction of sliding
     load: FloatVector  # (n) F
     under_loads: LoadMemory  # of a strain with loads inside
 
@@ -117,11 +104,11 @@ def make_workspace(arm: Arm) -> Workspace:
     strain, n, n_a, nodes = arm.strain, arm.strain.size, arm.tendons.size, arm.rod.length.size
     points = 2 * nodes
     arrays = zeros_of(
-        ((1,), "clock touched driven"),
-        ((n_a,), "tau tau_dot command tension tendon_stiffness tendon_creep"),
-        ((n,), "bias drive drift load"),
+        ((1,), "clock since touched u_is_command"),
+        ((n_a,), "tau tau_dot tension shortening pull_rate grip"),
+        ((n,), "bias drive load"),
         ((n, n), "M D G extra"),
-        ((n_a, n), "tendon_columns"),
+        ((n_a, n), "columns rubbed rubbing"),
         ((points * 6,), "mismatch xi xi_dot xi_bias stress point_stiffness point_damping"),
         ((points * 21,), "factor"),
         ((n_a * points * 4,), "tangent"),
@@ -139,6 +126,7 @@ def make_workspace(arm: Arm) -> Workspace:
         state=arm.effects.state.copy(),
         unit=aligned(np.ones(points * 6)),
         share=aligned(np.ones(n_a * points)),
-        bounded=make_bounded(n_a),
+        slip=aligned_zeros(n_a * points),
+        before=aligned_zeros(6 * points if arm.effects.remembers else 0),
         under_loads=make_load_memory(nodes if isinstance(strain, Loaded) else 0),
     )

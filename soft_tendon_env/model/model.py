@@ -170,11 +170,11 @@ class Model:
         """Names of what a state is of: the strain coordinates, then every effect with internal states or with commands of its own.
 
         Two models with the same names read a state alike: "statics_based:16 3f2a90c1", with the number of coordinates and a digest of
-        the strain's settings, and "tendon_friction:20", with the number of internal states and what else decides about their meaning.
+        the strain's settings, and "actuators:20", with the number of internal states.
         """
         sizes = np.diff(self.arm.effects.first_state).tolist()
         effects = zip(self.acting.items(), sizes, strict=True)
-        named = [f"{name}:{size} {own.state_of()}".strip() for (name, own), size in effects if size or own.command_unit != "N"]
+        named = [f"{name}:{size}" for (name, own), size in effects if size or own.command_unit != "N"]
         return strain_name(self.scene, self.coordinate_count), *named
 
     def check_names(self, names: tuple[str, ...]) -> None:
@@ -257,10 +257,8 @@ class Model:
     def command(self, tension: ArrayLike, q: ArrayLike) -> Array:
         """The command (n_a,) that holds tensions (n_a,) [N] at rest at q (n,): the tensions themselves [N], or with elastic tendons the
         displacements [m] of their actuators."""
-        u, effects = checked_array("tension", tension, (self.tendon_count,)), self.scene.effects
-        if effects.command_tension:
-            return u
-        return np.asarray(effects.command(u, self.discretisation.tendon_length - self.tendon_lengths(q)))
+        u, path = checked_array("tension", tension, (self.tendon_count,)), self.arm.effects.transmission
+        return np.asarray(u / path.stiffness + path.length - self.tendon_lengths(q)) if path.elastic else u
 
     def rest_coordinates(self, tension: ArrayLike) -> Array:
         """Coordinates (n,) at rest under tensions (n_a,) [N] alone, [u; 0] of (34); statics-based strain only, else ValueError."""

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 from soft_tendon_env.mechanics.motion import advance, status
 from soft_tendon_env.mechanics.motion.advance import Control, Record
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
-from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
-from soft_tendon_env.mechanics.terms.evaluate import evaluate_at_rest
+from soft_tendon_env.mechanics.terms.external_forces import rest_states
 from soft_tendon_env.model.derivatives import Derivatives, Linearization, Period, linearized, period_derivatives
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.rollout import Rollout, checked_plan, roll_out
@@ -125,7 +124,7 @@ class Simulation:
             states = checked_array("effects", effects, work.state.shape).copy()
         elif work.state.size:
             work.xi[:] = strain
-            evaluate_at_rest(self.model.arm, held, start, STEP_TOLERANCE, work)
+            rest_states(self.model.arm, held, work)
             states = work.state.copy()
         else:
             states = np.zeros(0)

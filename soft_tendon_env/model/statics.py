@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from soft_tendon_env.mechanics.algebra.bounded import solve_bounded
 from soft_tendon_env.mechanics.types import Explicit, Implicit
 from soft_tendon_env.model.coordinates import with_every_tension
 from soft_tendon_env.model.equilibrium_residual import At, Balance, Linearised
@@ -24,10 +25,6 @@ from soft_tendon_env.tools.checks import checked_array, checked_type
 from soft_tendon_env.tools.types import Array
 
 MOST_COMMANDED = 50
-MOST_AT_ONCE, MOST_ONE_BY_ONE = 20, 200
-"""Solutions with bounds, of which all or one that is on the wrong side of one change in each."""
-FAR = 1e3
-"""Shortening or lengthening, in lengths of the rod, at which a tendon is slack, or its actuator at the end of its strength."""
 SAME_TENSION = 1e-11
 """Relative difference of two tensions that counts as none, or of the rod's length where a spring of a tendon is that much longer."""
 CONTRACTION = 0.5
@@ -146,45 +143,27 @@ def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium
     finds none, `converged` is false. Raises as `static_equilibrium`.
     """
     checked_type("model", model, Model, "see build_model")
-    given, effects = checked_array("command", command, (model.tendon_count,)), model.scene.effects
-    rod, u, found = model.discretisation, np.zeros(model.tendon_count), None
-    warn_beyond_limits(effects.command_limits(rod.tension_limits).tolist(), given, model.command_unit)
+    given, path, n_a = checked_array("command", command, (model.tendon_count,)), model.arm.effects.transmission, model.tendon_count
+    limits = model.scene.effects.command_limits(model.discretisation.tension_limits)
+    warn_beyond_limits(limits.tolist(), given, model.command_unit)
+    if not path.elastic:
+        return static_equilibrium(model, given), given
+    u, found, scratch = np.zeros(n_a), None, (np.zeros(n_a), np.zeros((n_a, n_a + 1)))
     for iteration in range(MOST_COMMANDED):
         with erring_actuators():  # a word of the command is enough
             found = static_equilibrium(model, u, None if found is None else found.q)
-        shortening = rod.tendon_length - model.tendon_lengths(found.q)
-        wanted = effects.tension(given, shortening, rod.tension_limits)
-        by_tension, by_length = effects.slopes(u, shortening, model.length)
-        same = SAME_TENSION * (np.abs(wanted).max() + np.abs(u).max() + model.length * by_length / by_tension)
+        shortening = path.length - model.tendon_lengths(found.q)
+        wanted = np.clip(path.stiffness * (given - shortening), 0.0, path.strength)
+        same = SAME_TENSION * (np.abs(wanted).max() + np.abs(u).max() + model.length * path.stiffness)
         if not found.converged or (np.abs(wanted - u) <= same).all():
             return found._replace(iterations=found.iterations + iteration), u
         B = model.terms(found.q, 0 * found.q, u).actuation
-        give = B.T @ np.linalg.solve(static_stiffness(model, found.q, u), B)
-        compliance, far = np.diag(by_tension) + by_length[:, None] * give, FAR * model.length
-        least, greatest = (effects.tension(given, shortening + way, rod.tension_limits) for way in (far, -far))
-        missing = given - effects.command(u, shortening)
-        u = _bounded_solution(compliance, missing + compliance @ u, least, greatest, u)
+        compliance = np.diag(1.0 / path.stiffness) + B.T @ np.linalg.solve(static_stiffness(model, found.q, u), B)
+        missing = given - shortening - u / path.stiffness
+        u = u.copy()
+        solve_bounded(compliance, missing + compliance @ u, np.zeros(n_a), path.strength, u, *scratch)
     assert found is not None
     return found._replace(converged=False, reason="tensions and displacements do not come to agree"), u
-
-
-def _bounded_solution(A: Array, b: Array, least: Array, greatest: Array, guess: Array) -> Array:
-    """x (m,) with A x = b, but A x > b where x is at its least and A x < b where it is at its greatest, for a matrix A whose principal
-    minors are positive: by Newton's method on which those are, and where that goes in circles one at a time (K. G. Murty 1974)."""
-    part = np.where(guess <= least, -1, np.where(guess >= greatest, 1, 0))
-    x = guess
-    for repeat in range(MOST_AT_ONCE + MOST_ONE_BY_ONE):
-        between = part == 0
-        x = np.where(part < 0, least, greatest)
-        x[between] = np.linalg.solve(A[np.ix_(between, between)], (b - A[:, ~between] @ x[~between])[between])
-        missing = b - A @ x
-        change = np.where(between, 1 * (x > greatest) - (x < least), np.where(part * missing < 0.0, -part, 0))
-        changing = np.flatnonzero(change)
-        if not changing.size:
-            break
-        changing = changing if repeat < MOST_AT_ONCE else changing[:1]
-        part[changing] += change[changing]
-    return np.clip(x, least, greatest)
 
 
 def static_stiffness(model: Model, q: ArrayLike, tension: ArrayLike) -> Array:

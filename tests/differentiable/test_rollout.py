@@ -145,10 +145,11 @@ def test_gradients_of_a_single_environment_are_finite_where_the_arm_lies_on_a_fl
 
 
 def test_effects_whose_states_follow_the_motion_are_refused_backward():
-    env = rows_of("TipPose", scene={"scene": "three_tendon", "effects.tendon_friction.coefficient": 0.1})
+    memory = {"branches": [{"modulus": 0.5, "relaxation_time": 0.1}]}
+    env = rows_of("TipPose", scene={"scene": "three_tendon", "effects.viscoelastic_memory": memory})
     env.reset(seed=0)
     action = torch.zeros(3, 3, requires_grad=True)
-    with pytest.raises(ValueError, match="effects.tendon_friction has internal states"):
+    with pytest.raises(ValueError, match="effects.viscoelastic_memory has internal states"):
         rollout(env, lambda observation: action, 1).error.sum().backward()
 
 
@@ -201,6 +202,7 @@ ACCURACY = [  # arm, changes, shares of the range that commands change by in a p
     ("three_tendon", {"effects.actuators": {"time_constant": 0.02, "delay": 0.05}}, 0.05, 0.99),
     ("catheter", {"effects.actuators": {"delay": 0.05}}, 0.05, 0.99),
     ("catheter", {"effects.actuators": {"delay": 0.033, "time_constant": 0.02}}, 0.05, 0.99),
+    ("three_tendon", {"effects.tendon_friction": {"coefficient": 0.2}}, 0.05, 0.99),
     ("three_tendon", {"effects.tendon_elasticity": ELASTIC}, 0.05, 0.98),
     ("underwater", {"effects.tendon_elasticity": {**ELASTIC, "displacement_limits": [0.0, 0.012]}}, 0.05, 0.92),
 ]

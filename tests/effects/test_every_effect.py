@@ -31,7 +31,7 @@ CASES = {
     "contact": {"effects.contact.obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.02], "axis": [0.0, 0.1, 1.0]}]},
     "actuators": {"effects.actuators": {"time_constant": 0.05, "rate_limit": 100.0, "delay": 0.013}},
     "tendon_elasticity": {"effects.tendon_elasticity": {"stiffness": 500.0, "displacement_limits": [0.0, 0.01]}},
-    "tendon_friction": {"effects.tendon_friction": {"coefficient": 0.2, "presliding": 1e-3}},
+    "tendon_friction": {"effects.tendon_friction": {"coefficient": 0.2, "stiction_speed": 1e-2}},
     "moving_base": {"effects.moving_base": {"amplitude": [0.0, 0.01, 0.0], "angular_amplitude": 0.2, "frequency": 2.0}},
 }
 """For every effect, changes of a scene that give it."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from soft_tendon_env.mechanics.terms.external_forces import advance_states, external_force
+from soft_tendon_env.mechanics.terms.external_forces import external_force, remember
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import static_equilibrium
 
@@ -19,25 +19,29 @@ def test_stress_relaxes_under_a_strain_that_is_held(uniform, workspace_at, step)
     model, q = uniform(changes={**TWO, "quadrature.intervals": 4}), np.array([3.0, -1.0])
     work = workspace_at(model, q)
     elastic = model.terms(q, 0 * q).elastic_force
+    work.before[:], work.since[0] = work.xi, step
     for i in range(1, 4):
-        advance_states(model.arm, step, work)
         external_force(model.arm, work)
         left = 0.5 * np.exp(-i * step / 0.1) + 2.0 * np.exp(-i * step / 0.01)
         np.testing.assert_allclose(work.load, -left * elastic, rtol=1e-9, atol=1e-14)
 
 
 @pytest.mark.no_jit
-def test_state_follows_an_even_strain_exactly(uniform, workspace_at):
-    """s = e_dot (t - tau (1 - exp(-t / tau))) for e = e_dot t, in one step or in many."""
-    model, rate = uniform(changes={**ONE, "quadrature.intervals": 4}), np.array([2.0, 0.0])
+def test_state_follows_a_strain_that_is_a_quadratic_of_time_exactly(uniform, workspace_at):
+    """s = a (t - tau (1 - exp(-t / tau))) + b (t^2 - 2 tau t + 2 tau^2 (1 - exp(-t / tau))) for e = a t + b t^2, in one step or in many."""
+    model, unit = uniform(changes={**ONE, "quadrature.intervals": 4}), np.array([2.0, 0.0])
+    a, b, tau, end = 1.0, 3.0, 0.1, 0.3
     for steps in (1, 7):
-        state = np.zeros(model.arm.effects.state.size)
+        before, state = workspace_at(model, 0.0 * unit).xi, np.zeros(model.arm.effects.state.size)
         for i in range(steps):
-            work = workspace_at(model, 0.3 * i / steps * rate, rate)
-            work.state[:] = state
-            advance_states(model.arm, 0.3 / steps, work)
-            state = work.state.copy()
-        np.testing.assert_allclose(state.max(), 2.0 * (0.3 - 0.1 * (1.0 - np.exp(-3.0))), rtol=1e-12)
+            time = end * (i + 1) / steps
+            work = workspace_at(model, (a * time + b * time**2) * unit, (a + 2.0 * b * time) * unit)
+            work.state[:], work.before[:], work.since[0] = state, before, end / steps
+            remember(model.arm, work)
+            before, state = work.xi, work.state.copy()
+        settled = 1.0 - np.exp(-end / tau)
+        expected = a * (end - tau * settled) + b * (end**2 - 2.0 * tau * end + 2.0 * tau**2 * settled)
+        np.testing.assert_allclose(state.max(), 2.0 * expected, rtol=1e-11)
 
 
 def test_nothing_is_added_at_rest(build):

@@ -17,6 +17,7 @@ import soft_tendon_env as ste
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.evaluation.pages import around_markers
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
+from soft_tendon_env.mechanics.terms.tendon_friction import find_share
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.policies.normalization import read_normalization
 from soft_tendon_env.scene.passive_fields import read_fields
@@ -144,7 +145,7 @@ BASE = {
     "effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.15}],
     "effects.actuators": {"time_constant": 0.03, "rate_limit": 100.0, "delay": 0.01},
     "effects.tendon_elasticity": {"stiffness": 2e4, "displacement_limits": [0.0, 0.02], "strength": 5.0},
-    "effects.tendon_friction": {"coefficient": 0.15, "presliding": 1e-4},
+    "effects.tendon_friction": {"coefficient": 0.15, "stiction_speed": 1e-3},
     "effects.moving_base": {"amplitude": [0.0, 0.002, 0.0], "frequency": 2.0, "angular_velocity": 0.1},
     "effects.disturbance.loads": [
         {"force": [0.1, 0.0, 0.0], "at": 0.2, "signal": {"type": "sine", "frequency": 3.0, "phase": 10.0}},
@@ -255,12 +256,12 @@ def turned(model, q, points):
     return np.interp(points, 0.5 * (places[1:] + places[:-1]), angle)
 
 
-def shares(model, q, direction):
-    """What is left of the first tendon's tension at the points where all tendons slide in a direction."""
+def shares(model, q, coefficient, direction):
+    """What is left of the first tendon's tension at the points where it slides in a direction."""
     work = make_workspace(model.arm)
     assert configure(model.arm, q, 1e-12, work) == (-1, 1.0)
-    work.state[: model.tendon_count], work.driven[0] = direction, 1.0
     assert evaluate(model.arm, np.ones(model.tendon_count), q, 0.0 * q, 1e-12, work) == -1
+    find_share(model.arm, 0, coefficient, direction, work)
     rows = model.grid.at_points(work.share.reshape(model.tendon_count, -1), 1)[0, ..., 0]
     return rows.ravel()[: model.grid.points[model.grid.real].size]
 
@@ -288,7 +289,7 @@ def test_friction_of_any_angle(measured):
             q = np.zeros(model.coordinate_count)
             q[:2] = 3.0, 1.0
             angle = coefficient * turned(model, q, model.grid.points[model.grid.real].ravel())
-            pulled, let_out = shares(model, q, 1.0), shares(model, q, -1.0)
+            pulled, let_out = shares(model, q, coefficient, 1.0), shares(model, q, coefficient, -1.0)
             np.testing.assert_allclose(pulled * let_out, 1.0, rtol=1e-5)
             off = np.abs(pulled - np.exp(-angle)).max(), abs(np.log(let_out[-1]) / angle[-1] - 1.0) if size > 1e-3 else 0.0
             worst[name] = np.maximum(worst.get(name, 0.0), off)

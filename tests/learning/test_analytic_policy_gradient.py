@@ -128,8 +128,8 @@ def test_refusals():
     """Of environments that are no one's or whose gradients stop somewhere, each by name."""
     with pytest.raises(TypeError, match="make_sb3_vec_env"):
         APG("MlpPolicy", DummyVecEnv([lambda: gym.make("Pendulum-v1")]))
-    stuck = {"scene": {"scene": "three_tendon", "effects.tendon_friction": {"coefficient": 0.2}}}
-    with pytest.raises(ValueError, match=r"effects\.tendon_friction has internal states"):
+    stuck = {"scene": {"scene": "three_tendon", "effects.viscoelastic_memory": {"branches": [{"modulus": 0.5, "relaxation_time": 0.1}]}}}
+    with pytest.raises(ValueError, match=r"effects\.viscoelastic_memory has internal states"):
         APG("MlpPolicy", envs(**stuck), **SMALL)
     floor = {"obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.04]}]}
     lying = {"scene": {"scene": "three_tendon", "effects.contact": floor}, "observation": [*OBSERVED, "clearance"]}

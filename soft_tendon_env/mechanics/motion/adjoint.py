@@ -12,12 +12,12 @@ import math
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix, product
+from soft_tendon_env.mechanics.algebra.linear import copy, product
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 from soft_tendon_env.mechanics.motion.advance import Record, Scheme, advance
 from soft_tendon_env.mechanics.motion.batch import Places
+from soft_tendon_env.mechanics.motion.filter_adjoint import FilterMemory, begin_filter, filter_adjoint, make_filter_memory
 from soft_tendon_env.mechanics.motion.force_gradient import GradientMemory, force_gradient, make_gradient_memory
-from soft_tendon_env.mechanics.motion.path_adjoint import PathMemory, begin_path, make_path_memory, path_adjoint
 from soft_tendon_env.mechanics.motion.period_map import PeriodMap, make_period_map, matrices_of_motion, transposed_map
 from soft_tendon_env.mechanics.motion.reading_adjoint import read_adjoint
 from soft_tendon_env.mechanics.motion.scratch import Motion
@@ -26,12 +26,11 @@ from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.motion.tape import Tape, make_tape, tape_border, tape_part
 from soft_tendon_env.mechanics.terms.dynamics import combined_columns
 from soft_tendon_env.mechanics.terms.tendons import tendon_forces
-from soft_tendon_env.mechanics.terms.transmission import ON_PARTS, delivered, makes_tensions, transmit, transmitted
+from soft_tendon_env.mechanics.terms.transmission import tension_slope
 from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector
 from soft_tendon_env.mechanics.workspace import zeros_of
 
 MOST_PIECES = 16  # of a part
-COMMAND_SHARE = 1e-6  # of the largest command, or 1: the difference by which what effects make of commands is differentiated
 STIFF_PIECES = 2  # of a part where tendons are stiff: with one, cosines with differences are 0.86 to 0.99, with two 0.93 to 0.99
 
 
@@ -73,7 +72,7 @@ class AdjointMemory(Struct):
 
     map: PeriodMap
     gradient: GradientMemory
-    path: PathMemory
+    filter: FilterMemory
     tape: Tape  # of one row: a part in pieces
     rate: float  # [1/s] of pieces that resolve the slowest vibration of the scene's arm
     share: FloatVector  # (1) of a part, where its matrices are evaluated
@@ -88,13 +87,10 @@ class AdjointMemory(Struct):
     lasting: FloatVector  # (1) [s] of a piece
     poses: np.ndarray  # (0, 4, 4) of no samples
     still: np.ndarray  # (n_a) zeros
-    pull: np.ndarray  # (2, n_a) cotangents of the tensions in the halves of a piece
-    command: FloatVector  # (n_a)
-    by_command: np.ndarray  # (n_a, n_a) of a tension by a command
 
 
-def make_adjoint_memory(arm: Arm, state_tendons: IntVector | None, rate: float) -> AdjointMemory:
-    """Zeroed AdjointMemory for one arm. state_tendons: see make_path_memory; rate: [1/s] of pieces that resolve the slowest vibration."""
+def make_adjoint_memory(arm: Arm, rate: float) -> AdjointMemory:
+    """Zeroed AdjointMemory for one arm. rate: [1/s] of pieces that resolve the slowest vibration."""
     n, n_a, points = arm.strain.size, arm.tendons.size, 2 * arm.rod.length.size
     arrays = zeros_of(
         ((n,), "middle rates q v"),
@@ -102,12 +98,10 @@ def make_adjoint_memory(arm: Arm, state_tendons: IntVector | None, rate: float) 
         ((arm.effects.state.size,), "state"),
         ((1,), "clock share lasting"),
         ((0, 4, 4), "poses"),
-        ((n_a,), "still command"),
+        ((n_a,), "still"),
         ((2, n), "impulse"),
-        ((2, n_a), "pull"),
-        ((n_a, n_a), "by_command"),
     )
-    own = {"map": make_period_map(n, 1), "gradient": make_gradient_memory(arm), "path": make_path_memory(arm, state_tendons)}
+    own = {"map": make_period_map(n, 1), "gradient": make_gradient_memory(arm), "filter": make_filter_memory(arm)}
     return AdjointMemory(tape=make_tape(arm, 1, MOST_PIECES), rate=rate, **own, **arrays)
 
 
@@ -125,8 +119,7 @@ def adjoint_rows(batch, scheme, tape, members, cotangents, scratch, memory):
             cotangents.command[row, :, :] = 0.0
         else:
             status = read_adjoint(own, batch.places, tape, cotangents, row, scratch.work, memory)
-            transmitted(own, tape.command[row, part], scratch.work)
-            memory.share[0] = 0.5 if scratch.work.bounded.any[0] == 0.0 else 1.0
+            memory.share[0] = 1.0 if own.effects.transmission.elastic else 0.5
             while part >= 0 and status == OK:
                 status = part_adjoint(own, scheme, tape, (row, part), rate, cotangents, scratch, memory)
                 part -= 1
@@ -144,8 +137,7 @@ def has_failed(durations):
 
 @kernel
 def motion_within(tape, row, part, memory):
-    """The motion at memory.share of a part, between its ends, with its mean acceleration in memory.gradient.a and the states of
-    memory.path."""
+    """The motion at memory.share of a part, between its ends, with its mean acceleration in memory.gradient.a."""
     h, q, v, xi, share = tape.duration[row, part], tape.q[row], tape.q_dot[row], tape.xi[row], memory.share[0]
     for i in range(memory.middle.size):
         memory.middle[i] = q[part, i] + share * (q[part + 1, i] - q[part, i])
@@ -153,7 +145,7 @@ def motion_within(tape, row, part, memory):
         memory.gradient.a[i] = (v[part + 1, i] - v[part, i]) / h
     for m in range(memory.xi.size):
         memory.xi[m] = xi[part, m] + share * (xi[part + 1, m] - xi[part, m])
-    copy(memory.path.middle if share < 1.0 else memory.path.end, memory.state)
+    copy(tape.state[row, part], memory.state)
     memory.clock[0] = tape.clock[row, part] + share * h
     return Motion(memory.middle, memory.rates, memory.xi, memory.state, memory.clock)
 
@@ -213,55 +205,34 @@ def piece_adjoint(arm, method, tape, place, state, command, scratch, memory):
     """Cotangents memory.q, memory.v and `state` (states) from the end of a part on a tape to its beginning, in place, and those added to
     `command` (n_a), which was held; place: row and part; a status."""
     row, part = place
-    work, gradient, path, h = scratch.work, memory.gradient, memory.path, tape.duration[row, part]
-    has_states = path.start.size > 0
-    if has_states:
-        begin_path(arm, tape, place, scratch, path)
+    work, gradient, path, h = scratch.work, memory.gradient, memory.filter, tape.duration[row, part]
+    times, u, is_filtered = tape.clock[row, part : part + 2], tape.command[row, part], arm.effects.transmission.filter >= 0
+    begins = tape.begins[row, part] == 1
+    if is_filtered:
+        begin_filter(arm.effects, tape.state[row, part], u, times, begins, path)
+        u = path.after[0 if memory.share[0] < 1.0 else 1]
     motion = motion_within(tape, row, part, memory)
     copy(motion.xi, work.xi)
-    u = delivered(arm.effects, tape.command[row, part], False, motion.clock[0], motion.state, scratch.acting, scratch.until)
     status = evaluate_force(arm, method, u, motion.q, motion.q_dot, motion.state, motion.clock[0], scratch)
     if status != OK:
         return status
-    work.driven[0] = ON_PARTS
     matrices_of_motion(arm, method, scratch)
     status = transposed_map(scratch.first, h, memory.map, memory.q, memory.v, memory.impulse)
     if status != OK:
         return status
     for side in range(2):
         combined_columns(work.Phi, memory.impulse[side], gradient.along)
-        tendon_forces(arm.rod, arm.tendons, work.share, work.tangent, gradient.along, memory.pull[side])
-    if not has_states:
-        tensions_by_command(arm, u, work, memory.command, memory.by_command)
+        tendon_forces(arm.rod, arm.tendons, work.share, work.tangent, gradient.along, path.force[side])
         for i in range(command.size):
-            for j in range(command.size):
-                command[j] += (memory.pull[0, i] + memory.pull[1, i]) * memory.by_command[i, j]
+            path.force[side, i] *= tension_slope(arm.effects.transmission, i, work)
+            if not is_filtered:
+                command[i] += path.force[side, i]
     for i in range(gradient.w.size):
         gradient.w[i] = memory.impulse[0, i] + memory.impulse[1, i]
     force_gradient(arm, u, motion, h, method.with_inertia, work, gradient)
     for i in range(memory.q.size):
         memory.q[i] += gradient.by_q[i] + product(scratch.first.stiffness[i], gradient.w)
         memory.v[i] += gradient.by_rate[i]
-    copy_matrix(memory.pull, path.force)
-    return path_adjoint(arm, tape.clock[row, part : part + 2], scratch, path, state, command) if has_states else OK
-
-
-@kernel
-def tensions_by_command(arm, u, work, command, out):
-    """Derivative out (n_a, n_a) of the tensions (rows) by the command u (n_a), of what effects make of it in the present configuration."""
-    for i in range(u.size):
-        for j in range(u.size):
-            out[i, j] = 1.0 if i == j else 0.0
-    if not makes_tensions(arm.effects, work):
-        return
-    largest = 1.0
-    for i in range(u.size):
-        largest = max(largest, abs(u[i]))
-    small = COMMAND_SHARE * largest
-    for j in range(u.size):
-        copy(u, command)
-        for side in (1.0, -1.0):
-            command[j] = u[j] + side * small
-            transmit(arm, command, work)
-            for i in range(u.size):
-                out[i, j] = (work.tension[i] if side > 0.0 else out[i, j] - work.tension[i]) / (1.0 if side > 0.0 else 2.0 * small)
+    if is_filtered:
+        filter_adjoint(arm.effects, times, begins, state, command, path)
+    return OK

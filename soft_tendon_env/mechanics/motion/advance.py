@@ -10,15 +10,15 @@ from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.effects import Before, call
 from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated, extrapolated_step
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE, Demand, predict_strain
-from soft_tendon_env.mechanics.motion.status import CROWDED, INACCURATE, NO_STRAIN, OK, PENETRATED
-from soft_tendon_env.mechanics.terms.external_forces import limits_steps, nodes_of, place_base
+from soft_tendon_env.mechanics.motion.status import COMMAND_QUEUE_FULL, INACCURATE, NO_STRAIN, OK, PENETRATED
+from soft_tendon_env.mechanics.terms.command_filter import follow, receive
+from soft_tendon_env.mechanics.terms.external_forces import limits_steps, nodes_of, place_base, remember, values_of
 from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses, tip_pose_of, write_pose
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_rate
-from soft_tendon_env.mechanics.terms.transmission import delivered, values_of
 
 ROUGH = 1e-4  # of its length: the most that a step may err in which the arm touches something
 SHORTEST_IMPACT = 2.0**-16  # of the longest step: what is as short may err as any other
-SHORTEST_TOUCHING = 2.0**-20  # of the longest step: as short as that may steps become where the arm touches something
+SHORTEST_STIFF = 2.0**-20  # of the longest step: as short as that may steps become where the arm touches something or tendons are elastic
 
 LEAST_WHEN_LIMITED = 3
 """Columns of a step where effects allow none of the longest: their motion is to be right even where it is small beside the tolerance."""
@@ -76,19 +76,14 @@ def while_touching(arm, control):
     return Control(control.step, tolerance, True, control.smallest, control.horizon * tolerance / rough)
 
 
-def _limits(effects):
-    """True if any effect limits the length of integrator steps."""
-    return effects.limit.any() or effects.sweep.any()
-
-
 @phase
-def find_longest(arm, motion, q_dot, state, step, unforeseen, control, scratch):
+def find_longest(arm, motion, q_dot, step, unforeseen, control, scratch):
     """Longest step [s] that effects allow from the strain of work.xi at rates q_dot (n), which a step has led to, and what the arm
     meets there and on its way there from the motion; into scratch.longest (1) and scratch.contact."""
     effects, work = arm.effects, scratch.work
     strain_rate(arm, q_dot, work)
     work.clock[0] = motion.clock[0] + step
-    copy(state, work.state)
+    copy(motion.state, work.state)
     place_base(arm, work)
     poses(arm.rod, work)
     node_twists(arm.rod, work)
@@ -117,27 +112,44 @@ def begin_limits(arm, motion, control, scratch):
     """Longest step [s] from a motion before any was taken, and what the arm touches, for advance()."""
     copy(motion.xi, scratch.work.xi)
     strain_from_guess(arm, motion.q, STEP_TOLERANCE, scratch.work)
-    find_longest(arm, motion, motion.q_dot, motion.state, 0.0, False, control, scratch)
+    find_longest(arm, motion, motion.q_dot, 0.0, False, control, scratch)
 
 
 @kernel
-def settle(arm, motion, step, touching, control, scratch):
-    """Accepts the step that was just taken: the motion becomes its end, with its strain. A status; the motion stays unless that is OK."""
+def settle(arm, u, motion, step, touching, control, scratch):
+    """Accepts the step that was just taken under what had arrived, u (n_a): the motion becomes its end, with its strain. A status; the
+    motion stays unless that is OK."""
     work = scratch.work
     predict_strain(arm.strain, scratch.q, scratch.q_last, work)
     if strain_from_guess(arm, scratch.q, STEP_TOLERANCE, work) >= 0:
         return NO_STRAIN
     if limits_steps(arm.effects):
         unforeseen = work.touched[0] != 0.0 and not touching
-        find_longest(arm, motion, scratch.v, scratch.state, step, unforeseen, control, scratch)
+        find_longest(arm, motion, scratch.v, step, unforeseen, control, scratch)
         if scratch.contact.tunnelled[0] != 0.0:
             return PENETRATED
         keep_pose(scratch)
+    if motion.state.size > 0:
+        advance_states(arm, u, motion, step, scratch)
     copy(scratch.q, motion.q)
     copy(scratch.v, motion.q_dot)
     copy(scratch.work.xi, motion.xi)
-    copy(scratch.state, motion.state)
     return OK
+
+
+@kernel
+def advance_states(arm, u, motion, step, scratch):
+    """Internal states of the effects at the end of a step, where scratch.work has its strain, under what had arrived, u (n_a)."""
+    work = scratch.work
+    if work.before.size > 0:
+        strain_rate(arm, scratch.v, work)
+        copy(motion.state, work.state)
+        copy(motion.xi, work.before)
+        work.since[0] = step
+        remember(arm, work)
+        work.since[0] = 0.0
+        copy(work.state, motion.state)
+    follow(arm.effects, u, step, motion.state)
 
 
 class Record(NamedTuple):
@@ -183,9 +195,10 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
         if not control.adaptive:
             step = control.step  # what a row costs another would make results depend on how an input is cut into calls
         while begun < duration * (1.0 - 1e-12):
-            u = delivered(arm.effects, commands[row], begins and begun == 0.0, motion.clock[0], motion.state, scratch.acting, scratch.until)
+            u = scratch.acting
+            receive(arm.effects, commands[row], begins and begun == 0.0, motion.clock[0], motion.state, u, scratch.until)
             if scratch.until[0] == -math.inf:
-                return Progress(CROWDED, row, time + begun, step, steps, rejected, total_error, evaluations)
+                return Progress(COMMAND_QUEUE_FULL, row, time + begun, step, steps, rejected, total_error, evaluations)
             rest = min(duration - begun, scratch.until[0] - motion.clock[0])
             length = rest if step > rest * (1.0 - 1e-9) else step
             if longest < length:
@@ -199,13 +212,13 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
             evaluations += attempt.evaluations
             status = attempt.status
             if status == OK:
-                status = settle(arm, motion, length, touching, control, scratch)
+                status = settle(arm, u, motion, length, touching, control, scratch)
             if status != OK:
                 rejected += 1
                 touching = touching or status == PENETRATED or scratch.work.touched[0] != 0.0
                 smaller = next_step(aim, method.columns, length, attempt) if status == INACCURATE and aim.adaptive else length
                 step = min(0.5 * length, smaller)
-                if step < (SHORTEST_TOUCHING * control.step if touching else control.smallest):
+                if step < (SHORTEST_STIFF * control.step if touching or arm.effects.transmission.elastic else control.smallest):
                     return Progress(status, row, time + begun, step, steps, rejected, total_error, evaluations)
                 continue
             begun += length
@@ -220,7 +233,7 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
             step = min(control.step, max(next_step(aim, method.columns, length, attempt), kept))
         time += duration
         motion.clock[0] = start + duration  # a sum over rows: the same however an input is cut into calls
-        delivered(arm.effects, commands[row], False, motion.clock[0], motion.state, scratch.acting, scratch.until)  # what has arrived
+        receive(arm.effects, commands[row], False, motion.clock[0], motion.state, scratch.acting, scratch.until)
         if record.q.shape[0] > 0 and (row + 1) % every == 0:
             sample(arm, motion, scratch.work, row // every, record)
     return Progress(OK, commands.shape[0], time, step, steps, rejected, total_error, evaluations)

@@ -16,11 +16,12 @@ from soft_tendon_env.mechanics.motion.scratch import Motion
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
 from soft_tendon_env.mechanics.motion.tape import tape_border, tape_part
+from soft_tendon_env.mechanics.terms.command_filter import command_at, receive
 from soft_tendon_env.mechanics.terms.external_forces import place_base, rest_states
 from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses, poses_inside, strains_inside, tip_pose_of, tip_twist, write_pose
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_has_margin, strain_rate
 from soft_tendon_env.mechanics.terms.tendons import tendon_lengths
-from soft_tendon_env.mechanics.terms.transmission import delivered, transmitted
+from soft_tendon_env.mechanics.terms.transmission import transmitted
 from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector
 
 
@@ -135,8 +136,8 @@ def step_rows(batch, scheme, members, commands, durations, scratch, tape):
             strain_from_guess(own, motion.q, STEP_TOLERANCE, scratch.work)
         scratch.work.clock[0] = motion.clock[0]
         if own.effects.count > 0:
-            copy(motion.state, scratch.work.state)
-            acting = delivered(own.effects, commands[row, -1], False, motion.clock[0], motion.state, scratch.acting, scratch.until)
+            receive(own.effects, commands[row, -1], False, motion.clock[0], motion.state, scratch.acting, scratch.until)
+            acting = command_at(own.effects, scratch.acting, motion.state, 0.0, scratch.command)
             copy(transmitted(own, acting, scratch.work), reading.tension[row])
         read(own, batch.places, motion.q_dot, scratch.work, row, reading)
 

@@ -1,19 +1,21 @@
 """Linearly implicit Euler substep of (23), tension held: (M + h D + h^2 G) dv = h (B u - K - C v - D v + F - h G v), q += h v.
 
-G is the stiffness of the drive to first order, so the substep is stable at any h. Tensions of tendons that hang slack stay within bounds
-(`hold_bounds`). M, the forces and the effects' share of D and G are those of the substep; the rod's own D and G may be those at the
-start of the step, see extrapolation.
+G is the stiffness of the drive to first order, so the substep is stable at any h; elastic tendons are held to their tensions at its end.
+M, the forces and the effects' share of D and G are those of the substep; the rod's own D and G may be those at the start of the step, see
+extrapolation.
 """
 
-from soft_tendon_env.compiler.compilation import kernel, phase
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix, product, row_stride, solve_positive_definite
+from soft_tendon_env.mechanics.motion.elastic_tendons import stretch_tendons
+from soft_tendon_env.mechanics.motion.sliding_tendons import slide_tendons
 from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK
+from soft_tendon_env.mechanics.terms.command_filter import command_at
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit
 from soft_tendon_env.mechanics.terms.parametrisation import strain_matrices
-from soft_tendon_env.mechanics.terms.transmission import change_parts, way_to_part
+from soft_tendon_env.mechanics.terms.transmission import add_tendon_matrices
 
-MOST_AT_ONCE, MOST_ONE_BY_ONE = 8, 64  # solutions of a substep with bounded tensions, all of which or one of which change in each
-NEAR = 0.05  # of a step's tolerance, the way of a tendon to a bound of its tension that it may go in a step that is extrapolated
+NEAR = 0.05  # of a step's tolerance: how far a tendon may go to a kink of its tension in a step that is extrapolated
 
 
 @kernel
@@ -30,21 +32,20 @@ def start_matrices(arm, scratch):
     copy_matrix(now.damping, first.damping)
     copy_matrix(now.stiffness, first.stiffness)
     copy(now.force, first.force)
-    copy(now.drift, first.drift)
-    if work.bounded.any[0] != 0.0:
-        keep_bounded(scratch)
+    if arm.effects.transmission.elastic or arm.effects.transmission.friction > 0.0:
+        copy(now.tension, first.tension)
+        copy(now.shortening, first.shortening)
+        copy(now.pull_rate, first.pull_rate)
+        copy_matrix(now.columns, first.columns)
+        copy_matrix(now.rubbed, first.rubbed)
+        copy_matrix(now.rubbing, first.rubbing)
 
 
-@phase
-def keep_bounded(scratch):
-    """Keeps the tensions with bounds at the start of the step, and their columns."""
-    source, kept = scratch.now.bounded, scratch.first.bounded
-    copy(source.free, kept.free)
-    copy(source.stiffness, kept.stiffness)
-    copy(source.least, kept.least)
-    copy(source.greatest, kept.greatest)
-    copy(source.part, kept.part)
-    copy_matrix(scratch.now.columns, scratch.first.columns)
+@kernel
+def linear_matrices(arm, scratch):
+    """start_matrices(), with elastic tendons and those that rub: for what is linear in the motion."""
+    start_matrices(arm, scratch)
+    add_tendon_matrices(arm, scratch.work, scratch.first.damping, scratch.first.stiffness)
 
 
 @kernel
@@ -63,7 +64,7 @@ def later_matrices(arm, method, scratch):
 @kernel
 def rate_change(with_inertia, balance, h, scratch):
     """Change of the rates scratch.v in a substep of length h, into scratch.delta; without inertia they follow from the forces alone."""
-    mass, damping, stiffness, force, drift = balance.mass, balance.damping, balance.stiffness, balance.force, balance.drift
+    mass, damping, stiffness, force = balance.mass, balance.damping, balance.stiffness, balance.force
     n = force.size
     system, delta, v = scratch.system, scratch.delta, scratch.v
     stride = row_stride(n + 1)
@@ -72,40 +73,8 @@ def rate_change(with_inertia, balance, h, scratch):
         row, m, d, g = system[i * stride : i * stride + n], mass[i], damping[i], stiffness[i]
         for j in range(n):  # left of the diagonal too, where nothing is read: whole rows are quicker
             row[j] = share * m[j] + h * (d[j] + h * g[j])
-        system[i * stride + n] = h * (force[i] + h * (drift[i] - product(g, v)))
+        system[i * stride + n] = h * (force[i] - h * product(g, v))
     return OK if solve_positive_definite(system, n, delta) else NOT_POSITIVE
-
-
-@phase
-def hold_bounds(begins, near, with_inertia, balance, h, scratch):
-    """Repeat rate_change() until every tension with bounds is on that part of its law on which it ends, with a status in scratch.held.
-
-    That is one step of implicit Euler with the force max(0, ..) of cables that hang slack, a monotone one: a complementarity problem
-    (D. E. Stewart and J. C. Trinkle 1996), by Newton's method on its parts, and where that goes in circles one part at a time, which
-    for a positive definite system comes to an end (K. G. Murty 1974).
-
-    begins: whether it is the first substep of a step, which may bring a tendon by no more than a way `near` [m] to a bound, or from one,
-    and still be smooth.
-    """
-    bounded = balance.bounded
-    scratch.held[0] = OK
-    if begins:
-        scratch.jolted[0] = 0.0
-        copy(bounded.part, scratch.parts)
-    for repeat in range(MOST_AT_ONCE + MOST_ONE_BY_ONE):
-        for i in range(scratch.v.size):
-            scratch.ahead[i] = scratch.v[i] + scratch.delta[i]
-        if not change_parts(bounded, balance.columns, scratch.ahead, h, repeat >= MOST_AT_ONCE, balance.stiffness, balance.force):
-            break
-        status = rate_change(with_inertia, balance, h, scratch)
-        if status != OK:
-            scratch.held[0] = status
-            return
-    for i in range(bounded.part.size):
-        if bounded.part[i] != scratch.parts[i] and not (begins and way_to_part(bounded, i) < near):
-            scratch.jolted[0] = 1.0
-    if begins:
-        copy(bounded.part, scratch.parts)
 
 
 @kernel
@@ -118,16 +87,19 @@ def move(h, scratch):
 
 
 @kernel
-def implicit_euler(arm, method, tolerance, step, row, substep, scratch):
-    """One substep from scratch.q, scratch.v, in place: the first of a row from the evaluation at the start of the step."""
-    work, h, with_inertia = scratch.work, step / (row + 1), method.with_inertia
+def implicit_euler(arm, method, tolerance, u, motion, step, row, substep, scratch):
+    """One substep from scratch.q, scratch.v, in place, under what has arrived, u (n_a): the first of a row from the evaluation at the start
+    of the step."""
+    h = step / (row + 1)
     if substep > 0:
         later_matrices(arm, method, scratch)
     balance = scratch.now if substep > 0 else scratch.first
-    status = rate_change(with_inertia, balance, h, scratch)
-    if status == OK and work.bounded.any[0] != 0.0:
-        hold_bounds(row == 0, NEAR * tolerance, with_inertia, balance, h, scratch)
-        status = int(scratch.held[0])
+    status = rate_change(method.with_inertia, balance, h, scratch)
     if status == OK:
+        if arm.effects.transmission.friction > 0.0:
+            slide_tendons(arm, balance, h, scratch)
+        if arm.effects.transmission.elastic:
+            command = command_at(arm.effects, u, motion.state, (substep + 1) * h, scratch.command)
+            stretch_tendons(arm, command, balance, h, row == 0, NEAR * tolerance, scratch)
         move(h, scratch)
     return status

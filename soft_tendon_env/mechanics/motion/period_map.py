@@ -17,13 +17,13 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, factorise, solve_factored, total
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.motion.advance import Record, advance
-from soft_tendon_env.mechanics.motion.implicit_euler import start_matrices
+from soft_tendon_env.mechanics.motion.implicit_euler import linear_matrices
 from soft_tendon_env.mechanics.motion.stages import evaluate_force
 from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK
+from soft_tendon_env.mechanics.terms.command_filter import command_at, receive
 from soft_tendon_env.mechanics.terms.evaluate import copy_tip
 from soft_tendon_env.mechanics.terms.external_forces import add_matrix
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix
-from soft_tendon_env.mechanics.terms.transmission import delivered
 from soft_tendon_env.mechanics.types import Arm, FloatVector
 from soft_tendon_env.mechanics.workspace import zeros_of
 
@@ -54,7 +54,7 @@ def step_matrix(mass, damping, stiffness, h, out):
 @kernel
 def matrices_of_motion(arm, method, scratch):
     """M, D and G of the last evaluation into scratch.first, without M for quasi-static motion."""
-    start_matrices(arm, scratch)
+    linear_matrices(arm, scratch)
     if not method.with_inertia:
         scratch.first.mass[:, :] = 0.0
 
@@ -190,7 +190,8 @@ def linearised_rollout(arm, scheme, motion, steps, scratch, plan):
     for k in range(periods + 1):
         command, clock = plan.command[k, 0] if k < periods else plan.command[periods - 1, -1], motion.clock[0]
         copy(motion.xi, scratch.work.xi)
-        u = delivered(arm.effects, command, False, clock, motion.state, scratch.acting, scratch.until)
+        receive(arm.effects, command, False, clock, motion.state, scratch.acting, scratch.until)
+        u = command_at(arm.effects, scratch.acting, motion.state, 0.0, scratch.command)
         status = evaluate_force(arm, method, u, motion.q, motion.q_dot, motion.state, clock, scratch)
         if status != OK:
             return status, k

@@ -1,13 +1,12 @@
-"""Parts of a substep: force at a state, prediction of the strain, advance of the effects' states."""
+"""Parts of a substep: force at a state, prediction of the strain."""
 
 from typing import NamedTuple
 
-from soft_tendon_env.compiler.compilation import kernel, phase
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread, store
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces
-from soft_tendon_env.mechanics.terms.external_forces import advance_states, rates_of
 
 STEP_TOLERANCE = 1e-6  # of the strain's Newton: quadratic, so the strain itself is good to the square of it
 
@@ -39,11 +38,12 @@ def predict_strain(strain, q, q_last, work):
 
 @kernel
 def evaluate_force(arm, method, u, q, v, state, time, scratch):
-    """Force on the coordinates, drive - C v + F, under the command u, into scratch.force, see evaluate_forces(); a status."""
+    """Force on the coordinates, drive - C v + F, under the command u that acts, into scratch.force, see evaluate_forces(); a status.
+    state: internal states of the effects, at this time or that of work.since before it."""
     work = scratch.work
     copy(state, work.state)
     work.clock[0] = time
-    work.driven[0] = 1.0
+    work.u_is_command[0] = 1.0
     if evaluate_forces(arm, u, q, v, method.strain_tolerance, work) >= 0:
         return NO_STRAIN
     copy(q, scratch.q_last)
@@ -57,16 +57,6 @@ def sum_forces(method, scratch):
     work = scratch.work
     for i in range(scratch.force.size):
         scratch.force[i] = work.drive[i] - (work.bias[i] if method.with_inertia else 0.0) + work.load[i]
-
-
-@phase
-def advance_effects(arm, h, scratch):
-    """Advance the effects' states by a substep, with the rates after it, in the configuration before it."""
-    work = scratch.work
-    rates_of(arm.strain, scratch.v, work)
-    copy(scratch.state, work.state)
-    advance_states(arm, h, work)
-    copy(work.state, scratch.state)
 
 
 class Demand(NamedTuple):

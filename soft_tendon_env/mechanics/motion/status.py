@@ -6,8 +6,7 @@ NOT_POSITIVE = 2
 NOT_FINITE = 3
 INACCURATE = 4
 PENETRATED = 5
-CROWDED = 6
-FOLLOWS = 7
+COMMAND_QUEUE_FULL = 6
 
 MESSAGES = {
     NO_STRAIN: "no strain balances the coordinates",
@@ -15,7 +14,6 @@ MESSAGES = {
     NOT_FINITE: "the coordinates are not finite",
     INACCURATE: "the estimated error is too large",
     PENETRATED: "the arm is pressed through an obstacle, or too deep into it, in steps of any length",
-    CROWDED: "commands change more often than the delay of their path keeps, once every integrator.step",
-    FOLLOWS: "internal states of effects follow the motion of the arm, through which there is no adjoint",
+    COMMAND_QUEUE_FULL: "commands change more often than the delay of their path keeps, once every integrator.step",
 }
 """Why a step failed, or has no derivative, by its status."""

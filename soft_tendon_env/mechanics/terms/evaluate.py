@@ -9,7 +9,7 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
 from soft_tendon_env.mechanics.terms import explicit, statics_based, strain_under_loads  # noqa: F401  (they register themselves)
 from soft_tendon_env.mechanics.terms.dynamics import bias_force, driving_force, mass_matrix
-from soft_tendon_env.mechanics.terms.external_forces import add_implicit, external_force, place_base, rest_states
+from soft_tendon_env.mechanics.terms.external_forces import add_implicit, external_force, place_base
 from soft_tendon_env.mechanics.terms.kinematics import poses, sweep
 from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess, strain_from_rest, strain_matrices
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix
@@ -69,7 +69,7 @@ def forces_at_strain(arm, u, q, q_dot, work):
 @kernel
 def evaluate_forces(arm, u, q, q_dot, tolerance, work):
     """M and all forces of (23) at (q, q_dot, u), effects at work.state and work.clock, in `work`; -1, or the block at which the strain
-    could not be found. See work.driven for u."""
+    could not be found. See work.u_is_command for u."""
     place_base(arm, work)
     failed = strain_from_guess(arm, q, tolerance, work)
     if failed < 0:
@@ -101,7 +101,7 @@ def evaluate_at_rest(arm, u, q, tolerance, work):
 @kernel(refcount=True)
 def balance_at_rest(arm, u, q, tolerance, work):
     """Drive and load of (23) at (q, 0, u) alone, else as evaluate_at_rest(): all that the balance of forces takes."""
-    work.driven[0] = 0.0
+    work.u_is_command[0] = 0.0
     place_base(arm, work)
     work.base[12:] = 0.0
     failed = strain_from_guess(arm, q, tolerance, work)
@@ -109,8 +109,9 @@ def balance_at_rest(arm, u, q, tolerance, work):
         return failed
     drive_strained_rod(arm, u, q, np.zeros(q.size), work)
     if arm.effects.count > 0:
-        rest_states(arm, u, work)
+        work.since[0] = math.inf
         external_force(arm, work)
+        work.since[0] = 0.0
     else:
         work.load[:] = 0.0
     return -1

@@ -8,20 +8,26 @@ import math
 
 from soft_tendon_env.compiler.compilation import kernel, phase
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread
-from soft_tendon_env.mechanics.algebra.lie import Ad_inverse_apply, twist_scaled
+from soft_tendon_env.mechanics.algebra.lie import twist_scaled
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, store6
 from soft_tendon_env.mechanics.effects import Base, Nodes, Points, call
+from soft_tendon_env.mechanics.terms.command_filter import rest_filter
 from soft_tendon_env.mechanics.terms.dynamics import gram_within, node_rows, point_rows, project
-from soft_tendon_env.mechanics.terms.kinematics import load_pose
-from soft_tendon_env.mechanics.terms.transmission import (
-    actuation_of,
-    add_lost_stress,
-    add_tendon_stiffness,
-    find_losses,
-    state_of,
-    values_of,
-)
+from soft_tendon_env.mechanics.terms.tendon_friction import add_lost_stress, find_shares
+from soft_tendon_env.mechanics.terms.transmission import find_columns
+
+
+@kernel(refcount=True)
+def values_of(effects, i):
+    """Parameters of the i-th effect, as numbers."""
+    return effects.values[effects.first_value[i] : effects.first_value[i + 1]]
+
+
+@kernel(refcount=True)
+def state_of(effects, state, i):
+    """Internal state of the i-th effect, in those of all."""
+    return state[effects.first_state[i] : effects.first_state[i + 1]]
 
 
 @kernel(refcount=True)
@@ -39,8 +45,8 @@ def points_of(arm, work, i):
     """View of the quadrature points that the i-th effect gets."""
     rod = arm.rod
     return Points(
-        rod.packs, work.clock[0], state_of(arm.effects, work.state, i), work.xi, work.xi_dot, rod.reference_strain, rod.root_stiffness,
-        work.stress, work.point_stiffness, work.point_damping,
+        rod.packs, work.clock[0], work.since[0], state_of(arm.effects, work.state, i), work.before, work.xi, work.xi_dot,
+        rod.reference_strain, rod.root_stiffness, work.stress, work.point_stiffness, work.point_damping,
     )  # fmt: skip
 
 
@@ -89,7 +95,7 @@ def effect_loads(arm, work):
                 clear_stress(work)
                 stresses = True
             call(effects.stress[i], (values_of(effects, i), points_of(arm, work, i)))
-    if find_losses(arm, work):
+    if find_shares(arm, work):
         if not stresses:
             clear_stress(work)
             stresses = True
@@ -139,7 +145,7 @@ def add_implicit(arm, work):
     if stresses:
         add_point_gram(rod, strain, work.point_stiffness, work, work.G)
         add_point_gram(rod, strain, work.point_damping, work, work.D)
-    add_tendon_stiffness(arm, work)
+    find_columns(arm, work)
 
 
 @kernel
@@ -190,14 +196,11 @@ def add_matrix(extra, out):
 
 
 @phase
-def advance_states(arm, step, work):
-    """Advance the internal states of all effects in work.state by a time step [s]; inf: to where they rest in this configuration."""
-    effects = arm.effects
-    for i in range(effects.count):
-        if effects.advance[i] != 0:
-            call(effects.advance[i], (values_of(effects, i), step, nodes_of(arm, work, i), points_of(arm, work, i)))
-        if effects.follow[i] != 0:
-            call(effects.follow[i], (values_of(effects, i), step, actuation_of(arm, work, i)))
+def remember(arm, work):
+    """Brings the internal states in work.state, which belonged to the strain work.before, up to that of work.xi and its rate."""
+    for i in range(arm.effects.count):
+        if arm.effects.stress[i] != 0:
+            call(arm.effects.stress[i], (values_of(arm.effects, i), points_of(arm, work, i)))
 
 
 @kernel
@@ -212,27 +215,9 @@ def limits_steps(effects):
 @kernel
 def rest_states(arm, command, work):
     """The internal states, in work.state, of an arm that has always been at rest in this configuration under a command (n_a)."""
-    work.clock[0] = 0.0
     copy(arm.effects.state, work.state)
-    if work.state.size > 0:
-        work.eta[:] = 0.0
-        work.xi_dot[:] = 0.0
-        copy(command, work.command)
-        copy(command, work.tension)
-        advance_states(arm, math.inf, work)
-
-
-@kernel
-def rates_of(strain, q_dot, work):
-    """Twists at the nodes and strain rates at the points, J q_dot with the base's motion and Phi q_dot, into work.eta and work.xi_dot."""
-    b = work.base
-    base = (spread(b[12]), spread(b[13]), spread(b[14])), (spread(b[15]), spread(b[16]), spread(b[17]))
-    for pack in range(work.pose.size // (12 * LANES)):
-        R, r = load_pose(work.pose, pack * 12 * LANES)
-        store6(work.eta, pack * 6 * LANES, Ad_inverse_apply(R, r, base))
-    work.xi_dot[:] = 0.0
-    for columns, field in ((work.J, work.eta), (work.Phi, work.xi_dot)):
-        per_column = field.size
-        for j in range(strain.size):
-            for m in range(per_column):
-                field[m] += q_dot[j] * columns[j * per_column + m]
+    if work.before.size > 0:
+        work.since[0] = math.inf
+        remember(arm, work)
+        work.since[0] = 0.0
+    rest_filter(arm.effects, command, work.state)

@@ -1,13 +1,9 @@
 """Adjoint of periods over rows: against differences of the motion within stated errors, and what it leaves as it is."""
 
-from typing import NamedTuple
-
 import numpy as np
 import pytest
 
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
-from soft_tendon_env.effects import Effect, base, kernel, makes_tension, register_effect
-from soft_tendon_env.effects.actuators import Actuators
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.model.simulation import Simulation
 
@@ -20,6 +16,7 @@ SCENES = {
     "loads inside": {**GRAVITY, "strain.include_loads": True},
     "fluid": {"effects.fluid.density": 1000.0},
     "lagging actuators": {"effects.actuators": {"time_constant": 0.03, "rate_limit": 500.0}},
+    "tendons that rub": {"effects.tendon_friction": {"coefficient": 0.2}},
     "elastic tendons": {"effects.tendon_elasticity": {"stiffness": 500.0, "displacement_limits": [0.0, 0.01]}},
     "explicit": {"strain": {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z", "stretch"], "order": 1, "span": "rod"}]}},
 }
@@ -138,62 +135,6 @@ def test_commands_behind_a_delay_and_a_lag_act_later(build):
         cotangents.tip_pose[:] = 0.0
     found = (cotangents.command * direction).sum(axis=(1, 2))
     np.testing.assert_allclose(found, expected, atol=0.03 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize("more", [{}, SCENES["elastic tendons"]], ids=["tensions", "elastic tendons"])
-def test_all_tendons_at_once_are_as_each_state_by_itself(build, more, monkeypatch):
-    found, belongs = [], None
-    for mixes in (False, True):
-        if mixes:
-            monkeypatch.setattr(Actuators, "state_tendons", lambda self, rod: None)
-        arms, command = moving_rows(build, {"effects.actuators": {"delay": 0.013, "time_constant": 0.03, "rate_limit": 80.0}, **more})
-        tape, cotangents = arms.make_tape(), drawn(arms, (*STATE, "state", *READ))
-        arms.step(command, np.arange(ROWS), None, tape)
-        arms.adjoint(tape, np.arange(ROWS), cotangents)
-        found.append(cotangents)
-        belongs = belongs if mixes else arms.model.scene.effects.state_tendons(arms.model.discretisation) >= 0
-    for name in (*STATE, "command", "state"):
-        once, each = (getattr(own, name)[..., belongs if name == "state" else slice(None)] for own in found)
-        np.testing.assert_allclose(once, each, rtol=1e-6, atol=1e-6 * np.abs(each).max())
-    assert found[0].command.any() and np.abs(found[0].state).max() > 0.0
-
-
-def test_only_effects_that_say_so_treat_tendons_by_themselves(build, monkeypatch):
-    """Effects between commands and tensions, whether or not they call themselves actuation; what a class inherits for others is not its."""
-    monkeypatch.setattr(base, "EFFECTS", dict(base.EFFECTS))
-
-    class Coupling(NamedTuple):
-        share: float
-
-    @makes_tension(Coupling)
-    @kernel
-    def coupled(coupling, actuation):
-        for i in range(actuation.tension.size - 1):
-            actuation.tension[i] += coupling.share * actuation.tension[i + 1]
-
-    @register_effect("coupling")
-    class Coupled(Effect):
-        def parameters(self, rod):
-            return Coupling(0.8)
-
-    @register_effect("own_actuators")
-    class OwnActuators(Actuators):
-        def parameters(self, rod):
-            return Coupling(0.8)
-
-    @register_effect("more_actuators")
-    class MoreActuators(Actuators):
-        def state_tendons(self, rod):
-            return np.zeros(2)
-
-    rod = build("three_tendon").discretisation
-    lag = {"time_constant": 0.03}
-    assert base.Effects(gravity={"acceleration": [0.0, 0.0, -9.81]}).state_tendons(rod).size == 0
-    np.testing.assert_array_equal(base.Effects(actuators=lag).state_tendons(rod), [0, 1, 2, 0, 1, 2])
-    assert base.Effects(actuators=lag, coupling={}).state_tendons(rod) is None
-    assert base.Effects(own_actuators=lag).state_tendons(rod) is None
-    with pytest.raises(ValueError, match="'more_actuators': state_tendons should give 6 numbers of tendons, 0 to 2, or -1"):
-        base.Effects(more_actuators=lag).state_tendons(rod)
 
 
 def test_gradient_of_a_rollout_points_as_that_by_differences(build):

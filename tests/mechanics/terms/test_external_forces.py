@@ -9,9 +9,9 @@ import pytest
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.effect_parameters import Matrix, Vector
-from soft_tendon_env.mechanics.effects import adds_stress, adds_wrench, advances_state, make_table
+from soft_tendon_env.mechanics.effects import adds_stress, adds_wrench, make_table
 from soft_tendon_env.mechanics.terms.evaluate import evaluate, evaluate_at_rest
-from soft_tendon_env.mechanics.terms.external_forces import add_implicit, advance_states
+from soft_tendon_env.mechanics.terms.external_forces import add_implicit, remember
 from soft_tendon_env.mechanics.workspace import make_workspace
 
 TOLERANCE = 1e-12
@@ -94,17 +94,12 @@ def _springs(springs, nodes):
 @adds_stress(Relaxes)
 @kernel
 def _relaxing_stress(relaxes, points):
+    share = 1.0 - np.exp(-points.since / relaxes.time)
     for i in range(points.strain.size):
-        points.stress[i] += relaxes.modulus * (points.strain[i] - points.reference[i] - points.state[i])
+        strain = points.strain[i] - points.reference[i]
+        points.state[i] += share * (strain - points.state[i])
+        points.stress[i] += relaxes.modulus * (strain - points.state[i])
         points.stiffness[i] += relaxes.modulus
-
-
-@advances_state(Relaxes)
-@kernel
-def _relaxing(relaxes, step, nodes, points):
-    share = 1.0 - np.exp(-step / relaxes.time)
-    for i in range(points.state.size):
-        points.state[i] += share * (points.strain[i] - points.reference[i] - points.state[i])
 
 
 def with_effects(model, *parameters, states=None):
@@ -238,7 +233,8 @@ def test_stress_and_its_state(build):
     add_implicit(arm, work)
     np.testing.assert_allclose(work.G - G, 2.0 * Phi * weight @ Phi.T, rtol=0, atol=1e-9 * np.abs(G).max())
 
-    advance_states(arm, 0.1 * np.log(2.0), work)
+    work.since[0] = 0.1 * np.log(2.0)
+    remember(arm, work)
     np.testing.assert_allclose(work.state, 0.5 * strain, rtol=1e-9, atol=1e-15)
 
     assert evaluate_at_rest(arm, u, q, TOLERANCE, work) == -1
