@@ -76,6 +76,20 @@ def solve_positive_definite(a, n, x):
 
 
 @kernel
+def solve_again(a, n, x):
+    """Overwrite a further right-hand side x (n) by its solution, of the system that solve_positive_definite() has eliminated."""
+    stride = row_stride(n + 1)
+    for j in range(n):
+        share = a[j * stride + j] * x[j]
+        for i in range(j + 1, n):
+            x[i] -= a[j * stride + i] * share
+    for i in range(n - 1, -1, -1):
+        x[i] *= a[i * stride + i]
+        for k in range(i):
+            x[k] -= a[k * stride + i] * x[i]
+
+
+@kernel
 def add_product(a, b, out):
     """Adds the matrix product a b to out."""
     for i in range(a.shape[0]):

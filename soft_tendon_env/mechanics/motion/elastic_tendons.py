@@ -5,18 +5,10 @@ v' = v + dv + h A^-1 B (T' - T): implicit Euler of a force that is monotone, sta
 problem of the tendons alone (D. E. Stewart and J. C. Trinkle 1996). B of the forces has what friction leaves.
 """
 
-import numpy as np
 
 from soft_tendon_env.compiler.compilation import phase
 from soft_tendon_env.mechanics.algebra.bounded import solve_bounded
-from soft_tendon_env.mechanics.algebra.linear import copy, product, solve_factored
-from soft_tendon_env.mechanics.motion.scratch import make_scratch
-
-
-def _example(arm):
-    """Examples of the arguments of stretch_tendons()."""
-    scratch = make_scratch(arm, 1)
-    return arm, np.zeros(1), scratch.now, 0.0, True, 0.0, scratch
+from soft_tendon_env.mechanics.algebra.linear import copy, product, solve_again
 
 
 @phase
@@ -28,7 +20,7 @@ def stretch_tendons(arm, command, balance, h, begins, near, scratch):
     for j in range(n_a):
         for a in range(scratch.delta.size):
             held.answer[j, a] = h * balance.rubbed[j, a]
-        solve_factored(scratch.system, scratch.delta.size, held.answer[j])
+        solve_again(scratch.system, scratch.delta.size, held.answer[j])
     copy(balance.tension, held.tension)
     for i in range(n_a):
         k, column = path.stiffness[i], balance.columns[i]

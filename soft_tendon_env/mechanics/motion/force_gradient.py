@@ -23,10 +23,10 @@ from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, scaled, store6
 from soft_tendon_env.mechanics.effects import call
 from soft_tendon_env.mechanics.terms.dynamics import combined_columns, node_rows, project
-from soft_tendon_env.mechanics.terms.external_forces import effect_loads, nodes_of
+from soft_tendon_env.mechanics.terms.external_forces import effect_loads, nodes_of, values_of
 from soft_tendon_env.mechanics.terms.kinematics import poses
 from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess
-from soft_tendon_env.mechanics.terms.transmission import transmitted, values_of
+from soft_tendon_env.mechanics.terms.transmission import transmitted
 from soft_tendon_env.mechanics.terms.transposed_kinematics import add_wrench_stress, stress_force
 from soft_tendon_env.mechanics.types import Arm, FloatVector
 from soft_tendon_env.mechanics.workspace import zeros_of

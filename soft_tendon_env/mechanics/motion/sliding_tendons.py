@@ -9,17 +9,10 @@ import math
 
 from soft_tendon_env.compiler.compilation import kernel, phase
 from soft_tendon_env.mechanics.algebra.bounded import solve_part
-from soft_tendon_env.mechanics.algebra.linear import copy, product, solve_factored
-from soft_tendon_env.mechanics.motion.scratch import make_scratch
+from soft_tendon_env.mechanics.algebra.linear import copy, product, solve_again
 
 MOST = 30  # linear problems
 SAME = 1e-6  # of the stiction speed, what rates may be off
-
-
-def _example(arm):
-    """Examples of the arguments of slide_tendons()."""
-    scratch = make_scratch(arm, 1)
-    return arm, scratch.now, 0.0, scratch
 
 
 @phase
@@ -29,7 +22,7 @@ def slide_tendons(arm, balance, h, scratch):
     for j in range(n_a):
         for a in range(scratch.delta.size):
             held.answer[j, a] = h * balance.rubbing[j, a]
-        solve_factored(scratch.system, scratch.delta.size, held.answer[j])
+        solve_again(scratch.system, scratch.delta.size, held.answer[j])
     for i in range(n_a):
         held.part[i] = 0.0
         held.rate[i] = balance.pull_rate[i]
