@@ -24,12 +24,13 @@ ERRORS = {
     ("loads inside", "q_dot"): 0.1,
     ("tendons that rub", "q"): 0.1,
     ("tendons that rub", "q_dot"): 0.1,
+    ("tendons that rub", "command"): 0.2,
     ("elastic tendons", "q"): 0.2,
     ("elastic tendons", "command"): 0.4,
     ("explicit", "q"): 0.1,
     ("explicit", "q_dot"): 0.06,
     **dict.fromkeys(
-        [(scene, "command") for scene in ("bare", "gravity and payload", "loads inside", "fluid", "lagging actuators", "tendons that rub", "explicit")], 0.12
+        [(scene, "command") for scene in ("bare", "gravity and payload", "loads inside", "fluid", "lagging actuators", "explicit")], 0.12
     ),
 }
 """Relative errors along random directions of coordinates, rates and commands, where they are above 0.03."""
