@@ -253,7 +253,8 @@ class Effects(Configuration):
             if not has_kernel(type(own)) and not effects[name].is_actuation:
                 kind = type(own).__name__
                 raise TypeError(f"the effect {name!r} has no kernel for its parameters: decorate one with @adds_wrench({kind})")
-        numbers, states = {}, [effect.state(rod) for effect in effects.values()]
+        numbers: dict[str, Any] = {}
+        states = [effect.state(rod) for effect in effects.values()]
         for i, effect in enumerate(effects.values()):
             numbers.update(effect.transmission(rod), **({"filter": i} if effect.is_actuation and states[i].size else {}))
         return make_table(list(parameters.values()), states, DIRECT.replaced(**numbers))

@@ -82,7 +82,7 @@ class MemoryParameters(NamedTuple):
 
 @kernel
 def lag_weights(x):
-    """What makes the lag e - s_k after a time of x relaxation times: of the lag before, of the change of strain, and of the product of that
+    """Weights of the lag e - s_k after a time of x relaxation times: of the lag before, of the change of strain, and of the product of that
     time and the rate."""
     if x == 0.0 or x == math.inf:
         return (1.0, 1.0, 0.0) if x == 0.0 else (0.0, 0.0, 0.0)

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.model.build import build_model
+from soft_tendon_env import build_model
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import commanded_equilibrium, static_equilibrium
+from soft_tendon_env.scene.scene import Scene
 
 RAMP = {"effects.actuators.rate_limit": 0.02}
 """Actuators that take their time: a spring that is stretched by millimetres at once pulls as hard as it is stiff."""
@@ -92,3 +93,21 @@ def test_the_energy_of_arm_and_springs_falls(uniform):
         stretch = np.maximum(command - (rest - model.tendon_lengths(state.q)), 0.0)
         total.append(plain.energy(state.q, state.q_dot).total + 0.5 * 2e3 * stretch @ stretch)
     assert (np.diff(total) < 1e-9 * total[0]).all() and total[-1] < 0.9 * total[0]
+
+
+@pytest.mark.parametrize("fidelity", ["fast", "standard", "fine"])
+def test_a_wire_that_cables_drive_by_displacement_never_diverges(fidelity):
+    """Steel cables 6 mm off a Nitinol wire of 1 mm: jumps and ramps of 8 mm, and rest where the statics has it."""
+    offsets = [[6e-3 * np.cos(angle), 6e-3 * np.sin(angle)] for angle in np.deg2rad([0.0, 120.0, 240.0])]
+    wire = {"length": 0.25, "young_modulus": 5.2e10, "poisson_ratio": 0.33, "density": 6450.0, "radius": 5e-4}
+    tendons = [{"routing": {"type": "straight", "offset": offset}, "tension_limits": [0.0, 80.0]} for offset in offsets]
+    for stiffness in (1e3, 1e5, 1e7):
+        effects = {"tendon_elasticity": {"stiffness": stiffness, "displacement_limits": [-0.02, 0.02]}}
+        for damping in (1e7, 1e8):
+            table = {"name": "wire", "segments": [{**wire, "damping": damping}], "tendons": tendons, "effects": effects}
+            model, end = build_model(Scene.parse(table, "wire"), fidelity), np.array([0.008, -0.02, -0.02])
+            for command in (end, np.linspace(0.0, 1.0, 50)[:, None] * end):
+                assert np.isfinite(simulate(model, command, 1.0, 0.02).tip_pose).all()
+        rest, _ = commanded_equilibrium(model, 0.5 * end)
+        held = simulate(model, 0.5 * end, 20.0, 1.0).tip_pose[-1]
+        assert rest.converged and np.linalg.norm(held[:3, 3] - rest.tip_pose[:3, 3]) < 1e-9 * model.length

@@ -69,8 +69,9 @@ def bent(model, tension, direction):
 
 def test_hysteresis_of_a_slow_cycle(uniform):
     """Loading and unloading lie where the capstan equation has them, the loop closes, and its area is that of the theory."""
-    changes = friction(**{"integrator.quasi_static": True, "quadrature.intervals": 5, "integrator.step": 0.01, "segments.0.damping": 200.0})
-    changes["effects.tendon_friction"]["stiction_speed"] = 1e-6
+    steps = {"integrator.quasi_static": True, "integrator.columns": 1, "integrator.step": 1e-3}
+    changes = friction(**{**steps, "quadrature.intervals": 5, "segments.0.damping": 200.0})
+    changes["effects.tendon_friction"]["stiction_speed"] = 5e-7
     model = uniform(("bend_z",), 0, changes)
     period = 20.0
 
@@ -112,7 +113,7 @@ def test_friction_damps(build):
     """A free oscillation under constant tensions dies sooner; arm and tensions never gain energy."""
     energy = {}
     for coefficient in (0.0, MU):
-        model = build("three_tendon", friction(coefficient, **{"integrator.step": 2e-3, "segments.0.damping": 0.0}))
+        model = build("three_tendon", friction(coefficient, **{"integrator.step": 1e-3, "segments.0.damping": 0.0}))
         simulation, rest = Simulation(model), model.tendon_lengths(np.zeros(3))
         simulation.reset([4.0, 1.0, 0.5])
         own = []

@@ -84,7 +84,7 @@ def begin_filter(effects, start, command, times, begins, memory):
 
 @kernel
 def place_of(number, tendons):
-    """Where the number of every tendon begins in the internal state: u, what has arrived, and the commands on their way."""
+    """Place where the number of every tendon begins in the internal state: u, what has arrived, and the commands on their way."""
     return number * tendons if number < 2 else 2 * tendons + (number - 2) * (1 + tendons) + 1
 
 

@@ -26,8 +26,8 @@ def filter_state(effects, state):
 
 @kernel
 def receive(effects, command, begins, time, state, acting, until):
-    """What has arrived into `acting` (n_a) where a command (n_a) is given, from this time [s] on if it `begins`, and into `until` (1) when
-    the next integrator step should end [s]; -infinity where the queue has no room."""
+    """Writes the command that has arrived into `acting` (n_a) where one (n_a) is given, from this time [s] on if it `begins`, and into
+    `until` (1) when the next integrator step should end [s]; -infinity where the queue has no room."""
     copy(command, acting)
     until[0] = math.inf
     if effects.transmission.filter >= 0:

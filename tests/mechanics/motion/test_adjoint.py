@@ -22,6 +22,9 @@ SCENES = {
 }
 ERRORS = {
     ("loads inside", "q_dot"): 0.1,
+    ("tendons that rub", "q"): 0.1,
+    ("tendons that rub", "q_dot"): 0.1,
+    ("tendons that rub", "command"): 0.2,
     ("elastic tendons", "q"): 0.2,
     ("elastic tendons", "command"): 0.4,
     ("explicit", "q"): 0.1,
