@@ -173,7 +173,7 @@ def second_process() -> Iterator[str]:
 
 
 def _said_apart(program: str) -> str:
-    """What a program says on stderr in a process of its own, with this package. Raises Broken with its last line where it fails."""
+    """Return what a program says on stderr in a process of its own, with this package. Raises Broken with its last line where it fails."""
     path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = {**os.environ, "PYTHONPATH": path, "SOFT_TENDON_ENV_QUIET": "0"}
     done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)

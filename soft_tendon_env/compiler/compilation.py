@@ -36,7 +36,7 @@ from soft_tendon_env.tools.messages import QUIET, say, say_once
 from soft_tendon_env.tools.user_cache import data_folders, new_data_folder
 
 OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True, "boundscheck": None, "no_cfunc_wrapper": True}
-"""Of `numba.njit`; "contract" lets LLVM fuse multiply and add, and nothing that would hide a nan or reorder a sum."""
+"""Options of `numba.njit`; "contract" lets LLVM fuse multiply and add, and nothing that would hide a nan or reorder a sum."""
 KERNEL_SOURCES = ("compiler/*.py", "mechanics/**/*.py", "effects/**/*.py", "envs/kernels.py")
 FOLDERS_KEPT = 3
 PATIENCE = 600.0  # [s] for another process; who compiles for longer has been stopped
@@ -110,13 +110,11 @@ class Kernel:
         """numba's function without a way in from Python, which is a fifth of a compilation."""
         return self._jitted("from_kernels", no_cpython_wrapper=True)
 
-    @functools.cached_property
-    def from_kernels_of_users(self) -> Any:
-        """The same for arguments of a user's own classes, which may come with other kernels in the next process: it is not kept."""
-        return self._jitted(None, no_cpython_wrapper=True)
-
     def _jitted(self, below: str | None, **options: bool) -> Any:
-        """numba's function, whose machine code numba keeps in a folder below the cache folder, if there is one."""
+        """numba's function, whose machine code numba keeps in a folder below the cache folder, if there is one.
+
+        Code for arguments of a user's own classes is not kept: in the next process these may have other kernels, or not be there.
+        """
         folder = cache_folder() if self._keep and below else None
         with _setting, contextlib.ExitStack() as after:
             after.callback(setattr, config, "CACHE_DIR", config.CACHE_DIR)
@@ -125,6 +123,10 @@ class Kernel:
         compile = dispatcher.compile
 
         def compile_alone(kinds: tuple[types.Type, ...]) -> Any:
+            if folder and kinds not in dispatcher.overloads and not all(map(_is_of_package, kinds)):
+                of_user = self._jitted(None, **options)
+                of_user.compile(kinds)
+                dispatcher.add_overload(of_user.overloads[kinds])
             with _first_use() if folder else contextlib.nullcontext():
                 entry_point = compile(kinds)
             if kinds not in dispatcher.overloads:
@@ -136,10 +138,9 @@ class Kernel:
 
     def compiled(self, kinds: tuple[types.Type, ...]) -> Any:
         """The compiled function for arguments of these types, as kernels call it."""
-        dispatcher = self.from_kernels if all(map(_is_of_package, kinds)) else self.from_kernels_of_users
-        if kinds not in dispatcher.overloads:
-            dispatcher.compile(kinds)
-        return dispatcher.overloads[kinds]
+        if kinds not in self.from_kernels.overloads:
+            self.from_kernels.compile(kinds)
+        return self.from_kernels.overloads[kinds]
 
     def _with_defaults(self, kinds: tuple[types.Type, ...]) -> tuple[types.Type, ...]:
         left_out = [*inspect.signature(self._function).parameters.values()][len(kinds) :]
@@ -247,7 +248,7 @@ class FirstUse(event.Listener):
                 outermost.enter_context(FileLock(folder / "compiling.lock", timeout=PATIENCE, thread_local=False))
 
     def on_end(self, event: Any) -> None:
-        """What was compiled is still to be saved."""
+        """Hold the lock still: the machine code is yet to be saved."""
 
 
 if not config.DISABLE_JIT:

@@ -44,7 +44,7 @@ class Nodes(NamedTuple):
 
 
 class ContactFlags(Struct):
-    """What a continuous collision check tells of a step, 1 or 0."""
+    """Result of a continuous collision check of a step: flags, 1 or 0."""
 
     tunnelled: np.ndarray  # (1) the arm went through something on its way: the step is tried again at half of its length
     active: np.ndarray  # (1) it touches something or is about to: the next step is as short as its error calls for, with fixed steps too

@@ -6,6 +6,7 @@ import re
 import shutil
 import threading
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -31,11 +32,20 @@ def scale(x, factor=2.0):
     return factor * x
 
 
+class Pair(NamedTuple):
+    a: float
+    b: float
+
+
+def add(pair):
+    return pair.a + pair.b
+
+
 def fail(out):
     out[0] = "text"
 
 
-scale, fail = own(scale), Kernel(fail, OPTIONS, is_phase=True).call
+scale, add, fail = own(scale), own(add), Kernel(fail, OPTIONS, is_phase=True).call
 
 
 @pytest.mark.no_jit
@@ -120,6 +130,16 @@ def test_machine_code_for_other_arguments_is_refused(tmp_path, monkeypatch):
     other.write_bytes(one.read_bytes())
     with pytest.raises(RuntimeError, match="not what its name says: delete that folder"):
         own(inspect.unwrap(scale))(1, 2.0)
+
+
+@jitted
+def test_machine_code_for_a_users_own_class_is_not_kept(tmp_path, monkeypatch):
+    """In the next process the class may not be there, and numba could read nothing of what it keeps of that kernel."""
+    monkeypatch.setattr(compilation, "cache_folder", lambda: tmp_path)
+    caller = kernel(lambda pair: add(pair))
+    assert add(Pair(1.0, 2.0)) == caller(Pair(1.0, 2.0)) == 3.0
+    assert not list(tmp_path.rglob("*.nb?"))
+    assert own(inspect.unwrap(scale))(1.0, 2.0) == 2.0 and list(tmp_path.rglob("*.nb?"))
 
 
 def test_the_first_folder_that_can_be_written_is_taken_with_what_is_in_the_others(tmp_path, monkeypatch, capsys):

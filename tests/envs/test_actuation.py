@@ -134,7 +134,7 @@ def test_a_state_in_mid_delay_continues_bit_for_bit(tmp_path):
         env.step(action)
     env.state.save(tmp_path / "state.npz")
     state = State.load(tmp_path / "state.npz")
-    arrivals = state.effects[6:-6].reshape(-1, 4)[:, 0]
+    arrivals = state.effects[6:].reshape(-1, 4)[:, 0]
     assert np.any((arrivals > state.time) & (arrivals < state.time + 0.033)), "commands on their way"
     simulation = Simulation(env.model, state)
     for action in table[17:]:

@@ -46,7 +46,7 @@ class Obstacle(Configuration):
     friction: NotNegative | None = Field(None, description="coefficient of friction mu [-]; by default that of the table")
 
     def geometry(self) -> Geometry:
-        """What the kernels and pictures need of the shape."""
+        """Return what the kernels and pictures need of the shape."""
         raise NotImplementedError(f"{type(self).__name__} needs a method geometry()")
 
     @property
