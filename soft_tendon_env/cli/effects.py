@@ -32,9 +32,9 @@ def run(arguments: Sequence[str]) -> None:
 
 
 def describe_effect(name: str, effect: type[Effect]) -> str:
-    """Text about an effect: docstrings of its module and its class, and a line per parameter."""
+    """Text about an effect: docstrings of its module and its class, and a line per parameter with its description."""
     module = inspect.cleandoc(sys.modules[effect.__module__].__doc__ or "").partition("\n\n")[0]
-    parameters = [f"  {key}: {type_name(field.annotation)}{_default(field)}" for key, field in effect.model_fields.items()]
+    parameters = [f"  {key}: {type_name(field.annotation)}{_default(field)}{_meaning(field)}" for key, field in effect.model_fields.items()]
     return "\n".join([f"[effects.{name}]", module, "", inspect.cleandoc(effect.__doc__ or ""), "", *parameters])
 
 
@@ -42,6 +42,10 @@ def _default(field: Any) -> str:
     if field.is_required():
         return ", required"
     return f", {'none' if field.default is None else list(field.default) if isinstance(field.default, tuple) else field.default} by default"
+
+
+def _meaning(field: Any) -> str:
+    return f"; {field.description}" if field.description else ""
 
 
 def type_name(annotation: Any) -> str:

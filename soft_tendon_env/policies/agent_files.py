@@ -33,6 +33,8 @@ OF_TRAINING = (
     "record", "evaluated", "seconds_learned", "engine", "runners",
 )
 """Keys of config.json that say how an agent was trained, and nothing of how it acts."""
+TARGETS_OF_TRAINING = ("bank", "pool")
+"""Keys of its `options.target` that say of how many motions a training had its targets, and nothing of how the agent acts."""
 UNKNOWN = re.compile("valid: |unknown")
 
 
@@ -46,7 +48,7 @@ EnvironmentOptions = Annotated[dict[str, Any], AfterValidator(_checked_options)]
 
 
 class AgentConfig(Configuration):
-    """Configuration of a trained agent, config.json, as far as it acts: OF_TRAINING are left alone, other keys refused unless empty.
+    """Configuration of a trained agent, config.json, as far as it acts: what is OF_TRAINING is left out, other keys refused unless empty.
 
     Attributes:
         task: name of the task that it was trained on; None: not known.
@@ -83,6 +85,14 @@ class AgentConfig(Configuration):
         if other := [key for key, value in values.items() if value and key not in (*cls.model_fields, *OF_TRAINING)]:
             raise ConfigurationError([Problem((key,), f"is {shown(values[key])}: {text}") for key in other])
         return values
+
+    @field_validator("options", mode="before")
+    @classmethod
+    def _of_any_targets(cls, options: Any) -> Any:
+        target = options.get("target") if isinstance(options, dict) else None
+        if not isinstance(target, dict):
+            return options
+        return {**options, "target": {key: value for key, value in target.items() if key not in TARGETS_OF_TRAINING}}
 
     @field_validator("algorithm")
     @classmethod

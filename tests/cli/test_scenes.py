@@ -34,8 +34,8 @@ def test_every_effect_has_its_parameters_with_units(command, capsys, name):
     command("effects", name)
     printed = capsys.readouterr().out
     assert printed.startswith(f"[effects.{name}]\n")
-    for key in EFFECTS[name].model_fields:
-        assert f"\n  {key}: " in printed and f"`{key}`" in printed.partition(f"\n  {key}: ")[0]
+    for key, field in EFFECTS[name].model_fields.items():
+        assert f"\n  {key}: " in printed and (field.description or f"`{key}`") in printed
     assert "[m/s^2]" in printed or "[N]" in printed or "[" in printed.partition("]\n")[2]
 
 

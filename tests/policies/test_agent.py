@@ -20,7 +20,8 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 from soft_tendon_env.policies import agent
 from soft_tendon_env.policies.agent_checks import TrainingWarning, caveats, layout_of
-from soft_tendon_env.policies.load import load_policy
+from soft_tendon_env.policies.agent_files import find_agent, read_config
+from soft_tendon_env.policies.load import load_policy, policy_options
 from soft_tendon_env.policies.names import Agent
 from soft_tendon_env.policies.normalization import normalization_of, save_normalization
 from soft_tendon_env.scene.file import load_scene
@@ -340,3 +341,15 @@ def test_an_agent_takes_along_its_arm_and_its_interface_but_not_what_it_learned(
     (tmp_path / "model.zip").touch()
     (tmp_path / "config.json").write_text(json.dumps({"options": {**learned, **kept}}))
     assert Agent(str(tmp_path / "model.zip"), "TipPose").options({}) == kept
+
+
+def test_an_agent_acts_whatever_its_training_drew(tmp_path, trained):
+    """Short names of ranges, and the number of motions that its targets came from."""
+    ranges = {"stiffness": [0.8, 1.2], "payload": [0.0, 0.02], "latency": [0.0, 0.02], "noise": {"position": 0.001}}
+    target, env, seen = {"type": "random", "fraction": 0.4, "period": 4.8}, make(), np.linspace(-1.0, 1.0, 54)
+    plain = write_agent(tmp_path / "plain", *trained)
+    drawn = write_agent(tmp_path / "drawn", *trained, options={**SMALL, "target": {**target, "bank": 256}, "randomize": ranges})
+    assert read_config(find_agent(str(drawn), "TipPose")).options["target"] == target
+    assert policy_options(str(drawn), "TipPose", {}) == SMALL
+    actions = [load_policy(str(folder), env).predict(seen)[0] for folder in (plain, drawn)]
+    np.testing.assert_array_equal(*actions)
