@@ -9,10 +9,9 @@ import pytest
 from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.contact.bodies import body_at, distance
-from soft_tendon_env.effects.contact.effect import Contact
-from soft_tendon_env.effects.contact.obstacle import Directed, Geometry, register_shape
-from soft_tendon_env.effects.contact.samples import SMOOTHING
+from soft_tendon_env.effects.contact import Contact
+from soft_tendon_env.effects.contact.bodies import SMOOTHING, body_at
+from soft_tendon_env.effects.contact.obstacles import Directed, Geometry, distance, register_shape
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.contact_forces import contact_forces
 from soft_tendon_env.model.simulation import Simulation, simulate
@@ -55,8 +54,7 @@ def rested(model, seconds=5.0, tension=None):
 
 
 def body_of(obstacle, time=0.0):
-    none = np.zeros((0, 10))
-    return body_at(Contact(obstacles=[obstacle])._parameters(none, none), 0, time)
+    return body_at(Contact(obstacles=[obstacle])._rows(), 0, time)
 
 
 @pytest.mark.no_jit
@@ -461,7 +459,6 @@ def test_what_has_no_contact_says_so(build):
 class Torus(Directed):
     """A shape of a user's own: the points up to `tube` from a circle of radius `ring` [m]."""
 
-    convex = False
     type: Literal["torus"] = "torus"
     ring: float = Field(description="radius of the circle [m]")
     tube: float = Field(description="radius of the tube [m]")
