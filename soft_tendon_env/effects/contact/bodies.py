@@ -89,7 +89,7 @@ def make_samples(rod: Discretisation, stiffness: float | None) -> tuple[Array, A
     wall = WALL_MASS * WALL_SPEED**2 * rod.line_mass(place) * share
     solid = radius if stiffness is None else np.full(place.size, math.inf)
     bases = (1 + 2 * t) * (1 - t) ** 2, own * t * (1 - t) ** 2, t**2 * (3 - 2 * t), own * t**2 * (t - 1)
-    samples = np.stack(Sample(*bases, t, radius, per_length * share, SMOOTHING * radius, wall, solid), axis=1)
+    samples = np.stack([*bases, t, radius, per_length * share, SMOOTHING * radius, wall, solid], axis=1)  # in the order of Sample
     largest = [radius[end - count : end].max(initial=0.0) for end, count in zip(last, counts, strict=True)]
     return np.stack([h, last - counts, last, largest], axis=1), samples, place
 

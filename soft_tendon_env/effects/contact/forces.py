@@ -30,6 +30,8 @@ from soft_tendon_env.tools.types import Triple
 FREE, WALL = 0.2, 0.45
 """Depths in radii of the rod between which the wall stops what would go through: a wire between two samples a radius apart is half a radius
 deep in both."""
+WALL_DISSIPATION = 1.0
+"""The least c [s/m] of the wall: what begins within an obstacle leaves it at 1 m/s at most."""
 OVERRUN, THROUGH = 0.1, 0.15
 """Shares of the radius: how much deeper a step in contact may lead, and what turns out to be so deep that it is tried again shorter."""
 LANDED, IDLE = 0.01, 0.05
@@ -52,21 +54,24 @@ class Touch(NamedTuple):
 
 
 @kernel(inline=True)
-def normal_law(body, sample, depth):
-    """Force [N] of a sample without damping, its derivative by depth and its integral: the penalty, and a wall that stops what would go
-    through.
+def normal_law(body, sample, depth, approach):
+    """Force [N] of a sample along the normal, its derivatives by depth and approach, and the energy [J] that it has stored: the penalty,
+    and a wall that stops what would go through, each damped.
 
     The wall is S x^3 / width, with x from 0 at FREE to 1 at WALL, deeper by half of the obstacle's thickness and by all of it. Without a
     stiffness of the ground's own, thickness counts up to the rod's radius.
     """
-    k, e, smooth = sample.stiffness, sample.smoothing, min(depth, sample.smoothing)
+    k, e, smooth, c = sample.stiffness, sample.smoothing, min(depth, sample.smoothing), body.dissipation
     thick = 0.5 * min(sample.solid, body.thickness)
     width, linear = (WALL - FREE) * sample.radius + thick, depth - smooth
     x = max(depth - FREE * sample.radius - thick, 0.0) / width
-    wall = sample.wall * x * x
-    force = k * (0.5 * smooth * smooth / e + linear) + wall * x / width
-    energy = k * (smooth * smooth * smooth / (6.0 * e) + 0.5 * depth * linear) + 0.25 * wall * x * x
-    return force, k * smooth / e + 3.0 * wall / (width * width), energy
+    scale, c_wall = sample.wall * x * x, max(c, WALL_DISSIPATION)
+    penalty, wall = k * (0.5 * smooth * smooth / e + linear), scale * x / width
+    energy = k * (smooth * smooth * smooth / (6.0 * e) + 0.5 * depth * linear) + 0.25 * scale * x * x
+    factor, stop = max(1.0 + c * approach, 0.0), max(1.0 + c_wall * approach, 0.0)
+    stiffness = k * smooth / e * factor + 3.0 * scale / (width * width) * stop
+    damping = (c * penalty if factor > 0.0 else 0.0) + (c_wall * wall if stop > 0.0 else 0.0)
+    return penalty * factor + wall * stop, stiffness, damping, energy
 
 
 @kernel(inline=True)
@@ -79,11 +84,9 @@ def touch_of(contact, body, sample, ends, nodes):
     slip = minus(plus(velocity, cross(turning, times(-sample.radius, normal))), body.velocity)
     approach = -dot(slip, normal)
     slip = plus(slip, times(approach, normal))
-    force, stiffness, energy = normal_law(body, sample, max(-gap, 0.0))
-    factor = max(1.0 + body.dissipation * approach, 0.0)
-    pressure, damping = force * factor, force * body.dissipation if factor > 0.0 else 0.0
+    pressure, stiffness, damping, energy = normal_law(body, sample, max(-gap, 0.0), approach)
     drag = body.friction * pressure / math.sqrt(dot(slip, slip) + contact.stiction_speed * contact.stiction_speed)
-    return Touch(x, gap, normal, minus(times(pressure, normal), times(drag, slip)), stiffness * factor, damping, drag, energy)
+    return Touch(x, gap, normal, minus(times(pressure, normal), times(drag, slip)), stiffness, damping, drag, energy)
 
 
 @kernel(inline=True)

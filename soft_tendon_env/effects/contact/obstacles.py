@@ -194,7 +194,7 @@ def _number(name: str) -> int:
 def _place(function: Any, number: int) -> None:
     """Have `other_distance` call a kernel for this number."""
 
-    def enter(sizes, x):  # type: ignore[no-untyped-def]
+    def enter(sizes, x):
         away, n = function(sizes, x)
         return float(away), (float(n[0]), float(n[1]), float(n[2]))
 
