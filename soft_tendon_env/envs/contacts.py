@@ -46,22 +46,8 @@ def why_inside(model: Model, q: Array) -> str:
     places = model.scene.effects.contact.sample_places(model.discretisation)
     radius = rod_radius(model.scene, places)[0]
     depth, sample, name = deepest(model, np.ascontiguousarray(model.backbone_at(q, places)[:, :3, 3]), radius)
-    return (
-        f"the arm begins {1e3 * depth:.3g} mm deep in {name}, at {places[sample]:.3g} m along it" if depth > INSIDE * radius[sample] else ""
-    )
-
-
-def why_base_inside(model: Model, q: Array) -> str:
-    """Obstacle that the clamped base is so deep in that no motion frees the arm, which holds at q (n,), as the end of a sentence; "": none.
-
-    It takes no search for an equilibrium. The first place where contact is looked for is then inside too, however the arm bends.
-    """
-    if model.scene.effects.contact is None:
-        return ""
-    depth, _, name = deepest(model, np.ascontiguousarray(model.backbone_at(q, [0.0])[:, :3, 3]), np.zeros(1))
-    begins = depth + rod_radius(model.scene, 0.0)[0][0]
-    inside = depth > model.scene.effects.contact.sample_places(model.discretisation)[0]
-    return f"the arm begins {1e3 * begins:.3g} mm deep in {name}, at 0 m along it" if inside else ""
+    where = f"{1e3 * depth:.3g} mm deep in {name}, at {places[sample]:.3g} m along it"
+    return f"the arm begins {where}" if depth > INSIDE * radius[sample] else ""
 
 
 def why_target_inside(model: Model, positions: Array) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.envs.arms import Arms
-from soft_tendon_env.envs.contacts import ObstacleFreeSpace, why_base_inside, why_inside
+from soft_tendon_env.envs.contacts import ObstacleFreeSpace, why_inside
 from soft_tendon_env.envs.drawn_arms import Drawn, DrawnArms
 from soft_tendon_env.envs.options import Options, Start, check_start
 from soft_tendon_env.envs.randomization import Draw, draw_actuators, own_stream
@@ -133,8 +133,6 @@ class Starts:
     def _settled(self, model: Model, tension: Array) -> tuple[Array, str, str]:
         """Coordinates (n,) at which an arm slowly loaded with tensions (n_a,) [N] comes to rest; the obstacle that it is inside of there,
         and why it does not rest, as ends of sentences: "" where it is so."""
-        if inside := why_base_inside(model, np.zeros(model.coordinate_count)):  # which no motion frees
-            return np.zeros(model.coordinate_count), inside, ""
         rest = static_equilibrium(model, tension, settle=True)
         return rest.q, why_inside(model, rest.q), rest.reason
 

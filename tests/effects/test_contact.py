@@ -1,7 +1,12 @@
 """Contact with obstacles: signed distances, balance of forces, sticking and sliding, energy, steps of 20 ms without tunnelling."""
 
+import importlib
+import json
 import math
+import os
 import pickle
+import subprocess
+import sys
 from typing import Literal
 
 import numpy as np
@@ -9,10 +14,9 @@ import pytest
 from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.contact.bodies import body_at, distance
-from soft_tendon_env.effects.contact.effect import Contact
-from soft_tendon_env.effects.contact.obstacle import Directed, Geometry, register_shape
-from soft_tendon_env.effects.contact.samples import SMOOTHING
+from soft_tendon_env.effects.contact import Contact
+from soft_tendon_env.effects.contact.bodies import SMOOTHING, body_at
+from soft_tendon_env.effects.contact.obstacles import Directed, Geometry, distance, register_shape
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.contact_forces import contact_forces
 from soft_tendon_env.model.simulation import Simulation, simulate
@@ -55,8 +59,7 @@ def rested(model, seconds=5.0, tension=None):
 
 
 def body_of(obstacle, time=0.0):
-    none = np.zeros((0, 10))
-    return body_at(Contact(obstacles=[obstacle])._parameters(none, none), 0, time)
+    return body_at(Contact(obstacles=[obstacle])._rows(), 0, time)
 
 
 @pytest.mark.no_jit
@@ -461,7 +464,6 @@ def test_what_has_no_contact_says_so(build):
 class Torus(Directed):
     """A shape of a user's own: the points up to `tube` from a circle of radius `ring` [m]."""
 
-    convex = False
     type: Literal["torus"] = "torus"
     ring: float = Field(description="radius of the circle [m]")
     tube: float = Field(description="radius of the tube [m]")
@@ -497,3 +499,53 @@ def test_a_shape_of_a_users_own_is_one_class(build):
     assert found.gap.min() > -RADIUS and simulation.tip_pose[2, 3] < -0.02
     again = pickle.loads(pickle.dumps(shot))
     np.testing.assert_array_equal(simulate(again, np.zeros(3), 0.04, 0.02).tip_pose, simulate(shot, np.zeros(3), 0.04, 0.02).tip_pose)
+
+
+PILLOW = """
+from typing import Literal
+from soft_tendon_env.effects import kernel
+from soft_tendon_env.effects.contact.obstacles import Directed, Geometry, register_shape
+
+@register_shape
+class Pillow(Directed):
+    type: Literal["pillow"] = "pillow"
+
+    def geometry(self):
+        return Geometry((0.01,), 0.05, (("plane", ()),))
+
+    @staticmethod
+    @kernel
+    def distance(sizes, x):
+        return x[2] - sizes[0], (0, 0, 1)
+"""
+LOADED = """
+import pickle, sys
+import numpy as np
+from soft_tendon_env.model.simulation import simulate
+print(simulate(pickle.load(open(sys.argv[1], "rb")), np.zeros(3), 0.1, 0.1).tip_pose[-1, :3, 3].tolist())
+"""
+
+
+@pytest.mark.slow
+def test_an_arm_among_a_users_own_shapes_is_loaded_by_another_process(build, tmp_path, monkeypatch):
+    """Which finds the kernel anew; an arm on it lies as on a floor at its height."""
+    (tmp_path / "pillows.py").write_text(PILLOW)
+    monkeypatch.syspath_prepend(tmp_path)
+    importlib.import_module("pillows")
+    weight = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
+    arm = three_tendon(build, [{"type": "pillow", "position": [0.0, 0.0, -0.06]}], 0.3, changes=weight)
+    floor = three_tendon(build, [{"type": "plane", "position": [0.0, 0.0, -0.05]}], 0.3, changes=weight)
+    expected = simulate(floor, np.zeros(3), 0.1, 0.1).tip_pose[-1, :3, 3]
+    (tmp_path / "arm.pickle").write_bytes(pickle.dumps(arm))
+    paths = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    ran = subprocess.run([sys.executable, "-c", LOADED, "arm.pickle"], cwd=tmp_path, env=paths, capture_output=True, text=True, check=True)
+    np.testing.assert_allclose(json.loads(ran.stdout), expected, atol=1e-9)
+    assert abs(expected[2]) > 0.02
+
+
+def test_two_shapes_have_two_names():
+    with pytest.raises(ValueError, match="the shape 'torus' is registered twice: .*test_contact, .*test_contact"):
+
+        @register_shape
+        class Ring(Torus):
+            pass

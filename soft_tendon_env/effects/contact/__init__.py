@@ -1,7 +1,68 @@
 """Contact with obstacles: penalty forces with damping and regularised Coulomb friction, on round samples along the whole arm.
 
 Samples lie evenly along the axis, each a ball of the rod's radius that stands for its share of the length; the tip's stands for its round
-cap too. obstacle.py says what all obstacles have, shapes.py which there are, effect.py has the table of the scene.
+cap too. obstacles.py says what all obstacles have and which shapes there are.
 """
 
-from soft_tendon_env.effects.contact.effect import Contact as Contact
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, Solid, register_effect
+from soft_tendon_env.effects.contact.bodies import ContactParameters, make_samples, read_distances
+from soft_tendon_env.effects.contact.forces import read_contacts
+from soft_tendon_env.effects.contact.obstacles import AnyObstacle
+from soft_tendon_env.effects.nodes import nodes_with
+from soft_tendon_env.mechanics.effect_parameters import Matrix
+from soft_tendon_env.mechanics.types import node_field
+from soft_tendon_env.tools.types import NotNegative, Positive
+
+
+@register_effect("contact")
+class Contact(Effect):
+    """`[effects.contact]` with `[[effects.contact.obstacles]]`: obstacles, fixed or moving, which the whole arm cannot enter.
+
+    Obstacles are tables with a `type`, see `Obstacle` and the classes of obstacles.py. An impact at a speed v returns it times about
+    1 - 2/3 c v where c v is small, with c the `dissipation`.
+    """
+
+    is_encountered: ClassVar[bool] = True
+
+    obstacles: tuple[AnyObstacle, ...] = Field(min_length=1, description="what the arm may touch")
+    friction: NotNegative = Field(0.0, description="coefficient of friction mu [-] of obstacles without their own")
+    stiction_speed: Positive = Field(1e-4, description="slip speed [m/s] below which friction falls, at which what it holds creeps")
+    stiffness: Positive | None = Field(None, description="force per length and depth [N/m^2]; by default E A / (2 r)^2 of the rod")
+    dissipation: NotNegative = Field(1.0, description="damping c [s/m] of the normal force")
+
+    def parameters(self, rod: Discretisation) -> ContactParameters:
+        intervals, samples, _ = make_samples(rod, self.stiffness)
+        return ContactParameters(Matrix(intervals), Matrix(samples), Matrix(self._rows()), self.stiction_speed)
+
+    def _rows(self) -> Array:
+        return np.array([obstacle.row(self.friction, self.dissipation) for obstacle in self.obstacles])
+
+    def sample_places(self, rod: Discretisation) -> Array:
+        """Arc lengths (samples,) [m] at which contact is looked for."""
+        return make_samples(rod, self.stiffness)[2]
+
+    def bodies(self) -> tuple[tuple[str, bool], ...]:
+        return tuple((f"obstacles[{i}], a {obstacle.type}", obstacle.moves) for i, obstacle in enumerate(self.obstacles))
+
+    def potential_energy(self, arm: Configured) -> float:
+        """That of the normal forces: friction stores none."""
+        if any(obstacle.moves for obstacle in self.obstacles):
+            raise ValueError("contact with obstacles that move has no potential energy")
+        pose = node_field(np.concatenate([arm.pose[:, :3, :3].reshape(-1, 9), arm.pose[:, :3, 3]], axis=1))
+        base, own = np.concatenate([np.eye(3).ravel(), np.zeros(15)]), self.parameters(arm.rod)
+        nodes, gap = nodes_with(pose, np.zeros(pose.size // 2), base, 0.0), np.empty((len(self.obstacles), len(own.samples)))
+        return float(read_contacts(own, nodes, gap, np.empty((gap.shape[1], 3)), np.empty((*gap.shape, 3))))
+
+    def solids(self, time: float = 0.0) -> tuple[Solid, ...]:
+        return tuple(solid for obstacle in self.obstacles for solid in obstacle.solids(time))
+
+    def distances(self, positions: Array, time: float = 0.0) -> Array:
+        """Signed distances (obstacles, m) [m] from the obstacles' surfaces to positions (m, 3) [m] at a time [s], negative inside."""
+        out = np.empty((len(self.obstacles), len(positions)))
+        read_distances(self._rows(), positions, time, out)
+        return out

@@ -1,4 +1,5 @@
-"""Forces of contact: normal force by a smooth penalty with damping, and regularised Coulomb friction, as wrenches on the nodes.
+"""Forces of contact: normal force by a smooth penalty with damping, and regularised Coulomb friction, as wrenches on the nodes. And the
+continuous collision check of steps.
 
 With d = radius - signed distance of a sample's middle, k = stiffness ds and a smoothing depth e, N = p(d) max(0, 1 + c d_dot),
 p = k d^2 / 2 e up to d = e, k (d - e / 2) beyond: Hunt and Crossley (1975), here of a force that begins smoothly. It never pulls, and what
@@ -9,19 +10,21 @@ creeps: with a share s of mu N, at v_s s / sqrt(1 - s^2). The implicit step gets
 
 By virtual work a force f on a sample is the force H00 f and the moment H10 h R_a e_x x f on the node before it, and likewise on the one
 behind: without friction contact has a potential of the nodes' poses.
+
+Steps end where a contact begins; those that went through something, or too deep into it, are tried again at half of their length.
 """
 
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.contact import columns as at
-from soft_tendon_env.effects.contact.bodies import body_at, distance, in_frame
-from soft_tendon_env.effects.contact.samples import ends_of, find_pairs, motion_at, position_of
+from soft_tendon_env.effects.contact import bodies as at
+from soft_tendon_env.effects.contact.bodies import Body, ContactParameters, Ends, body_at, ends_of, in_frame, sample_at, size
+from soft_tendon_env.effects.contact.obstacles import distance
+from soft_tendon_env.effects.nodes import motion_before, motion_of, pose_of
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, rotate, rotate_back, times
+from soft_tendon_env.mechanics.effects import adds_wrench, allow_turning, limits_step, sweeps_motion
 from soft_tendon_env.tools.types import Triple
 
 FREE, WALL = 0.2, 0.45
@@ -29,6 +32,11 @@ FREE, WALL = 0.2, 0.45
 deep in both."""
 WALL_DISSIPATION = 1.0
 """The least c [s/m] of the wall: what begins within an obstacle leaves it at 1 m/s at most."""
+OVERRUN, THROUGH = 0.1, 0.15
+"""Shares of the radius: how much deeper a step in contact may lead, and what turns out to be so deep that it is tried again shorter."""
+LANDED, IDLE = 0.01, 0.05
+"""Share of the arm's kinetic energy, the most that a sample may store where a step ends in what it comes upon, and the speed, in lengths of
+the arm per second, that counts as such besides: at rest steps need not end where a contact begins."""
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -46,58 +54,39 @@ class Touch(NamedTuple):
 
 
 @kernel(inline=True)
-def penalty(samples, m, depth):
-    """Penalty force p(d) [N] of a sample, its derivative and its integral."""
-    stiffness, smoothing = samples[m, at.STIFFNESS], samples[m, at.DEPTH]
-    if depth < smoothing:
-        slope = stiffness * depth / smoothing
-        return 0.5 * slope * depth, slope, slope * depth * depth / 6.0
-    beyond = depth - 0.5 * smoothing
-    return stiffness * beyond, stiffness, 0.5 * stiffness * (beyond * beyond + smoothing * smoothing / 12.0)
+def normal_law(body, sample, depth, approach):
+    """Force [N] of a sample along the normal, its derivatives by depth and approach, and the energy [J] that it has stored: the penalty,
+    and a wall that stops what would go through, each damped.
 
-
-@kernel(inline=True)
-def wall(body, samples, m, depth):
-    """Force of the wall that stops what would go through, its derivative and its integral.
-
-    S x^3 / width, with x from 0 at FREE to 1 at WALL, deeper by half of the obstacle's thickness and by all of it. Without a stiffness of
-    the ground's own, thickness counts up to the rod's radius.
+    The wall is S x^3 / width, with x from 0 at FREE to 1 at WALL, deeper by half of the obstacle's thickness and by all of it. Without a
+    stiffness of the ground's own, thickness counts up to the rod's radius.
     """
-    radius, thick = samples[m, at.RADIUS], 0.5 * min(samples[m, at.SOLID], body.contact.obstacles[body.j, at.THICKNESS])
-    x, width = depth - FREE * radius - thick, (WALL - FREE) * radius + thick
-    if not x > 0.0:  # nor is it for what is infinitely thick
-        return 0.0, 0.0, 0.0
-    x /= width
-    energy = samples[m, at.WALL_SCALE] * x * x
-    return energy * x / width, 3.0 * energy / (width * width), 0.25 * energy * x * x
+    k, e, smooth, c = sample.stiffness, sample.smoothing, min(depth, sample.smoothing), body.dissipation
+    thick = 0.5 * min(sample.solid, body.thickness)
+    width, linear = (WALL - FREE) * sample.radius + thick, depth - smooth
+    x = max(depth - FREE * sample.radius - thick, 0.0) / width
+    scale, c_wall = sample.wall * x * x, max(c, WALL_DISSIPATION)
+    penalty, wall = k * (0.5 * smooth * smooth / e + linear), scale * x / width
+    energy = k * (smooth * smooth * smooth / (6.0 * e) + 0.5 * depth * linear) + 0.25 * scale * x * x
+    factor, stop = max(1.0 + c * approach, 0.0), max(1.0 + c_wall * approach, 0.0)
+    stiffness = k * smooth / e * factor + 3.0 * scale / (width * width) * stop
+    damping = (c * penalty if factor > 0.0 else 0.0) + (c_wall * wall if stop > 0.0 else 0.0)
+    return penalty * factor + wall * stop, stiffness, damping, energy
 
 
 @kernel(inline=True)
-def damped(law, dissipation, approach):
-    """The force p max(0, 1 + c d_dot) of a law, with its derivatives by depth and approach."""
-    factor = 1.0 + dissipation * approach
-    return (law[0] * factor, law[1] * factor, law[0] * dissipation) if factor > 0.0 else (0.0, 0.0, 0.0)
-
-
-@kernel(inline=True)
-def touch_of(body, ends, m, nodes):
+def touch_of(contact, body, sample, ends, nodes):
     """The contact of a sample between two nodes with an obstacle, without forces where they do not touch."""
-    samples, rows, j = body.contact.samples, body.contact.obstacles, body.j
-    x = position_of(samples, m, ends)
+    x = at.position_of(sample, ends)
     away, out = distance(body, in_frame(body, x))
-    gap, normal = away - samples[m, at.RADIUS], rotate(body.R, out)
-    if not gap < 0.0:
-        return Touch(x, gap, normal, (0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
-    velocity, turning = motion_at(samples, m, ends, nodes)
-    slip = minus(plus(velocity, cross(turning, times(-samples[m, at.RADIUS], normal))), body.velocity)
+    gap, normal = away - sample.radius, rotate(body.R, out)
+    velocity, turning = at.motion_at(sample, ends, nodes)
+    slip = minus(plus(velocity, cross(turning, times(-sample.radius, normal))), body.velocity)
     approach = -dot(slip, normal)
     slip = plus(slip, times(approach, normal))
-    law, backstop, c = penalty(samples, m, -gap), wall(body, samples, m, -gap), rows[j, at.DISSIPATION]
-    force, stop = damped(law, c, approach), damped(backstop, max(c, WALL_DISSIPATION), approach)
-    pressure = force[0] + stop[0]
-    drag = rows[j, at.FRICTION] * pressure / math.sqrt(dot(slip, slip) + body.contact.stiction_speed * body.contact.stiction_speed)
-    total = minus(times(pressure, normal), times(drag, slip))
-    return Touch(x, gap, normal, total, force[1] + stop[1], force[2] + stop[2], drag, law[2] + backstop[2])
+    pressure, stiffness, damping, energy = normal_law(body, sample, max(-gap, 0.0), approach)
+    drag = body.friction * pressure / math.sqrt(dot(slip, slip) + contact.stiction_speed * contact.stiction_speed)
+    return Touch(x, gap, normal, minus(times(pressure, normal), times(drag, slip)), stiffness, damping, drag, energy)
 
 
 @kernel(inline=True)
@@ -132,32 +121,121 @@ def add_to_node(nodes, node, R, weights, radius, touch):
             add_along(nodes.damping, node, lever, share, axis, touch.drag / part)
 
 
-@kernel(refcount=True)
+@adds_wrench(ContactParameters)
+@kernel
 def contact_wrench(contact, nodes):
     """Wrenches of all contacts, with their stiffness and damping."""
-    samples = contact.samples
-    pairs = np.empty((contact.obstacles.shape[0] * samples.shape[0], 3), dtype=np.int64)
-    for pair in range(find_pairs(contact, nodes, True, pairs)):
-        j, i, m = pairs[pair, 0], pairs[pair, 1], pairs[pair, 2]
-        ends, t = ends_of(nodes, i), samples[m, at.T]
-        touch = touch_of(body_at(contact, j, nodes.time), ends, m, nodes)
-        nodes.touched[0] = 1.0
-        behind = samples[m, at.H_B], samples[m, at.REACH_B], t, t if i > 0 else 1.0
-        add_to_node(nodes, i, ends.R_b, behind, samples[m, at.RADIUS], touch)
-        if i > 0 and t < 1.0:
-            before = samples[m, at.H_A], samples[m, at.REACH_A], 1.0 - t, 1.0 - t
-            add_to_node(nodes, i - 1, ends.R_a, before, samples[m, at.RADIUS], touch)
+    intervals = contact.intervals
+    for j in range(contact.obstacles.shape[0]):
+        body = body_at(contact.obstacles, j, nodes.time)
+        for i in range(intervals.shape[0]):
+            ends = ends_of(nodes, i)
+            if distance(body, in_frame(body, ends.r_b))[0] < at.reach_of(intervals, i, ends):
+                for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
+                    sample = sample_at(contact, m)
+                    touch = touch_of(contact, body, sample, ends, nodes)
+                    if touch.gap < 0.0:
+                        add_touch(nodes, i, ends, sample, touch)
 
 
-@kernel(refcount=True)
+@kernel(inline=True)
+def add_touch(nodes, i, ends, sample, touch):
+    """What a contact adds to both nodes of an interval."""
+    nodes.touched[0], t = 1.0, sample.t
+    add_to_node(nodes, i, ends.R_b, (sample.h_b, sample.reach_b, t, t if i > 0 else 1.0), sample.radius, touch)
+    if i > 0 and t < 1.0:
+        add_to_node(nodes, i - 1, ends.R_a, (sample.h_a, sample.reach_a, 1.0 - t, 1.0 - t), sample.radius, touch)
+
+
+@kernel
 def read_contacts(contact, nodes, gap, position, force):
     """Position of every sample (samples, 3) [m]; for every obstacle its gap (obstacles, samples) [m] and its force
     (obstacles, samples, 3) [N] in the world frame. Returns the potential energy [J] of the normal forces."""
-    pairs, energy = np.empty((gap.size, 3), dtype=np.int64), 0.0
-    for pair in range(find_pairs(contact, nodes, False, pairs)):
-        j, i, m = pairs[pair, 0], pairs[pair, 1], pairs[pair, 2]
-        touch = touch_of(body_at(contact, j, nodes.time), ends_of(nodes, i), m, nodes)
-        gap[j, m], energy = touch.gap, energy + touch.energy
-        for k in range(3):
-            position[m, k], force[j, m, k] = touch.position[k], touch.force[k]
+    energy = 0.0
+    for j in range(gap.shape[0]):
+        body = body_at(contact.obstacles, j, nodes.time)
+        for i in range(contact.intervals.shape[0]):
+            ends = ends_of(nodes, i)
+            for m in range(int(contact.intervals[i, 1]), int(contact.intervals[i, 2])):
+                touch = touch_of(contact, body, sample_at(contact, m), ends, nodes)
+                gap[j, m], energy = touch.gap, energy + touch.energy
+                for k in range(3):
+                    position[m, k], force[j, m, k] = touch.position[k], touch.force[k]
     return energy
+
+
+class Swept(NamedTuple):
+    """An obstacle, and the nodes of an interval, before and after a step."""
+
+    body_before: Body
+    body: Body
+    ends_before: Ends
+    ends: Ends
+
+
+@limits_step(ContactParameters)
+@kernel
+def limit_step(contact, nodes, longest):
+    """Steps are short beside the periods of obstacles that swing."""
+    for j in range(contact.obstacles.shape[0]):
+        if size(at.triple(contact.obstacles, j, 25)) > 0.0:
+            allow_turning(contact.obstacles[j, 4], longest)
+
+
+@kernel
+def landing_energy(nodes, intervals):
+    """Energy [J] that a sample may store where a step ends in what it comes upon."""
+    energy, mass, length = 0.0, 0.0, 0.0
+    for i in range(intervals.shape[0]):
+        _, v = motion_of(nodes, i, pose_of(nodes, i)[0])
+        energy, mass, length = energy + 0.5 * nodes.mass[i] * dot(v, v), mass + nodes.mass[i], length + intervals[i, 0]
+    return LANDED * (energy + 0.5 * mass * (IDLE * length) ** 2)
+
+
+@kernel(inline=True)
+def is_far(swept, intervals, nodes, longest):
+    """Whether no sample of the interval can have met the obstacle, nor does within a step: the Hermite polynomials of tangents stay below
+    4/27, and the signed distance changes no faster than a point moves."""
+    body, ends, i = swept.body, swept.ends, swept.ends.interval
+    place = in_frame(body, ends.r_b)
+    w, v = motion_of(nodes, i, ends.R_b)
+    w_a, v_a = motion_before(nodes, i, ends.R_a, ends.r_a)
+    speed = max(size(v), size(v_a)) + 4.0 / 27.0 * intervals[i, 0] * (size(w) + size(w_a)) + size(body.velocity)
+    moved = size(minus(in_frame(swept.body_before, swept.ends_before.r_b), place))
+    was, will = at.reach_of(intervals, i, swept.ends_before) + moved, at.reach_of(intervals, i, ends) + speed * longest[0]
+    return distance(body, place)[0] >= max(was, will)
+
+
+@kernel(inline=True)
+def check_sample(sample, swept, nodes, energy, longest, flags):
+    """`check_collisions` for a sample and an obstacle, straight ahead as seen by the obstacle."""
+    body, radius = swept.body, sample.radius
+    landing = min(sample.smoothing, (6.0 * sample.smoothing * energy / sample.stiffness) ** (1.0 / 3.0))
+    start, end = in_frame(swept.body_before, at.position_of(sample, swept.ends_before)), in_frame(body, at.position_of(sample, swept.ends))
+    was = distance(swept.body_before, start)[0] - radius
+    away, out = distance(body, end)
+    velocity, _ = at.motion_at(sample, swept.ends, nodes)
+    gap, approach = away - radius, -dot(minus(velocity, body.velocity), rotate(body.R, out))
+    too_deep = was > 0.0 and gap < -2.0 * landing and approach > 0.0
+    if too_deep or at.goes_through(body, start, end, min(was, 0.0) + (1.0 - THROUGH) * radius):
+        flags.tunnelled[0] = 1.0
+    room = gap + landing if gap > 0.0 else OVERRUN * radius
+    if gap < 0.0 or approach * longest[0] > room:
+        flags.active[0] = 1.0
+    if approach * longest[0] > room:
+        longest[0] = room / approach
+
+
+@sweeps_motion(ContactParameters)
+@kernel
+def check_collisions(contact, before, nodes, longest, flags):
+    """The next step ends where something is met; the last one was too long if a sample went through something on its way, or came to be
+    so deep in it at once that it stores more than a share of the arm's energy."""
+    intervals, energy = contact.intervals, landing_energy(nodes, contact.intervals)
+    for j in range(contact.obstacles.shape[0]):
+        body_before, body = body_at(contact.obstacles, j, before.time), body_at(contact.obstacles, j, nodes.time)
+        for i in range(intervals.shape[0]):
+            swept = Swept(body_before, body, ends_of(before, i), ends_of(nodes, i))
+            if not is_far(swept, intervals, nodes, longest):
+                for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
+                    check_sample(sample_at(contact, m), swept, nodes, energy, longest, flags)
