@@ -1,4 +1,4 @@
-"""Recordings of a real arm: still holds and sampled motions, from CSV or Parquet files.
+"""Recordings of a real arm: still holds and sampled motions, from CSV files.
 
 One row is a hold (`hold`, its name), or with a column `time` [s] a sample, of which those with one `hold` follow each other as one motion.
 Commands are `tension_i` [N] or `displacement_i` [m], one for each tendon from 0 on; a marker has `NAME_x`, `NAME_y`, `NAME_z` [m], all of

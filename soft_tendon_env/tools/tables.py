@@ -1,4 +1,4 @@
-"""Tables from files: rows of text from CSV in its dialects, or Parquet, each with where it stands."""
+"""Tables from CSV files in their dialects: rows of text, each with where it stands."""
 
 import contextlib
 import csv
@@ -29,32 +29,14 @@ class Table(NamedTuple):
 
 
 def read_table(path: Path, names: Collection[str] = ()) -> Table:
-    """The table of a file; by its suffix it is Parquet, else CSV.
+    """The table of a CSV file.
 
-    The header of a CSV file is the line with most of the `names`, by default the first that is no comment. Its separator is a comma,
-    semicolon, tab, bar or spaces. Blank lines and comments (#, %) are left out.
-    Raises FileNotFoundError, and ValueError for a file that cannot be read, or for Parquet without PyArrow.
+    Its header is the line with most of the `names`, by default the first that is no comment. Its separator is a comma, semicolon, tab,
+    bar or spaces. Blank lines and comments (#, %) are left out. Raises FileNotFoundError, and ValueError for a file that cannot be read.
     """
-    if path.suffix != ".parquet":
-        return _read_csv(path, {name.casefold() for name in names})
-    try:
-        columns = pyarrow().parquet.read_table(path).to_pydict()
-    except FileNotFoundError as error:
-        raise FileNotFoundError(f"there is no file {path}") from error
-    except OSError as error:  # ArrowInvalid is a ValueError that says all
-        raise ValueError(f"{path} cannot be read as Parquet: {error}") from error
-    rows = [
-        (f"{path}, row {number}", ["" if value is None else str(value) for value in values])
-        for number, values in enumerate(zip(*columns.values(), strict=True), 1)
-    ]
-    return Table(str(path), [*columns], rows, [])
-
-
-def _read_csv(path: Path, names: set[str]) -> Table:
-    """The table of a CSV file. Raises ValueError, FileNotFoundError."""
     # minutes of a log have tens of megabytes; bytes that are no text are no numbers
     lines = whole_lines(path, read_text(path, MOST_BINARY, "replace"))
-    first, separator, header = _header(lines, names)
+    first, separator, header = _header(lines, {name.casefold() for name in names})
     skipped = [number for number, line in enumerate(lines, 1) if (number <= first and line.strip()) or line.startswith(COMMENTS)]
     if first + 1 in skipped:
         skipped.remove(first + 1)
@@ -109,13 +91,3 @@ def whole_lines(path: Path, text: str) -> list[str]:
             warnings.warn(f"{path}, line {len(lines)} was cut off: it is left out, the rows before it are whole", stacklevel=2)
             return lines[:-1]
     return lines
-
-
-def pyarrow() -> Any:
-    """PyArrow with its Parquet files. Raises ValueError where it is not installed."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as error:
-        raise ValueError('tables in Parquet need PyArrow: pip install "soft_tendon_env[recording]", or take a .csv file') from error
-    return pyarrow

@@ -156,14 +156,6 @@ def test_the_paper_s_gains_are_the_limit_of_short_periods():
     assert np.max(distances[0]) < 2e-2
 
 
-def test_short_periods_give_the_gains_of_the_continuous_loop():
-    """To first order in the period: ten times shorter, ten times nearer."""
-    _, *wanted = np.poly(continuous_poles(0.5, 0.8, 0.4)).real  # s^3 + kd s^2 + kp s + ki
-    kd, kp, ki = wanted
-    far, near = (np.array(discrete_gains(0.5, 0.8, period, 0.4)) / [kp, kd, ki] - 1.0 for period in (1e-4, 1e-5))
-    np.testing.assert_allclose(far / near, 10.0, rtol=0.02)
-
-
 @pytest.mark.cases("name", ["settling_time", "damping", "period", "integral_time"])
 @pytest.mark.cases("value", [0.0, -1.0, np.nan, np.inf, "short"])
 def test_what_is_no_positive_number_is_named(name, value):

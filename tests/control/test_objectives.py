@@ -144,12 +144,3 @@ def test_bending_the_rod_evenly_by_an_angle_of_one_counts_as_half_its_length(bui
     np.testing.assert_allclose(columns @ q, np.tile(strain, len(reference)), atol=1e-12)
     error = Shape(model).aim(moving(model, np.zeros(9)), Reference(np.zeros(1), q=q[None]), 0.0, PERIOD).error
     assert np.linalg.norm(error) == pytest.approx(0.5 * model.length, rel=1e-9)
-
-
-def test_small_bending_by_tensions_counts_the_same(build):
-    """Coordinates are tensions here: a pull and two pushes that sum to nothing bend the straight arm evenly."""
-    model = build("three_tendon")
-    q = 1e-3 * np.array([1.0, -0.5, -0.5])
-    error = Shape(model).aim(moving(model, np.zeros(3)), Reference(np.zeros(1), q=q[None]), 0.0, PERIOD).error
-    angle = np.linalg.norm(pose_error(np.eye(4), model.tip_pose(q))[:3])
-    assert np.linalg.norm(error) == pytest.approx(0.5 * model.length * angle, rel=1e-4)

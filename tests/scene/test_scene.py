@@ -11,7 +11,6 @@ from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.radius import LinearRadius
 from soft_tendon_env.scene.routing import StraightRouting
 from soft_tendon_env.scene.scene import (
-    Quadrature,
     Scene,
     Segment,
     Tendon,
@@ -109,11 +108,6 @@ def test_all_mistakes_are_told_at_once():
     assert "at least 1 item" not in told
 
 
-def test_parts_name_their_class():
-    with pytest.raises(ConfigurationError, match="^Quadrature: intervals is 0: it should be greater than or equal to 1$"):
-        Quadrature(intervals=0)
-
-
 def test_explicit_strain_refuses_overlapping_modes():
     over_rod, over_pieces = (Modes(strains=["bend_y"], order=0, span=span) for span in ("rod", "piece"))
     with pytest.raises(ConfigurationError, match="should name each strain once, but repeats bend_y"):
@@ -125,12 +119,6 @@ def test_the_error_pickles_and_keeps_its_problems(scene):
         scene.replace({"quadrature.intervals": 0})
     copy = pickle.loads(pickle.dumps(caught.value))
     assert str(copy) == str(caught.value) and copy.problems[0].key == ("quadrature", "intervals")
-
-
-def test_numbers_and_arrays_are_taken_as_they_come():
-    made = segment(density=np.int64(900), curvature=np.array([0, 1, 0]))
-    assert made.density == 900.0 and isinstance(made.density, float)
-    assert made.curvature == (0.0, 1.0, 0.0)
 
 
 def test_nothing_can_be_changed(scene):
