@@ -1,4 +1,5 @@
 """Radius profiles: values, slopes against differences, and what they refuse."""
+
 import numpy as np
 import pytest
 

@@ -1,4 +1,5 @@
 """Scenes: strictness and its messages, overrides, and what follows from a scene (breakpoints, radius, tendon paths)."""
+
 import pickle
 
 import numpy as np
