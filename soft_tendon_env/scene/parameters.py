@@ -152,19 +152,12 @@ class Range(NamedTuple):
         return {key: made(own) for key, own in zip(self.keys, self.values, strict=True)}
 
 
-def checked_ranges(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """A table of ranges with tables in tables as dotted keys, as far as it can be judged without a scene. Raises ConfigurationError."""
+def dotted_ranges(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """A table of ranges with tables in tables as dotted keys."""
     found: dict[str, Any] = {}
     for name, value in table.items():
-        key = prefix + name
-        if isinstance(value, Mapping) and not _is_relative(value):
-            found |= checked_ranges(value, f"{key}.")
-        elif isinstance(value, str | bool | None):
-            _fail(key, f"is {shown(value)}: it should be {NUMBER}, or a table with {' or '.join(KINDS)}")
-        else:
-            for own in value.values() if isinstance(value, Mapping) else ():
-                _interval(key, own)
-            found[key] = value
+        nested = isinstance(value, Mapping) and not _is_relative(value)
+        found |= dotted_ranges(value, f"{prefix}{name}.") if nested else {prefix + name: value}
     return found
 
 

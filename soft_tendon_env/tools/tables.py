@@ -2,12 +2,16 @@
 
 import contextlib
 import csv
+import math
 import warnings
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from soft_tendon_env.tools.files import MOST_BINARY, read_text
+from soft_tendon_env.tools.types import Array
 
 LOGGED = "measured_time"
 """Column by which logs of robots are known, every row of which ends with a newline."""
@@ -15,6 +19,8 @@ SEPARATORS = ",;\t|"
 """Separators of cells; a header with none of them is separated by spaces."""
 COMMENTS = ("#", "%")
 """Beginnings of lines that are skipped; the header may be one of them, as NumPy and rostopic write it."""
+ABSENT = {"", "nan", "na", "n/a", "null", "none"}
+"""Cells that hold no number."""
 PREAMBLE = 100
 """Lines among which the header is looked for."""
 
@@ -26,6 +32,25 @@ class Table(NamedTuple):
     header: list[str]
     rows: list[tuple[str, list[str]]]
     skipped: list[int]  # numbers of lines that were not read: comments, and what stands above the header
+
+    def numbers(self, columns: Iterable[tuple[str, float]]) -> Array:
+        """Numbers (rows, columns) of columns by name, times their factors; NaN where there are none. Raises ValueError for other text."""
+        places = [(self.header.index(name), name, factor) for name, factor in columns]
+        found = [[read_number(where, name, cells[i], factor) for i, name, factor in places] for where, cells in self.rows]
+        return np.array(found, dtype=np.float64).reshape(len(self.rows), len(places))
+
+
+def read_number(where: str, name: str, text: str, factor: float = 1.0) -> float:
+    """A cell as a number, NaN where there is none. Raises ValueError for other text and infinity."""
+    if text.casefold() in ABSENT:
+        return math.nan
+    try:
+        value = math.nan if "_" in text else float(text.replace(",", ".")) * factor
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"{where}: {name} is {text!r}: it should be a finite number, or empty where there is none")
+    return value
 
 
 def read_table(path: Path, names: Collection[str] = ()) -> Table:
@@ -53,6 +78,8 @@ def read_table(path: Path, names: Collection[str] = ()) -> Table:
     except csv.Error as error:
         raise ValueError(f"{path}, line {number} cannot be read: {error}") from error
     where = f"{path}, line {first + 1}" + (f" (separated by {separator!r})" if len(header) > 1 else "")
+    if odd := next((row for row in rows if len(row[1]) != len(header)), None):
+        raise ValueError(f"{odd[0]}: there are {len(odd[1])} cells, the header has {len(header)}: {where}")
     return Table(where, header, rows, skipped)
 
 
