@@ -10,7 +10,7 @@ from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.effects.base import Effects
@@ -24,6 +24,12 @@ GREATEST_TENSION = 1e9
 """Largest tension limit [N]."""
 
 
+def _is_pair(limits: Any) -> Any:
+    if not (isinstance(limits, tuple) and len(limits) == 2):
+        raise ValueError("should be (least, greatest)")
+    return limits
+
+
 def _is_range(limits: tuple[float, float]) -> tuple[float, float]:
     if limits[0] >= limits[1]:
         raise ValueError("should be (least, greatest) with least < greatest")
@@ -32,7 +38,7 @@ def _is_range(limits: tuple[float, float]) -> tuple[float, float]:
     return limits
 
 
-TensionLimits = Annotated[tuple[float, float], AfterValidator(_is_range)]
+TensionLimits = Annotated[tuple[float, float], BeforeValidator(_is_pair), AfterValidator(_is_range)]
 
 LEAST_TOLERANCE = 1e-11
 """Least error of a step, in parts of the rod's length, that may be asked for: ten times what the integrator's strains are good to."""
