@@ -70,7 +70,7 @@ class Controller(Protocol):
 
 
 class ModelController:
-    """What the controllers of this package have in common: a model, limits (n_a, 2) [N] of tensions, and the control period [s]."""
+    """Base of the controllers of this package: a model, limits (n_a, 2) [N] of tensions, and the control period [s]."""
 
     def __init__(self, model: Model, limits: Array, period: float) -> None:
         self.model, self.period = model, period

@@ -36,7 +36,7 @@ class Simulated:
         """Coordinates (n,) at every sample of all recordings. Raises NoHoldError."""
         return [q for i, own in enumerate(self._recordings) for q in self._simulated(plant, own, i)]
 
-    def _simulated(self, plant: Plant, own: Recording, i: int) -> Sequence[Array]:
+    def _simulated(self, plant: Plant, own: Recording, i: int) -> list[Array]:
         command, model = plant.command(own.command), plant.model
         try:
             q, tension = _at_rest(model, command[0], self._rests[i], bool(own.period))
@@ -44,7 +44,7 @@ class Simulated:
             if not own.period:
                 return [q]
             start = Simulation(model).reset(q, tension=tension)
-            return simulate(model, command[:-1], own.period * (len(command) - 1), own.period, start).q
+            return list(simulate(model, command[:-1], own.period * (len(command) - 1), own.period, start).q)
         except (SimulationDiverged, _NotHeld, StrainLimitError) as error:
             if own.period:
                 text = f"motion {own.name!r} cannot be simulated: {error}. {rest_text(own, model.length)}"
