@@ -1,6 +1,6 @@
 """Jitter of the control loop in real time, and the time from every fault to slack tendons.
 
-    python benchmarks/robot_loop.py [--seconds 20] [--priority 10] [--policy filtered:tracking] [--out out]
+    python benchmarks/robot_loop.py [--seconds 20] [--policy filtered:tracking] [--out out]
 
 The robot is a simulated arm in this process. A fault happens half a second after the beginning of a run of its own; "from the fault" counts
 from there to the last command, which lets the tendons go, and "from its notice" from when the watchdog or the loop saw it.
@@ -21,7 +21,6 @@ from _results import machine, markdown_table, write_csv, write_picture
 from soft_tendon_env.evaluation.settings import episode_steps
 from soft_tendon_env.policies import Policy, load_policy, policy_options
 from soft_tendon_env.robots import Report, RobotEnv, SimulatedRobot, read_log, rehearse, run_policy
-from soft_tendon_env.robots.clock import take_priority
 
 ARM = {"scene": "three_tendon", "fidelity": "standard"}
 TASK = "TipPose"
@@ -85,12 +84,9 @@ class Failing:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--priority", type=int)
     parser.add_argument("--policy", default="filtered:tracking")
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
-    if arguments.priority is not None:
-        take_priority(arguments.priority)
     print(f"{machine()}; {arguments.policy} at 50 Hz\n")
     arguments.out.mkdir(parents=True, exist_ok=True)
     rows = [row_of("no fault", arguments, arguments.seconds), *(row_of(fault, arguments, 2.0) for fault in FAULTS)]

@@ -13,10 +13,9 @@ from soft_tendon_env.evaluation.tables import markdown_table
 from soft_tendon_env.identification.design import next_holds
 from soft_tendon_env.identification.fit import Loss
 from soft_tendon_env.identification.identify import FIDELITY, Estimate, identify
-from soft_tendon_env.identification.output import save_estimate
-from soft_tendon_env.identification.report import summary
+from soft_tendon_env.identification.output import save_estimate, summary
+from soft_tendon_env.identification.simulated import NoHoldError
 from soft_tendon_env.identification.split import SHARE
-from soft_tendon_env.identification.statics import NoHoldError
 from soft_tendon_env.tools.messages import UserError, describe
 from soft_tendon_env.tools.types import GivenLength
 
@@ -27,7 +26,7 @@ class Identify(ArmSettings):
     """Identify an arm from measured marker positions: estimate parameters of its scene by least squares, and judge them on held-out data.
 
     Attributes:
-        data: CSV or Parquet files: a row a hold (columns hold, tension_i or displacement_i, MARKER_x, MARKER_y, MARKER_z) or, with a column
+        data: CSV files: a row a hold (columns hold, tension_i or displacement_i, MARKER_x, MARKER_y, MARKER_z) or, with a column
             time, a sample of a motion that begins at rest.
         markers: TOML file with the markers' places on the arm, the frame of the data, and names and units of its columns (by default SI).
         parameters: keys such as segments.*.young_modulus, mount.rotation, markers.*.offset or commands.*.gain; KEY=LOW..HIGH with bounds,

@@ -20,7 +20,6 @@ from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName,
 from soft_tendon_env.model.inverse_statics import tension_for_tip_position
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.recording import RecordRollout
-from soft_tendon_env.robots.clock import take_priority
 from soft_tendon_env.robots.environment import PATIENCE, SETTLE, RobotEnv, robot_of
 from soft_tendon_env.robots.log import check_log
 from soft_tendon_env.robots.protocol import Robot, load_robot
@@ -51,7 +50,6 @@ class Run(EpisodeSettings):
         rest_wait: longest time [s] for which rest is waited for.
         patience: control periods without a new reading, or behind the deadlines, after which the tendons go slack.
         dry_run: send nothing to the robot, and read alone.
-        priority: real-time priority, 1 to 99, before all other processes of the machine; by default none.
         record: file for the Rerun viewer: what is measured of the tip over the arm as it is simulated under the commands that were sent.
         out: log, a new .csv file; the report is the .json file beside it.
     """
@@ -67,7 +65,6 @@ class Run(EpisodeSettings):
     rest_wait: NotNegative = REST.wait
     patience: int = Field(default=PATIENCE, ge=1)
     dry_run: bool = False
-    priority: int | None = Field(default=None, ge=1, le=99)
     record: str | None = None
     out: str = "out/run.csv"
 
@@ -88,8 +85,6 @@ def run(arguments: Sequence[str]) -> None:
         policy = named.load(env)
         rehearse(policy, env, settings.seed)
         _tell_of_reach(env, settings.seconds)
-        if settings.priority is not None:
-            take_priority(settings.priority)
         real = _connected(settings, env, options)
     print(f"{settings.policy} on {settings.robot}, {settings.seconds:g} s; {machine()}\n")
     try:

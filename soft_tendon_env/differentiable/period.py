@@ -70,25 +70,22 @@ def control_period(
     arms: Arms,
     before: ArmTensors,
     commands: torch.Tensor,
-    durations: torch.Tensor | None = None,
     advance: Callable[..., None] | None = None,
 ) -> ArmTensors:
-    """State and readings of all rows after a period under commands (rows, parts, n_a), differentiable in those and in the state before.
+    """State and readings of all rows after a period under commands (rows, parts, n_a), each held for an integrator step.
+
+    Differentiable in the commands and in the state before.
 
     The arms themselves take the step, from the state of `before`. Gradients are those of their adjoint, once, see Arms.adjoint; a
     row whose step fails has none. Poses are 4x4 matrices, whose cotangents count as far as they move them as rigid bodies.
 
-    durations: (rows, parts) [s] for which each command is held, by default an integrator step; advance: `advance(tape=...)` steps the arms
-    under these commands in place of `Arms.step`, as an environment does. float64. Raises TypeError or ValueError for other shapes and
-    numbers that are not finite; `backward` raises what Arms.adjoint does.
+    advance: `advance(tape=...)` steps the arms under these commands in place of `Arms.step`, as an environment does. float64. Raises
+    TypeError or ValueError for other shapes and numbers that are not finite; `backward` raises what Arms.adjoint does.
     """
     state = [getattr(before, name) for name in STATE]
     for name, value in zip(STATE, state, strict=True):
         checked_array(f"before.{name}", value.detach().numpy(), getattr(arms.rows, name).shape)
     held = checked_array("commands", commands.detach().numpy(), (arms.size, None, arms.model.tendon_count))
     if advance is None:
-        lasting = None if durations is None else checked_array("durations", durations.numpy(), held.shape[:2])
-        if lasting is not None and (lasting < 0.0).any():
-            raise ValueError(f"durations should be at least 0 s, but one is {lasting.min():g}")
-        advance = partial(arms.step, held, np.arange(arms.size, dtype=np.int64), lasting)
+        advance = partial(arms.step, held, np.arange(arms.size, dtype=np.int64))
     return ArmTensors(*_ControlPeriod.apply(arms, advance, commands, *state))

@@ -11,8 +11,7 @@ from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import perturb_poses
-from soft_tendon_env.scene.parameters import TABLES
-from soft_tendon_env.scene.ranges import Range, checked_ranges, ranges_of
+from soft_tendon_env.scene.parameters import TABLES, Range, dotted_ranges, ranges_of
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, plain, shown
 from soft_tendon_env.tools.types import Array
@@ -87,7 +86,7 @@ class Randomization(Configuration):
         ]
         if problems:
             raise ConfigurationError(problems, type(self).__name__)
-        numbers = checked_ranges(plain({**own.pop("numbers", {}), **table}))
+        numbers = dotted_ranges(plain({**own.pop("numbers", {}), **table}))
         super().__init__(**own, numbers=_in_full(numbers))
 
     def ranges(self, scene: Scene) -> tuple[Range, ...]:

@@ -12,7 +12,7 @@ from soft_tendon_env.identification.identify import Estimate
 from soft_tendon_env.identification.parameters import command_limits
 from soft_tendon_env.identification.readings import Readings
 from soft_tendon_env.identification.recordings import Recording
-from soft_tendon_env.identification.statics import NoHoldError
+from soft_tendon_env.identification.simulated import NoHoldError
 from soft_tendon_env.tools.types import Array
 
 CANDIDATES = 128

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from soft_tendon_env.identification.fit import Fit
+from soft_tendon_env.identification.fit import Fit, Loss, fit
 from soft_tendon_env.identification.intervals import SHARE, Direction, Intervals
 from soft_tendon_env.identification.parameters import Parameter
-from soft_tendon_env.identification.readings import Readings
+from soft_tendon_env.identification.readings import Readings, mean_of_finite
 from soft_tendon_env.identification.split import same_commands
 from soft_tendon_env.identification.structure import suspects
 from soft_tendon_env.tools.types import Array
@@ -197,22 +197,30 @@ def commands_in_residuals(found: Fit, readings: Readings) -> tuple[float, float]
     return (1 + sum(own >= follows for own in drawn)) / (1 + PERMUTATIONS), float(np.sqrt(follows / columns.size))
 
 
-def over_fitting_text(name: str, seen: Array, unseen: Array, tests: int) -> str | None:
-    """Warning where a parameter lowers the error of the fit and raises that of held-out data; None where it does not, or may by chance.
+def over_fitting_texts(found: Fit, fitted: Readings, unseen: Readings, loss: Loss) -> list[str]:
+    """Warnings about parameters that lower the error of the fit and raise that of held-out data: each kind is left out in a fit of its own.
 
-    seen (2,), unseen (2, groups): mean errors [m] without it and with it; those of held-out recordings by groups of the same commands, in
-    which the rise is tested by Student's t, one-sided, for one of a number of tests.
+    The rise is tested in held-out groups of the same commands by Student's t, one-sided, for as many tests as there are kinds.
     """
     from scipy.stats import ttest_rel  # here: it takes longer to import than all else that most scenes need
 
-    chance = tests * ttest_rel(unseen[1], unseen[0], alternative="greater").pvalue
-    if not (seen[1] < seen[0] and unseen[1].mean() > MATTERS * unseen[0].mean() and chance <= RISEN):
-        return None
-    (before, after), (first, last) = ([f"{1e3 * own.mean():.3g}" for own in part] for part in (seen, unseen))
-    text = f"{name} over-fits: with it the error of the fit goes from {before} to {after} mm"
-    return f"{text}, that of held-out data from {first} to {last} mm."
+    parameters, texts = fitted.plants.parameters, list[str]()
+    kinds = list(dict.fromkeys(_family(own.name) for own in parameters))
+    for kind in kinds if len(kinds) > 1 and unseen.recordings else ():
+        kept = [i for i, own in enumerate(parameters) if _family(own.name) != kind]
+        few, others = (Readings(fitted.plants.only(kept), own.recordings) for own in (fitted, unseen))
+        x = fit(few, found.sigma, loss, found.x[kept]).x
+        seen = [mean_of_finite(few.errors(x)), mean_of_finite(fitted.errors(found.x))]
+        each = np.array([others.errors(x), unseen.errors(found.x)])
+        groups = np.array([[mean_of_finite(own[unseen.group == i]) for i in range(unseen.group.max() + 1)] for own in each])
+        before, after = groups[:, np.isfinite(groups).all(axis=0)]
+        chance = len(kinds) * ttest_rel(after, before, alternative="greater").pvalue
+        if seen[1] < seen[0] and after.mean() > MATTERS * before.mean() and chance <= RISEN:
+            text = f"{kind} over-fits: with it the error of the fit goes from {1e3 * seen[0]:.3g} to {1e3 * seen[1]:.3g} mm"
+            texts.append(f"{text}, that of held-out data from {1e3 * before.mean():.3g} to {1e3 * after.mean():.3g} mm.")
+    return texts
 
 
-def family(name: str) -> str:
+def _family(name: str) -> str:
     """Name of parameters that are left out together: those of a vector, of all markers, of all commands."""
     return re.sub(r"\.\d+$", "", re.sub(r"^(markers|commands)\.[^.]+\.", r"\1.*.", name))

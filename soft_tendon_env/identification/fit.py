@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from soft_tendon_env.identification.readings import Readings
-from soft_tendon_env.identification.statics import NoHoldError
+from soft_tendon_env.identification.simulated import NoHoldError
 from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.types import Array
 

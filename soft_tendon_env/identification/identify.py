@@ -11,9 +11,8 @@ from soft_tendon_env.accuracy.fidelity import AS_SCENE, at_fidelity, checked_fid
 from soft_tendon_env.identification.findings import (
     bound_texts,
     coarse_text,
-    family,
     misfit_texts,
-    over_fitting_text,
+    over_fitting_texts,
     repeats_text,
     twins_text,
     unlikely_texts,
@@ -23,13 +22,12 @@ from soft_tendon_env.identification.fit import Fit, Loss, fit
 from soft_tendon_env.identification.intervals import Intervals, intervals, shift
 from soft_tendon_env.identification.markers import MarkerSet, check_places, load_markers
 from soft_tendon_env.identification.misread import LOOK, are_far, misread_text
-from soft_tendon_env.identification.motions import begins_at_rest, rest_text, with_steps
 from soft_tendon_env.identification.parameters import Parameter, read_parameters
 from soft_tendon_env.identification.plant import Measurement, Plants, base_rotation
 from soft_tendon_env.identification.readings import Readings, mean_of_finite
 from soft_tendon_env.identification.recordings import read_recordings
+from soft_tendon_env.identification.simulated import NoHoldError, begins_at_rest, rest_text, with_steps
 from soft_tendon_env.identification.split import SHARE, split, without_twins
-from soft_tendon_env.identification.statics import NoHoldError
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_type
@@ -82,7 +80,7 @@ def identify(
 ) -> Estimate:
     """Identifies parameters of an arm from recorded marker positions, by least squares with priors.
 
-    data: CSV or Parquet files, see identification.recordings. markers: TOML file, see identification.markers. parameters: as `KEY`,
+    data: CSV files, see identification.recordings. markers: TOML file, see identification.markers. parameters: as `KEY`,
     `KEY=LOW..HIGH` or `KEY~SIGMA`, see identification.parameters. held_out: a share or number of the recordings, a column, or
     COLUMN=NUMBER, see identification.split. noise [m]: standard deviation of a marker's coordinate; by default it is estimated. loss: how
     residuals count, the others are robust.
@@ -146,7 +144,7 @@ def _findings(found: Fit, spread: Intervals, fitted: Readings, unseen: Readings,
     parameters = fitted.plants.parameters
     texts = [unseen_text(direction, parameters) for direction in spread.unseen]
     texts += bound_texts(found.x, parameters) + unlikely_texts(found.x, parameters) + misfit_texts(found, fitted, noise)
-    return texts + over_fitting(found, fitted, unseen, loss) + notes
+    return texts + over_fitting_texts(found, fitted, unseen, loss) + notes
 
 
 def _moved(found: Fit, fitted: Readings, scene: Scene, fidelity: str) -> Array:
@@ -156,24 +154,3 @@ def _moved(found: Fit, fitted: Readings, scene: Scene, fidelity: str) -> Array:
         return np.zeros(found.x.size)
     plants, finer = fitted.plants, at_fidelity(scene, FIDELITY)
     return shift(found, Readings(Plants(finer, build_model(finer), plants.markers, plants.parameters), fitted.recordings))
-
-
-def over_fitting(found: Fit, fitted: Readings, unseen: Readings, loss: Loss) -> list[str]:
-    """Warnings about parameters without which held-out recordings are met better: each kind is left at the scene's number in a fit."""
-    plants = fitted.plants
-    kinds = list(dict.fromkeys(family(own.name) for own in plants.parameters))
-    if len(kinds) < 2 or not unseen.recordings:
-        return []
-    seen, group = fitted.errors(found.x), unseen.group
-    with_it = unseen.errors(found.x)
-    texts = []
-    for kind in kinds:
-        kept = [i for i, own in enumerate(plants.parameters) if family(own.name) != kind]
-        fewer = plants.only(kept)
-        few, others = Readings(fewer, fitted.recordings), Readings(fewer, unseen.recordings)
-        other = fit(few, found.sigma, loss, found.x[kept])
-        errors = np.array([others.errors(other.x), with_it])
-        grouped = np.array([[mean_of_finite(own[group == i]) for i in range(group.max() + 1)] for own in errors])
-        means = np.array([mean_of_finite(few.errors(other.x)), mean_of_finite(seen)])
-        texts.append(over_fitting_text(kind, means, grouped[:, np.isfinite(grouped).all(axis=0)], len(kinds)))
-    return [text for text in texts if text is not None]

@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.identification.fit import Loss, fit
 from soft_tendon_env.identification.markers import UNITS, MarkerSet
-from soft_tendon_env.identification.motions import with_steps
 from soft_tendon_env.identification.plant import Plants
 from soft_tendon_env.identification.readings import Readings
 from soft_tendon_env.identification.recordings import COMMANDS, Recording, check_commands
 from soft_tendon_env.identification.sampling import USUAL
+from soft_tendon_env.identification.simulated import with_steps
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.tools.types import Array
 

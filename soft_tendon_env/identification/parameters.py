@@ -9,9 +9,10 @@ each match: `mount.rotation` (rotation vector of the real base [deg]) and `mount
 factors.
 """
 
+import contextlib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,6 +41,7 @@ DELAY, LONGEST_DELAY = "commands.delay", 0.5
 DISTANCES = ("offset", "start_offset", "end_offset", "fraction", "radius", "y", "z")
 """Numbers of a routing in proportion to the tendon's distance from the axis."""
 HALVINGS = 40
+Bounds = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -87,22 +89,16 @@ class Parameter:
         return low, high
 
 
-@dataclass(frozen=True)
-class _Asked:
-    """Written text: a key, and bounds or the standard deviation of a prior."""
-
-    key: str
-    bounds: tuple[float, float] | None
-    prior: float | None
-
-
 def read_parameters(asked: Sequence[str], scene: Scene, markers: MarkerSet) -> tuple[Parameter, ...]:
     """Parameters of what is asked for, `KEY`, `KEY=LOW..HIGH` or `KEY~SIGMA`. Raises ValueError in one line."""
-    own, found = _of_measurement(scene, markers), list[Parameter]()
-    for one in map(_parsed, asked):
-        if one.key.split(".")[0] in MEASUREMENT and not _measured(one, own):
-            raise ValueError(f"parameter {one.key!r} is none of the measurement: {not_among(one.key, own)}")
-        found += _measured(one, own) or [_of_scene(one, scene)]
+    measured, found = _of_measurement(scene, markers), list[Parameter]()
+    for key, bounds, prior in map(_parsed, asked):
+        if key.split(".")[0] not in MEASUREMENT:
+            found.append(_of_scene(key, bounds, prior, scene))
+        elif usual := [own for name, own in measured.items() if _begins(name, key)]:
+            found += [_given(own, bounds, prior) for own in usual]
+        else:
+            raise ValueError(f"parameter {key!r} is none of the measurement: {not_among(key, measured)}")
     keys = [key for parameter in found for key in parameter.keys]
     if twice := next((key for key in keys if keys.count(key) > 1), None):
         raise ValueError(f"parameters name {twice} twice")
@@ -111,17 +107,19 @@ def read_parameters(asked: Sequence[str], scene: Scene, markers: MarkerSet) -> t
     return tuple(found)
 
 
-def _parsed(text: str) -> _Asked:
+def _parsed(text: str) -> tuple[str, Bounds | None, float | None]:
+    """Key, and bounds or the standard deviation of a prior, of a written text. Raises ValueError."""
     key, sign, rest = re.fullmatch(r"([^=~]*)([=~]?)(.*)", text.strip(), re.DOTALL).groups()  # type: ignore[union-attr] # matches all
-    try:
+    with contextlib.suppress(ValueError):
         numbers = [float(part) for part in rest.split("..")] if sign else []
-    except ValueError:
-        numbers = [math.nan]
-    bounded, prior = sign == "=" and len(numbers) == 2, sign == "~" and len(numbers) == 1
-    fine = all(map(math.isfinite, numbers)) and (not sign or bounded or prior)
-    if not (fine and key) or (bounded and numbers[0] >= numbers[1]) or (prior and numbers[0] <= 0.0):
-        raise ValueError(f"parameter {text!r} should be KEY, KEY=LOW..HIGH with LOW < HIGH, or KEY~SIGMA with SIGMA > 0")
-    return _Asked(key, (numbers[0], numbers[1]) if bounded else None, numbers[0] if prior else None)
+        if key and all(map(math.isfinite, numbers)):
+            if not sign:
+                return key, None, None
+            if sign == "=" and len(numbers) == 2 and numbers[0] < numbers[1]:
+                return key, (numbers[0], numbers[1]), None
+            if sign == "~" and len(numbers) == 1 and numbers[0] > 0.0:
+                return key, None, numbers[0]
+    raise ValueError(f"parameter {text!r} should be KEY, KEY=LOW..HIGH with LOW < HIGH, or KEY~SIGMA with SIGMA > 0")
 
 
 def command_limits(scene: Scene) -> Array:
@@ -171,37 +169,27 @@ def _of_measurement(scene: Scene, markers: MarkerSet) -> dict[str, Parameter]:
     return {parameter.name: parameter for parameter in found}
 
 
-def _measured(asked: _Asked, own: Mapping[str, Parameter]) -> list[Parameter]:
-    """Parameters of the measurement that are asked for."""
-    return [_given(asked, parameter) for key, parameter in own.items() if _begins(key, asked.key)]
-
-
-def _of_scene(asked: _Asked, scene: Scene) -> Parameter:
+def _of_scene(key: str, bounds: Bounds | None, prior: float | None, scene: Scene) -> Parameter:
     """Parameter of the scene that is asked for. Raises ValueError where bounds or a prior must be given, ConfigurationError."""
-    (own,) = scene_parameters(scene, [asked.key])
+    (own,) = scene_parameters(scene, [key])
     value, is_factor = own.value, all(own.values)
-    if not is_factor and asked.bounds is None and asked.prior is None:
+    if not is_factor and bounds is None and prior is None:
         raise ValueError(f"parameter {own.name!r} is {value:g}: zero has no usual range, give {own.name}=LOW..HIGH or {own.name}~SIGMA")
-    low, high = sorted((value / FACTOR, value * FACTOR)) if is_factor else (value, value)
-    if not is_factor and asked.prior is not None:
-        low, high = value - WIDE * asked.prior, value + WIDE * asked.prior
-    found = _given(asked, Parameter(own.name, own, value, low, high, None, is_factor))
-    low, high = (_allowed(bound, found, scene, asked.bounds is not None) for bound in (found.low, found.high))
+    low, high = sorted((value / FACTOR, value * FACTOR)) if is_factor else (value - WIDE * (prior or 0.0), value + WIDE * (prior or 0.0))
+    found = _given(Parameter(own.name, own, value, low, high, None, is_factor), bounds, prior)
+    low, high = (_allowed(bound, found, scene, bounds is not None) for bound in (found.low, found.high))
     return replace(found, low=low, high=high)
 
 
-def _given(asked: _Asked, usual: Parameter) -> Parameter:
+def _given(usual: Parameter, bounds: Bounds | None, prior: float | None) -> Parameter:
     """A parameter with the bounds or the prior that are given. Raises ValueError for bounds that leave out the scene's own number."""
-    if asked.bounds is None:
-        low, high, prior = usual.low, usual.high, asked.prior or usual.prior
-    else:
-        (low, high), prior = asked.bounds, None
-        if not low <= usual.value <= high or (usual.is_factor and low * high <= 0.0):
-            what = "of one sign around" if usual.is_factor else "around"
-            raise ValueError(
-                f"parameter {usual.name!r} is bounded to {low:g}..{high:g}: bounds should be {what} its number, {usual.value:g}"
-            )
-    return replace(usual, low=low, high=high, prior=prior)
+    if bounds is None:
+        return replace(usual, prior=prior or usual.prior)
+    low, high = bounds
+    if not low <= usual.value <= high or (usual.is_factor and low * high <= 0.0):
+        what = "of one sign around" if usual.is_factor else "around"
+        raise ValueError(f"parameter {usual.name!r} is bounded to {low:g}..{high:g}: bounds should be {what} its number, {usual.value:g}")
+    return replace(usual, low=low, high=high, prior=None)
 
 
 def _allowed(bound: float, parameter: Parameter, scene: Scene, given: bool) -> float:

@@ -6,12 +6,11 @@ from functools import cached_property
 
 import numpy as np
 
-from soft_tendon_env.identification.motions import Motions
 from soft_tendon_env.identification.plant import Plant, Plants
 from soft_tendon_env.identification.recordings import Recording
 from soft_tendon_env.identification.sensed import Sensed
+from soft_tendon_env.identification.simulated import Simulated
 from soft_tendon_env.identification.split import same_commands
-from soft_tendon_env.identification.statics import Statics
 from soft_tendon_env.model.tension_limits import erring_actuators
 from soft_tendon_env.tools.types import Array
 
@@ -26,7 +25,7 @@ class Readings:
     def __init__(self, plants: Plants, recordings: Sequence[Recording]) -> None:
         holds, motions = ([own for own in recordings if bool(own.period) == moves] for moves in (False, True))
         self.plants, self.recordings = plants, [*holds, *motions]
-        self._statics, self._motions = Statics(holds), Motions(motions)
+        self._simulated = Simulated(self.recordings)
         self._sensed = Sensed(plants.markers, self.recordings, plants.scene)
         self._difference = DIFFERENCE["motion" if motions else "hold"]
 
@@ -66,7 +65,7 @@ class Readings:
     def coordinates(self, plant: Plant) -> list[Array]:
         """Simulated coordinates (n,) at every sample. Raises NoHoldError."""
         with erring_actuators():  # by the gains and offsets that are looked for
-            return self._statics.coordinates(plant) + self._motions.coordinates(plant)
+            return self._simulated.coordinates(plant)
 
     def _poses(self, plant: Plant, coordinates: Sequence[Array]) -> Array:
         """Poses (samples, m, 4, 4) of the markers' sections from the base."""

@@ -1,4 +1,4 @@
-"""Recordings of a real arm: still holds and sampled motions, from CSV or Parquet files.
+"""Recordings of a real arm: still holds and sampled motions, from CSV files.
 
 One row is a hold (`hold`, its name), or with a column `time` [s] a sample, of which those with one `hold` follow each other as one motion.
 Commands are `tension_i` [N] or `displacement_i` [m], one for each tendon from 0 on; a marker has `NAME_x`, `NAME_y`, `NAME_z` [m], all of
@@ -21,7 +21,7 @@ from soft_tendon_env.identification.parameters import command_limits
 from soft_tendon_env.identification.sampling import steps_of
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import not_among
-from soft_tendon_env.tools.tables import Table, read_table
+from soft_tendon_env.tools.tables import Table, read_number, read_table
 from soft_tendon_env.tools.types import Array
 
 COMMANDS = {"N": "tension", "m": "displacement"}
@@ -30,8 +30,6 @@ REACH = 1.5
 """Share of the rod's length, from its base, within which a marker may be."""
 LEAST = 0.05
 """Share of what is allowed from which numbers in another unit are plausible."""
-ABSENT = {"", "nan", "na", "n/a", "null", "none"}
-"""Cells that hold no number."""
 CURVED, CHANGED = 4.0 * math.pi, 2.0
 """Largest changes that sensors may measure: of bending and twist over the rod's length [rad], and of what has no unit."""
 
@@ -63,10 +61,7 @@ class _Sheet(NamedTuple):
 
     def numbers(self, quantities: Iterable[str]) -> Array:
         """Numbers (rows, quantities) in SI units, NaN where there are none. Raises ValueError."""
-        sources = [self.sources[quantity] for quantity in quantities]
-        places = [self.table.header.index(source.name) for source in sources]
-        found = [[_number(where, cells[i], own) for i, own in zip(places, sources, strict=True)] for where, cells in self.table.rows]
-        return np.array(found).reshape(len(self.table.rows), len(places))
+        return self.table.numbers(self.sources[quantity] for quantity in quantities)
 
     def others(self, row: int) -> dict[str, float]:
         """Numbers of a row in further columns; text is left out."""
@@ -75,21 +70,8 @@ class _Sheet(NamedTuple):
         for name, cell in zip(header, cells, strict=True):
             if name not in known and header.count(name) == 1:
                 with contextlib.suppress(ValueError):
-                    found[name] = _number(where, cell, Source(name))
+                    found[name] = read_number(where, name, cell)
         return found
-
-
-def _number(where: str, text: str, source: Source) -> float:
-    """A cell as a number in SI units, NaN where there is none. Raises ValueError for other text and infinity."""
-    if text.casefold() in ABSENT:
-        return math.nan
-    try:
-        value = math.nan if "_" in text else float(text.replace(",", ".")) * source.factor
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ValueError(f"{where}: {source.name} is {text!r}: it should be a finite number, or empty where a marker was not seen")
-    return value
 
 
 def read_recordings(paths: Sequence[str | Path], scene: Scene, markers: MarkerSet) -> list[Recording]:
@@ -132,7 +114,7 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
 
 
 def _sheet(path: Path, sources: Mapping[str, Source], optional: Set[str]) -> _Sheet:
-    """Table with the columns of quantities. Raises ValueError for columns that are not there, or twice, and for rows of other lengths."""
+    """Table with the columns of quantities. Raises ValueError for columns that are not there, or twice."""
     table, found = read_table(path, [source.name for source in sources.values()]), dict[str, Source]()
     for quantity, source in sources.items():
         same = [name for name in table.header if name == source.name]
@@ -147,8 +129,6 @@ def _sheet(path: Path, sources: Mapping[str, Source], optional: Set[str]) -> _Sh
         raise ValueError(f"{table.where}: {text}; {not_among((missing or ['hold'])[0], table.header)}")
     if not table.rows:
         raise ValueError(f"{table.where}: there are no rows beneath the header")
-    if odd := next(((where, cells) for where, cells in table.rows if len(cells) != len(table.header)), None):
-        raise ValueError(f"{odd[0]}: there are {len(odd[1])} cells, the header has {len(table.header)}: {table.where}")
     return _Sheet(table, found)
 
 

@@ -70,8 +70,3 @@ def steps_of(times: Array, wheres: Sequence[str]) -> Steps:
             f"{lost} of {places[-1] + 1} samples of {1e3 * period:.6g} ms were lost, the first behind {wheres[int(np.argmax(gaps > 1))]}"
         )
     return Steps(period, places, "; ".join(notes) or None)
-
-
-def moved(before: Array, after: Array) -> float:
-    """Greatest distance [m] by which markers (m, 3) moved that were seen at both times."""
-    return float(np.nan_to_num(np.linalg.norm(after - before, axis=-1)).max())

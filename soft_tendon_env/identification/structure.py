@@ -15,7 +15,7 @@ from soft_tendon_env.identification.parameters import Parameter, distance_parame
 from soft_tendon_env.identification.plant import Plants
 from soft_tendon_env.identification.readings import Readings
 from soft_tendon_env.identification.recordings import COMMANDS
-from soft_tendon_env.identification.statics import NoHoldError
+from soft_tendon_env.identification.simulated import NoHoldError
 from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.types import Array
 

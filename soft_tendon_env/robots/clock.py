@@ -1,13 +1,10 @@
 """Periods of a control loop by absolute deadlines, in real time or in that of a simulation, with statistics of their jitter."""
 
-import os
 import threading
 from time import perf_counter, sleep
 from typing import NamedTuple, Protocol
 
 import numpy as np
-
-from soft_tendon_env.tools.messages import describe
 
 SPIN = 5e-4
 """Time [s] before a deadline at which sleeping ends: the scheduler wakes a process late by less than that, where it is idle."""
@@ -53,18 +50,6 @@ class SteppedClock:
     def wait_until(self, time: float) -> None:
         with self._lock:
             self._time = max(self._time, time)
-
-
-def take_priority(priority: int) -> None:
-    """Lets this thread, and those that it starts, go before all others (SCHED_FIFO of Linux). Raises ValueError where that is refused.
-
-    priority: 1 to 99, the greatest first.
-    """
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except (AttributeError, OSError) as error:
-        how = "it takes Linux, and the right to it: ulimit -r, or CAP_SYS_NICE"
-        raise ValueError(f"priority is {priority}: the operating system refuses it ({describe(error)}); {how}") from error
 
 
 class Timing(NamedTuple):

@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.robots.protocol import COMMANDS, Measurement, Unit
+from soft_tendon_env.scene.strain import STRAINS
 from soft_tendon_env.tools.tables import read_table
 from soft_tendon_env.tools.types import Array
 
-STRAINS = ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")
 POSE = [f"tip_{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
 TWIST = [f"tip_{name}" for name in ("wx", "wy", "wz", "vx", "vy", "vz")]
 
@@ -122,7 +122,9 @@ class LoggedRun(NamedTuple):
 
 def read_log(path: str | Path) -> LoggedRun:
     """The log of a run. Raises ValueError where it is none, FileNotFoundError."""
-    table = _read_table(Path(path))
+    rows = read_table(Path(path))
+    names = [name for name in rows.header if name != "hold"]
+    table = dict(zip(names, rows.numbers((name, 1.0) for name in names).T, strict=True))
     units: tuple[Unit, ...] = ("N", "m")
     unit = next((unit for unit in units if f"{COMMANDS[unit]}_0" in table), None)
     tendons = sum(name.startswith("commanded_") for name in table)
@@ -152,15 +154,3 @@ def _measurement(time: float, values: dict[str, Array]) -> Measurement:
         pose[:3, :3], pose[:3, 3] = Rotation.from_quat(numbers[3:], scalar_first=True).as_matrix(), numbers[:3]
         shaped["tip_pose"] = pose
     return Measurement(float(time), **shaped)
-
-
-def _read_table(path: Path) -> dict[str, Array]:
-    """Columns of numbers by name. Raises ValueError, FileNotFoundError."""
-    _, header, lines, _ = read_table(path)
-    names, rows = [name for name in header if name != "hold"], []
-    for where, cells in lines:
-        try:
-            rows.append([float(cell) for name, cell in zip(header, cells, strict=True) if name != "hold"])
-        except ValueError as error:
-            raise ValueError(f"{where} should be {len(header)} cells, numbers but for hold: {error}") from error
-    return dict(zip(names, np.array(rows, dtype=np.float64).reshape(-1, len(names)).T, strict=True))

@@ -1,10 +1,12 @@
-"""Parameters of a scene: its numbers by dotted keys with wildcards, as domain randomisation draws them, identification fits them and
-derivatives vary them."""
+"""Parameters of a scene: its numbers by dotted keys with wildcards, as identification fits them and derivatives vary them; and ranges of
+them, of values, factors or offsets, as domain randomisation draws them."""
 
 import contextlib
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
 
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.scene.scene import Scene, scene_to_dict
@@ -17,6 +19,9 @@ FIXED = {
     r"tendons\.\d+\.tension_limits\.\d": "it bounds the commands, and nothing changes with it in between",
 }
 """Patterns of keys whose numbers are no parameters, and why."""
+KINDS = ("factor", "offset")
+"""Kinds of ranges that are relative to the scene's number."""
+NUMBER = "a number, or (least, greatest)"
 
 
 class Parameter(NamedTuple):
@@ -129,3 +134,82 @@ def _leaves(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
         return
     for name, value in node.items() if isinstance(node, dict) else enumerate(node):
         yield from _leaves(value, f"{key}.{name}")
+
+
+class Range(NamedTuple):
+    """Range of a number of the scene, or of several that change together."""
+
+    name: str  # as messages have it
+    keys: tuple[str, ...]
+    values: tuple[float, ...]  # in the scene, one per key
+    kind: str  # "value", or one of KINDS
+    least: float
+    greatest: float
+
+    def changes(self, drawn: float) -> dict[str, float]:
+        """Dotted keys and values for a number that is drawn, for `Scene.replace`."""
+        made = {"value": lambda own: drawn, "factor": lambda own: drawn * own, "offset": lambda own: drawn + own}[self.kind]
+        return {key: made(own) for key, own in zip(self.keys, self.values, strict=True)}
+
+
+def dotted_ranges(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """A table of ranges with tables in tables as dotted keys."""
+    found: dict[str, Any] = {}
+    for name, value in table.items():
+        nested = isinstance(value, Mapping) and not _is_relative(value)
+        found |= dotted_ranges(value, f"{prefix}{name}.") if nested else {prefix + name: value}
+    return found
+
+
+def ranges_of(scene: Scene, wanted: Mapping[str, Any]) -> tuple[Range, ...]:
+    """Ranges by dotted keys of a scene, checked against it.
+
+    Raises ConfigurationError for keys that are no numbers of the scene, with those that there are, for what is no range, and for a number
+    that two of them draw.
+    """
+    table, found = number_tables(scene), list[Range]()
+    for key, value in wanted.items():
+        found += _ranges(scene, table, key, value)
+    for i, own in enumerate(found):
+        if other := next((before for before in found[:i] if {*before.keys} & {*own.keys}), None):
+            _fail(own.name, f"draws what {other.name!r} draws already")
+    return tuple(found)
+
+
+def _ranges(scene: Scene, table: Mapping[str, Any], key: str, value: Any) -> list[Range]:
+    """The range of a number, or of each entry of a vector."""
+    try:
+        entries = sorted({own.rpartition(".")[2] for own in matching(table, f"{key}.*")})
+    except ConfigurationError:
+        entries = []
+    if not entries or not entries[-1].isdecimal():
+        return [_range(scene, key, value)]
+    if _is_relative(value):
+        return [_range(scene, f"{key}.*", value)]
+    if not isinstance(value, list) or len(value) != len(entries):
+        _fail(key, f"is {shown(value)}: it should be a list of {len(entries)}, each {NUMBER}; or {{'{KINDS[0]}': {NUMBER}}}")
+    return [_range(scene, f"{key}.{i}", own) for i, own in enumerate(value)]
+
+
+def _range(scene: Scene, key: str, value: Any) -> Range:
+    (own,) = scene_parameters(scene, [key])
+    ((kind, interval),) = value.items() if isinstance(value, Mapping) else (("value", value),)
+    return Range(key, own.keys, own.values, kind, *_interval(key, interval))
+
+
+def _is_relative(value: Any) -> bool:
+    return isinstance(value, Mapping) and len(value) == 1 and [*value][0] in KINDS and not isinstance([*value.values()][0], Mapping)
+
+
+def _interval(key: str, value: Any) -> tuple[float, float]:
+    """Least and greatest of a number or a pair. Raises ConfigurationError."""
+    pair = value if isinstance(value, list | tuple) else (value, value)
+    if len(pair) != 2 or not all(isinstance(end, int | float) and not isinstance(end, bool) and np.isfinite(end) for end in pair):
+        _fail(key, f"has {shown(value)}: it should be {NUMBER}")
+    if pair[0] > pair[1]:
+        _fail(key, f"has {shown(value)}: the least should come first")
+    return float(pair[0]), float(pair[1])
+
+
+def _fail(key: str, text: str) -> NoReturn:
+    raise ConfigurationError([Problem((key,), text)])

@@ -1,11 +1,12 @@
 """Strain parametrisations of the rod: statics-based (implicit) and explicit polynomial bases, and which of the six strains exist."""
+
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator
 from pydantic_core.core_schema import ValidationInfo
 
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
+from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.types import Positive
 
 Strain = Literal["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
@@ -119,14 +120,6 @@ class ExplicitStrain(Configuration):
     type: Literal["explicit"] = "explicit"
     modes: tuple[Modes, ...] = Field(min_length=1)
     borders: tuple[Positive, ...] = ()
-
-    @model_validator(mode="before")
-    @classmethod
-    def _has_no_loads_inside(cls, values: Any) -> Any:
-        if isinstance(values, dict) and "include_loads" in values:
-            text = 'is for strain.type "statics_based": explicit strains answer to nothing, loads act as forces on their coordinates'
-            raise ConfigurationError([Problem(("include_loads",), text)])
-        return values
 
     @property
     def free(self) -> tuple[Strain, ...]:

@@ -1,13 +1,17 @@
-"""Tables from files: rows of text from CSV in its dialects, or Parquet, each with where it stands."""
+"""Tables from CSV files in their dialects: rows of text, each with where it stands."""
 
 import contextlib
 import csv
+import math
 import warnings
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from soft_tendon_env.tools.files import MOST_BINARY, read_text
+from soft_tendon_env.tools.types import Array
 
 LOGGED = "measured_time"
 """Column by which logs of robots are known, every row of which ends with a newline."""
@@ -15,6 +19,8 @@ SEPARATORS = ",;\t|"
 """Separators of cells; a header with none of them is separated by spaces."""
 COMMENTS = ("#", "%")
 """Beginnings of lines that are skipped; the header may be one of them, as NumPy and rostopic write it."""
+ABSENT = {"", "nan", "na", "n/a", "null", "none"}
+"""Cells that hold no number."""
 PREAMBLE = 100
 """Lines among which the header is looked for."""
 
@@ -27,34 +33,35 @@ class Table(NamedTuple):
     rows: list[tuple[str, list[str]]]
     skipped: list[int]  # numbers of lines that were not read: comments, and what stands above the header
 
+    def numbers(self, columns: Iterable[tuple[str, float]]) -> Array:
+        """Numbers (rows, columns) of columns by name, times their factors; NaN where there are none. Raises ValueError for other text."""
+        places = [(self.header.index(name), name, factor) for name, factor in columns]
+        found = [[read_number(where, name, cells[i], factor) for i, name, factor in places] for where, cells in self.rows]
+        return np.array(found, dtype=np.float64).reshape(len(self.rows), len(places))
+
+
+def read_number(where: str, name: str, text: str, factor: float = 1.0) -> float:
+    """A cell as a number, NaN where there is none. Raises ValueError for other text and infinity."""
+    if text.casefold() in ABSENT:
+        return math.nan
+    try:
+        value = math.nan if "_" in text else float(text.replace(",", ".")) * factor
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"{where}: {name} is {text!r}: it should be a finite number, or empty where there is none")
+    return value
+
 
 def read_table(path: Path, names: Collection[str] = ()) -> Table:
-    """The table of a file; by its suffix it is Parquet, else CSV.
+    """The table of a CSV file.
 
-    The header of a CSV file is the line with most of the `names`, by default the first that is no comment. Its separator is a comma,
-    semicolon, tab, bar or spaces. Blank lines and comments (#, %) are left out.
-    Raises FileNotFoundError, and ValueError for a file that cannot be read, or for Parquet without PyArrow.
+    Its header is the line with most of the `names`, by default the first that is no comment. Its separator is a comma, semicolon, tab,
+    bar or spaces. Blank lines and comments (#, %) are left out. Raises FileNotFoundError, and ValueError for a file that cannot be read.
     """
-    if path.suffix != ".parquet":
-        return _read_csv(path, {name.casefold() for name in names})
-    try:
-        columns = pyarrow().parquet.read_table(path).to_pydict()
-    except FileNotFoundError as error:
-        raise FileNotFoundError(f"there is no file {path}") from error
-    except OSError as error:  # ArrowInvalid is a ValueError that says all
-        raise ValueError(f"{path} cannot be read as Parquet: {error}") from error
-    rows = [
-        (f"{path}, row {number}", ["" if value is None else str(value) for value in values])
-        for number, values in enumerate(zip(*columns.values(), strict=True), 1)
-    ]
-    return Table(str(path), [*columns], rows, [])
-
-
-def _read_csv(path: Path, names: set[str]) -> Table:
-    """The table of a CSV file. Raises ValueError, FileNotFoundError."""
     # minutes of a log have tens of megabytes; bytes that are no text are no numbers
     lines = whole_lines(path, read_text(path, MOST_BINARY, "replace"))
-    first, separator, header = _header(lines, names)
+    first, separator, header = _header(lines, {name.casefold() for name in names})
     skipped = [number for number, line in enumerate(lines, 1) if (number <= first and line.strip()) or line.startswith(COMMENTS)]
     if first + 1 in skipped:
         skipped.remove(first + 1)
@@ -71,6 +78,8 @@ def _read_csv(path: Path, names: set[str]) -> Table:
     except csv.Error as error:
         raise ValueError(f"{path}, line {number} cannot be read: {error}") from error
     where = f"{path}, line {first + 1}" + (f" (separated by {separator!r})" if len(header) > 1 else "")
+    if odd := next((row for row in rows if len(row[1]) != len(header)), None):
+        raise ValueError(f"{odd[0]}: there are {len(odd[1])} cells, the header has {len(header)}: {where}")
     return Table(where, header, rows, skipped)
 
 
@@ -109,13 +118,3 @@ def whole_lines(path: Path, text: str) -> list[str]:
             warnings.warn(f"{path}, line {len(lines)} was cut off: it is left out, the rows before it are whole", stacklevel=2)
             return lines[:-1]
     return lines
-
-
-def pyarrow() -> Any:
-    """PyArrow with its Parquet files. Raises ValueError where it is not installed."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as error:
-        raise ValueError('tables in Parquet need PyArrow: pip install "soft_tendon_env[recording]", or take a .csv file') from error
-    return pyarrow

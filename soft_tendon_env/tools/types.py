@@ -35,19 +35,13 @@ def _between(least: float, greatest: float, unit: str = "") -> AfterValidator:
     return AfterValidator(check)
 
 
-def _bounded(value: float) -> float:
-    if abs(value) > GREATEST:
-        raise ValueError(f"should be within ±{GREATEST:g}")
-    return value
-
-
 def _stepping(value: float) -> float:
     if value < SOONEST:
         raise ValueError(f"should be at least {SOONEST:g} s")
     return value
 
 
-Number = Annotated[float, AfterValidator(_bounded)]
+Number = Annotated[float, Field(ge=-GREATEST, le=GREATEST)]
 Positive = Annotated[float, Field(gt=0), _between(LEAST, GREATEST)]
 NotNegative = Annotated[float, Field(ge=0), _between(LEAST, GREATEST)]
 TimeStep = Annotated[float, Field(gt=0, le=GREATEST), AfterValidator(_stepping)]
@@ -57,33 +51,23 @@ Length = Annotated[float, Field(gt=0), _between(SHORTEST, LONGEST, " m")]
 Triple = tuple[Number, Number, Number]
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
-A_LENGTH = f"should be a positive length with its unit ({', '.join(UNITS)}), such as 1mm"
-LENGTH = re.compile(r"\s*([-+.\de]+)\s*([a-z]+)\s*")
+LENGTH = re.compile(rf"\s*([-+.\de]+)\s*({'|'.join(UNITS)})\s*")
 
 
 def is_length(text: str) -> bool:
     """Whether a text is a number with a unit of length, such as "1mm"."""
-    match = LENGTH.fullmatch(text)
-    return match is not None and match[2] in UNITS
+    return LENGTH.fullmatch(text) is not None
 
 
-def read_length(text: str) -> float:
+def read_length(text: object) -> float:
     """Metres of a text such as "1mm" or "0.05 cm". Raises ValueError."""
-    match = LENGTH.fullmatch(text)
-    with contextlib.suppress(ValueError, KeyError):
-        if match is not None and 0.0 < (value := float(match[1]) * UNITS[match[2]]) < float("inf"):
+    with contextlib.suppress(ValueError):
+        if (match := LENGTH.fullmatch(str(text))) and 0.0 < (value := float(match[1]) * UNITS[match[2]]) < float("inf"):
             return value
-    raise ValueError(f"{text!r} {A_LENGTH}")
+    raise ValueError(f"should be a positive length with its unit ({', '.join(UNITS)}), such as 1mm")
 
 
-def _metres(given: object) -> float:
-    try:
-        return read_length(str(given))
-    except ValueError:
-        raise ValueError(A_LENGTH) from None
-
-
-GivenLength = Annotated[float, BeforeValidator(_metres)]
+GivenLength = Annotated[float, BeforeValidator(read_length)]
 """Metres, given as a text with its unit."""
 
 

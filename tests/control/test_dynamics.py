@@ -146,24 +146,6 @@ def test_the_loop_has_the_poles_of_the_continuous_one(period, integral_time):
         assert np.abs(np.linalg.eigvals(matrix)).max() == pytest.approx(slowest, rel=1e-4, abs=1e-6) and np.exp(-DECADES) < 0.02
 
 
-def test_the_paper_s_gains_are_the_limit_of_short_periods():
-    distances = []
-    for period in (1e-5, 1e-6):
-        gains = discrete_gains(0.396, 5.0, period)
-        assert gains.ki == 0.0
-        distances.append([abs(gains.kp / 1e4 - 1.0), abs(gains.kd / 1e3 - 1.0)])
-    assert np.max(distances[1]) < 2e-3
-    assert np.max(distances[0]) < 2e-2
-
-
-def test_short_periods_give_the_gains_of_the_continuous_loop():
-    """To first order in the period: ten times shorter, ten times nearer."""
-    _, *wanted = np.poly(continuous_poles(0.5, 0.8, 0.4)).real  # s^3 + kd s^2 + kp s + ki
-    kd, kp, ki = wanted
-    far, near = (np.array(discrete_gains(0.5, 0.8, period, 0.4)) / [kp, kd, ki] - 1.0 for period in (1e-4, 1e-5))
-    np.testing.assert_allclose(far / near, 10.0, rtol=0.02)
-
-
 @pytest.mark.cases("name", ["settling_time", "damping", "period", "integral_time"])
 @pytest.mark.cases("value", [0.0, -1.0, np.nan, np.inf, "short"])
 def test_what_is_no_positive_number_is_named(name, value):

@@ -19,10 +19,6 @@ LATE = {
     "a disturbance": {"effects.disturbance.loads": [{"at": 0.3, "force": [0.0, 0.05, 0.02], "signal": {"type": "sine", "frequency": 1.5}}]},
     "a moving base": {"effects.moving_base": {"amplitude": [0.0, 0.02, 0.01], "angular_amplitude": 0.1, "frequency": 1.5}},
     "memory": {"effects.viscoelastic_memory.branches": [{"modulus": 1.0, "relaxation_time": 0.3}]},
-    "friction": {
-        "effects.gravity.acceleration": [0.0, 0.0, -9.81],
-        "effects.contact": {"friction": 0.8, "obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.0105]}]},
-    },
 }
 
 

@@ -71,17 +71,6 @@ def test_moving_tips_are_followed(build, limits_of, arm):
     assert np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0)) > 0.05 * model.length
 
 
-def test_decisions_are_the_equilibrium_s_tensions(build, limits_of, holding):
-    """Within limits that leave no choice but one."""
-    model = build("three_tendon")
-    target = holding(model, [2.0, 0.5, 0.1])
-    decision = StaticFeedforward(model, limits_of(model), PERIOD, TipPosition()).act(
-        ControllerInput(np.zeros(3), np.zeros(3), np.eye(4), np.zeros(3), target)
-    )
-    np.testing.assert_allclose(model.rest_coordinates(decision.tension), decision.memory.q, rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(decision.tension, [2.0, 0.5, 0.1], atol=0.1)
-
-
 def test_the_null_space_is_for_effort_or_for_tightness(build, limits_of):
     """With more to keep tendons tight by, the same position takes more tension, and slack tendons pull."""
     model = build("paper")

@@ -154,15 +154,6 @@ def test_absurd_measurements_give_states_that_a_model_can_take(size, arm):
     assert np.abs(last.q / arm.coordinate_scale()).max() < 0.01  # it has come back
 
 
-def test_nothing_is_remembered_but_what_is_given_back(arm):
-    found = filter_of(arm, EVERYTHING)
-    told = measurement(arm, Simulation(arm).state, np.ones((2, 3)), 0.02, EVERYTHING)
-    first = found.estimate(told, None)
-    one, found_again = found.estimate(told, first), found.estimate(told, first)
-    np.testing.assert_array_equal(one.q, found_again.q)
-    np.testing.assert_array_equal(one.memory.covariance, found_again.memory.covariance)
-
-
 @pytest.mark.cases(
     "changes, error, message",
     [

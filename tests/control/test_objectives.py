@@ -101,17 +101,6 @@ def test_the_velocity_is_the_target_s(model, objective, time):
     np.testing.assert_allclose((later.error - now.error) / h, short.velocity, atol=2e-3 * speed)
 
 
-@pytest.mark.parametrize("objective", ["pose"], indirect=True)
-def test_the_velocity_of_a_pose_target_is_its_twist_in_the_tip_frame(model, arm, objective):
-    """However far the tip is from it."""
-    now = arm(0)
-    twist = np.array([0.3, -1.0, 0.5, 0.1, 0.2, -0.3])
-    start = moved_pose(now.terms.tip_pose, np.array([0.5, 1.0, -0.7, 0.1, 0.2, 0.1]))
-    target = Reference(np.array([0.0, PERIOD]), np.stack([start, moved_pose(start, PERIOD * twist)]))
-    found = objective.aim(now, target, 0.0, PERIOD).velocity / np.repeat([objective.angle_weight, 1.0], 3)
-    np.testing.assert_allclose(found, adjoint(inverse_pose(now.terms.tip_pose) @ start) @ twist, atol=1e-10)
-
-
 def test_a_model_sees_the_pose_target_displaced_as_its_tip_is(model, arm):
     """A model that reaches what it sees has the arm at the target; before, the errors are the same motion in their two frames."""
     objective, terms, goal = TipPose(), arm(0).terms, arm(1).terms.tip_pose
@@ -144,12 +133,3 @@ def test_bending_the_rod_evenly_by_an_angle_of_one_counts_as_half_its_length(bui
     np.testing.assert_allclose(columns @ q, np.tile(strain, len(reference)), atol=1e-12)
     error = Shape(model).aim(moving(model, np.zeros(9)), Reference(np.zeros(1), q=q[None]), 0.0, PERIOD).error
     assert np.linalg.norm(error) == pytest.approx(0.5 * model.length, rel=1e-9)
-
-
-def test_small_bending_by_tensions_counts_the_same(build):
-    """Coordinates are tensions here: a pull and two pushes that sum to nothing bend the straight arm evenly."""
-    model = build("three_tendon")
-    q = 1e-3 * np.array([1.0, -0.5, -0.5])
-    error = Shape(model).aim(moving(model, np.zeros(3)), Reference(np.zeros(1), q=q[None]), 0.0, PERIOD).error
-    angle = np.linalg.norm(pose_error(np.eye(4), model.tip_pose(q))[:3])
-    assert np.linalg.norm(error) == pytest.approx(0.5 * model.length * angle, rel=1e-4)

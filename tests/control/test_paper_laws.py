@@ -61,13 +61,6 @@ def test_full_actuation_gives_the_tip_the_commanded_acceleration(build, random_s
     np.testing.assert_allclose(terms.tip_jacobian @ q_ddot + terms.tip_bias, command, rtol=1e-6, atol=1e-6 * np.abs(command).max())
 
 
-@pytest.mark.parametrize(("name", "left_inverse"), [("paper", euclidean_left_inverse), ("paper_16dof", energy_left_inverse)])
-def test_left_inverses_invert_from_the_left(build, random_state, name, left_inverse):
-    model = build(name)
-    terms = model.terms(*random_state(model, 2))
-    np.testing.assert_allclose(left_inverse(terms) @ terms.actuation, np.eye(10), atol=1e-8)
-
-
 def in_other_coordinates(terms, q_dot, T):
     """The same state in coordinates p with q = T p."""
     square, column = ("mass", "damping", "stiffness"), ("bias", "actuation", "elastic_force", "external_force")

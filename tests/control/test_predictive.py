@@ -78,15 +78,6 @@ def test_the_plan_improves_along_the_slope_of_the_simulation(model, objective, h
     assert off < 0.1
 
 
-@pytest.mark.parametrize("objective", OBJECTIVES, indirect=True)
-def test_the_plan_that_is_remembered_is_better_than_holding_on(model, objective, holding):
-    now = near(model, holding, 0)
-    controller = Predictive(model, WIDE, PERIOD, objective)
-    better = controller.act(now).memory.tension
-    before, after = (predicted_cost(model, objective, now, plan) for plan in (np.tile(now.tension, better.shape[:1] + (1,)), better))
-    assert after < 0.7 * before
-
-
 def test_bounds_hold_for_the_whole_plan(model, holding, drive):
     limits, target = np.tile([2.0, 9.0], (10, 1)), holding(model, np.linspace(0.0, 20.0, 10))
     motion = drive(Predictive(model, limits, PERIOD, Shape(model)), model, target, 20)

@@ -63,11 +63,6 @@ def test_moves_are_exponentials_on_the_right(pose, twists):
         np.testing.assert_allclose(moved_pose(g, x), g @ expm(hat(x)), atol=1e-13)
 
 
-def test_poses_that_are_not_contiguous_are_taken(pose):
-    g, wanted = pose(0), pose(1)
-    np.testing.assert_array_equal(pose_error(np.asfortranarray(g), np.asfortranarray(wanted)), pose_error(g, wanted))
-
-
 def test_the_inverse_pose_is_the_inverse_matrix(pose):
     for seed in SEEDS:
         np.testing.assert_allclose(inverse_pose(pose(seed)) @ pose(seed), np.eye(4), atol=1e-14)

@@ -90,10 +90,3 @@ def test_a_task_with_more_directions_than_tendons_is_singular(build, holding):
     limits = np.tile([0.0, 5.0], (3, 1))
     singular = [TipTracking(arm, limits, PERIOD, objective).act(now).report["singular"] for objective in (TipPose(0.03), TipPosition())]
     assert singular == [1.0, 0.0]
-
-
-def test_known_static_tensions_are_kept_at_the_target(model, near):
-    """Nothing to do: what holds the target goes on."""
-    now = ControllerInput(near.q[0], np.zeros(10), near.tip_pose[0], HELD, near)
-    decision = TipTracking(model, WIDE, PERIOD, TipPose(0.1)).act(now)
-    np.testing.assert_allclose(decision.tension, HELD, rtol=1e-6)

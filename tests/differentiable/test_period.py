@@ -13,7 +13,7 @@ ROWS = 4
 @pytest.fixture
 def moving(build, random_state):
     """Rows of a small arm in motion."""
-    model = build("three_tendon", {"quadrature.intervals": 4})
+    model = build("three_tendon", {"quadrature.intervals": 4, "integrator.step": 0.01})
     arms = Arms(model, ROWS, 0.02, np.array([0.05, 0.12, 0.3]), np.array([0.1, 0.2]), threads=1)
     q, q_dot = map(np.array, zip(*(random_state(model, seed) for seed in range(ROWS)), strict=True))
     arms.place(np.arange(ROWS), q)
@@ -25,13 +25,13 @@ def moving(build, random_state):
 def test_every_cotangent_goes_back_to_commands_and_state(moving, out):
     """Each alone, by q, q_dot and the commands of two parts."""
     rng = np.random.default_rng(0)
-    commands, durations = torch.tensor(rng.uniform(1.0, 3.0, (ROWS, 2, 3))), torch.tensor([[0.008, 0.012]] * ROWS)
+    commands = torch.tensor(rng.uniform(1.0, 3.0, (ROWS, 2, 3)))
     before, guess = arm_tensors(moving), moving.rows.xi.copy()
     weight = torch.tensor(rng.normal(size=getattr(before, out).shape))
 
     def value(commands, q, q_dot):
         moving.rows.xi[:] = guess
-        after = control_period(moving, before._replace(q=q, q_dot=q_dot), commands, durations)
+        after = control_period(moving, before._replace(q=q, q_dot=q_dot), commands)
         return (getattr(after, out) * weight).sum()
 
     inputs = [of.clone().requires_grad_() for of in (commands, before.q, before.q_dot)]
@@ -53,13 +53,11 @@ def test_every_cotangent_goes_back_to_commands_and_state(moving, out):
     [
         ({"commands": torch.zeros(1, 1, 3)}, r"commands should have shape \(4, any, 3\), not \(1, 1, 3\)"),
         ({"commands": torch.full((4, 1, 3), torch.nan)}, "commands should be finite"),
-        ({"durations": torch.zeros(4, 2)}, r"durations should have shape \(4, 1\), not \(4, 2\)"),
-        ({"durations": torch.full((4, 1), -0.01)}, "durations should be at least 0 s, but one is -0.01"),
         ({"q": torch.zeros(4, 2)}, r"before.q should have shape \(4, 3\), not \(4, 2\)"),
     ],
 )
 def test_mistakes_are_said(moving, change, message):
-    given = {"commands": torch.zeros(4, 1, 3, dtype=torch.float64), "durations": None, **change}
+    given = {"commands": torch.zeros(4, 1, 3, dtype=torch.float64), **change}
     before = arm_tensors(moving)
     before = before._replace(q=given.pop("q", before.q))
     with pytest.raises(ValueError, match=message):

@@ -92,7 +92,7 @@ BAD = [
         {"randomize": {"damping": [1.0, 2.0, 3.0]}},
         r"randomize\.segments\.\*\.damping has .*: it should be a number, or \(least, greatest\)$",
     ),
-    ({"randomize": {"payload": "heavy"}}, r"randomize\.payload is 'heavy': it should be a number, or \(least, greatest\)"),
+    ({"randomize": {"payload": "heavy"}}, r"randomize\.effects\.tip_load\.mass has 'heavy': it should be a number, or \(least, greatest\)"),
     ({"randomize": {"density": 1.0, "segments.*.density": [2.0, 3.0]}}, r"randomize\.segments\.\*\.density .*drawn already"),
     ({"randomize": {"tension_gain": [0.0, 1e300]}}, r"randomize\.tension_gain is .* within ±1e\+09"),
     ({"randomize": {"tension_offset": [-1e308, 1e308]}}, r"randomize\.tension_offset is .* within ±1e\+09"),

@@ -197,7 +197,7 @@ def test_the_command_writes_a_scene_numbers_and_a_page(arm, holds, folder, tmp_p
     assert own["low"] <= truth["segments.0.young_modulus"] <= own["high"] and own["low"] <= own["value"] <= own["high"]
     assert numbers["error_mm"]["held_out"] < 0.5 and list(numbers["data"]) == ["holds.csv"] and "soft_tendon_env" in numbers["versions"]
     assert load_scene(out / "scene.toml").segments[0].young_modulus == pytest.approx(own["value"])
-    assert f"# {E} = " in (out / "scene.toml").read_text() and E in printed and "Holds to record next" in printed
+    assert f"# | {E} " in (out / "scene.toml").read_text() and E in printed and "Holds to record next" in printed
     assert E in (out / "report.md").read_text() and "| holds0 " in (out / "report.md").read_text()
 
 

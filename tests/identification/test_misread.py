@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.identification import Frame, Marker, MarkerSet, identify
-from soft_tendon_env.identification.statics import NoHoldError
+from soft_tendon_env.identification.simulated import NoHoldError
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import static_equilibrium

@@ -48,7 +48,7 @@ def test_a_marker_that_was_not_seen_is_left_out(arm, changed, placed):
     [
         (1, 3, "tension_x", "line 1 (separated by ','): there is no column tension_2: [columns] of the markers' file gives"),
         (1, 3, "tension_0", "column tension_0 is there 2 times"),
-        (4, 7, "lost", "line 4: middle_x is 'lost': it should be a finite number, or empty where a marker was not seen"),
+        (4, 7, "lost", "line 4: middle_x is 'lost': it should be a finite number, or empty where there is none"),
         (4, 7, "1_0", "line 4: middle_x is '1_0': it should be a finite number"),
         (4, 7, "inf", "line 4: middle_x is 'inf': it should be a finite number"),
         (4, 7, '"0,1"', "line 4: middle_x is '0,1', but in"),

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.identification import Marker, MarkerSet
-from soft_tendon_env.identification.findings import misfit_texts
+from soft_tendon_env.identification.findings import misfit_texts, over_fitting_texts
 from soft_tendon_env.identification.fit import fit
-from soft_tendon_env.identification.identify import over_fitting
 from soft_tendon_env.identification.parameters import distance_parameter, read_parameters
 from soft_tendon_env.identification.plant import Plants
 from soft_tendon_env.identification.readings import Readings
@@ -51,7 +50,7 @@ def findings(name, fault, seed):
     noise = NOISE * np.random.default_rng(seed).normal(size=positions.shape)
     fitted, unseen = (Readings(drawn, part) for part in split(holds(commands, positions + noise)))
     found = fit(fitted)
-    return misfit_texts(found, fitted, None) + over_fitting(found, fitted, unseen, "linear")
+    return misfit_texts(found, fitted, None) + over_fitting_texts(found, fitted, unseen, "linear")
 
 
 @pytest.mark.cases(

@@ -85,7 +85,7 @@ def test_what_is_no_log_is_refused(tmp_path, arm_of_test, drawing):
         ("a,b\n1,2\n", "it has no column tension_0 or displacement_0"),
         ("time,tension_0\n1,2\n", "it has no column measured_time, commanded_0"),
         ("time,measured_time,tension_0,commanded_0\n", "has no rows beneath the first line"),
-        ("time,measured_time,tension_0,commanded_0\n0,0,1\n", "line 2 should be 4 cells"),
+        ("time,measured_time,tension_0,commanded_0\n0,0,1\n", "line 2: there are 3 cells, the header has 4"),
         ("time,measured_time,tension_0,commanded_0,commanded_1\n0,0,1,1,1\n", "it has no column tension_1"),
     ]:
         path.write_text(text)

@@ -1,4 +1,5 @@
 """Scene files: those that ship load and survive a round trip, the paper's follow its table, bad files are named."""
+
 import json
 
 import numpy as np

@@ -1,4 +1,5 @@
 """Radius profiles: values, slopes against differences, and what they refuse."""
+
 import numpy as np
 import pytest
 
@@ -16,19 +17,6 @@ def test_slope_is_the_derivative_of_the_radius(name):
     _, slope = radius_and_slope(PROFILES[name], s, LENGTH)
     ahead, behind = (radius_and_slope(PROFILES[name], s + d, LENGTH)[0] for d in (h, -h))
     np.testing.assert_allclose(slope, (ahead - behind) / (2 * h), atol=1e-7)
-
-
-@pytest.mark.parametrize("name", PROFILES)
-def test_result_has_the_shape_of_the_arc_length(name):
-    for shape in ((), (3,), (2, 3)):
-        radius, slope = radius_and_slope(PROFILES[name], np.full(shape, 0.1), LENGTH)
-        assert np.shape(radius) == np.shape(slope) == shape
-
-
-def test_linear_goes_from_base_to_tip():
-    radius, slope = radius_and_slope(LinearRadius(base=0.03, tip=0.02), [0.0, 0.5, 1.0], 1.0)
-    np.testing.assert_allclose(radius, [0.03, 0.025, 0.02], rtol=1e-15)
-    np.testing.assert_allclose(slope, -0.01, rtol=1e-12)
 
 
 def test_table_meets_its_points_and_never_overshoots():
