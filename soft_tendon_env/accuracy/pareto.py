@@ -1,8 +1,7 @@
 """Accuracy against computing time: errors of settings against full physics, and the Pareto front of them.
 
-The error of a setting is about that of its strain field and quadrature and that of its time integration together, so they are sought one
-after the other: strain fields on a fine quadrature and converged in time, then quadratures, then integrators, each time only for what
-nothing else beats in both cost and error.
+The error of a setting is about that of strain field, quadrature and time integration together, so these are sought one after the other:
+strain fields on a fine quadrature and converged in time, then quadratures, then integrators, each time for what nothing else beats.
 """
 
 import itertools

@@ -120,7 +120,7 @@ def test_rigid_strains_have_neither_compliance_nor_stiffness():
 
 def test_presence_and_packs_of_tendons_that_end():
     scene, grid = grid_of("paper", 6)
-    tendons = make_tendons(grid, at_points(scene, grid).geometry)
+    tendons = make_tendons(grid, at_points(scene, grid).shape.geometry)
     presence = tendons.geometry.reshape(10, grid.packs, 2, 5, LANES)[:, :, :, 4].swapaxes(2, 3).reshape(10, -1, 2)
     np.testing.assert_array_equal(presence[5:], np.tile(grid.points < 0.5, (5, 1, 1)))
     assert presence[:5, grid.real].all()
