@@ -129,6 +129,7 @@ def with_every_tension(arm: Arm) -> Arm:
     Their mass and stiffness are singular where the arm is straight, so that it can be placed, and not moved.
     """
     strain, count = arm.strain, arm.tendons.size
+    assert not isinstance(strain, Explicit)
     size = count + strain.law.size - strain.law.active
     everywhere = {
         "size": size,

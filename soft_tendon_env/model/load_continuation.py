@@ -98,11 +98,11 @@ class LoadPath:
         if ahead is None or not self._holds(ahead.stability):
             return None
         soft = max(min(1.0, point.stability.least / SOFT, ahead.stability.least / SOFT), SOFTEST)  # branches lie close where it is soft
-        stray: float | None = np.inf
-        if self.balance.angle(ahead.at.q - predicted) <= soft * CORRECTION:
-            stray = self._stray(0.5 * (point.at.q + ahead.at.q) + 0.125 * h * (point.tangent - ahead.tangent), point, ahead)
-            if stray is None:
-                return None
+        middle = 0.5 * (point.at.q + ahead.at.q) + 0.125 * h * (point.tangent - ahead.tangent)
+        is_near = self.balance.angle(ahead.at.q - predicted) <= soft * CORRECTION
+        stray = self._stray(middle, point, ahead) if is_near else np.inf
+        if stray is None:
+            return None
         if not stray <= soft * STRAY:
             self.balance.obstacle = BENDS_AWAY
             return None

@@ -33,8 +33,8 @@ class Terms(NamedTuple):
 
 def empty_terms(n: int, n_a: int) -> Terms:
     """Arrays for the terms of n coordinates and n_a tendons."""
-    shapes = (n, n), n, (n, n), (n, n), (n, n_a), n, n, (4, 4), (6, n), 6, (n, n), (n, n)
-    return Terms(*map(np.empty, shapes))
+    shapes: tuple[int | tuple[int, ...], ...] = (n, n), n, (n, n), (n, n), (n, n_a), n, n, (4, 4), (6, n), 6, (n, n), (n, n)
+    return Terms(*(np.empty(shape) for shape in shapes))
 
 
 class Energy(NamedTuple):
