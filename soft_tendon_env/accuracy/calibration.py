@@ -10,7 +10,7 @@ import sys
 import uuid
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from filelock import FileLock
@@ -24,19 +24,16 @@ from soft_tendon_env.scene.passive_fields import PassiveFields, arm_of, find_fie
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.checks import checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.files import parse_json, read_arrays, replacing, sources_digest
+from soft_tendon_env.tools.files import read_json, replacing, sources_digest
 from soft_tendon_env.tools.messages import say_unless_quiet
 from soft_tendon_env.tools.types import Array, length_text
 from soft_tendon_env.tools.user_cache import data_folders, new_data_folder
 
-FIRST_SEED, RUNS = 500, {"noisy": 6, "pulses": 4}
-"""Seeds of the motions that a scene is calibrated on begin with it; how many of a kind, of others than these FEWEST."""
-FEWEST = 3
+FIRST_SEED, FEWEST, RUNS = 500, 3, {"noisy": 6, "pulses": 4}
+"""Seeds of the motions that a scene is calibrated on begin with it; how many of a kind, and of those that are more uneven."""
 MARGIN = 2.0
-"""Factor by which the error on those motions must stay below what is asked for: the largest of few is no bound of others. Errors of noisy
-motions, the most uneven ones, scatter by a factor of 1.65 (standard deviation of their logarithms, on a catheter), so that the largest of
-six is 1.9 times their middle, and twice that is exceeded by one in 250. Those of pulses scatter more: the largest of ten was 3.7 times that
-of four, on the `four_tendon` arm. What was within on other motions: docs/appendix/accuracy_command.md."""
+"""Factor by which the error on those motions must stay below what is asked for: the largest of few is no bound of others. What was within
+on other motions: docs/appendix/accuracy_command.md."""
 REFERENCE = 1e-4  # of the rod's length, error of the reference motions
 PART, FINER, FINEST = 8.0, 4.0, 3  # that is this part of the tolerance, or smaller in steps of this factor, so many at most
 SHORTEST = 1e-12  # [m]
@@ -71,8 +68,7 @@ def calibrated(scene: Scene, tolerance: float) -> Scene:
     """The scene with the cheapest strain field, quadrature and integrator that keep its tip within a tolerance [m] of full physics.
 
     It holds for motions from rest of the CALIBRATED kinds under the scene's loads, and is taken from a calibration that is made on first
-    use, which takes a minute or two, and then kept in the user's cache, with the arm's own passive fields if there are none yet. Nothing
-    in the choice is measured in time, so that every process and machine makes the same.
+    use, which takes a minute or two, and then kept in the user's cache, with the arm's own passive fields if there are none yet.
 
     Raises TypeError, ValueError, ConfigurationError where no setting reaches the tolerance or the arm may meet obstacles, OSError where
     there is no cache folder.
@@ -86,13 +82,11 @@ def calibrated(scene: Scene, tolerance: float) -> Scene:
 
 
 def refuse_obstacles(scene: Scene) -> None:
-    """Raises ConfigurationError that names what the arm comes upon in places only: where it touches is not smooth, so that reference
-    motions take long to converge, if they do, and errors on some motions say little of others."""
+    """Raises ConfigurationError that names obstacles: where an arm touches is not smooth, and reference motions hardly converge."""
     for name, effect in scene.effects.chosen().items():
         if effect.is_encountered:
-            text = "cannot be calibrated: no error on some motions holds for others where the arm touches something"
-            advice = "take a preset (fast, standard, fine), or calibrate the arm without this table"
-            raise ConfigurationError([Problem(("effects", name), f"{text}; {advice}")])
+            text = "cannot be calibrated: no error on some motions holds for others where the arm touches something; take a preset"
+            raise ConfigurationError([Problem(("effects", name), f"{text}, or calibrate the arm without this table")])
 
 
 def check_tolerance(scene: Scene, tolerance: float) -> None:
@@ -146,7 +140,7 @@ def calibrate(scene: Scene, inputs: Sequence[Array], fields: PassiveFields | Non
     refuse_obstacles(scene)
     scene = scene.replace({"effects": scene.effects.on_arm()})  # inputs are tensions
     error = reference_error(scene, tolerance)
-    path = new_data_folder("calibrations") / f"{calibration_digest(scene, inputs, fields, error)}.npz"
+    path = new_data_folder("calibrations") / f"{calibration_digest(scene, inputs, fields, error)}.json"
 
     def make() -> Calibration:
         say_unless_quiet(f"{scene.name!r} is calibrated against full physics, once: {path}")
@@ -155,7 +149,9 @@ def calibrate(scene: Scene, inputs: Sequence[Array], fields: PassiveFields | Non
             text = f"full physics of {scene.name!r} has none of the motions: its strain diverges under these tensions and loads"
             raise ConfigurationError([Problem((), text)])
         found = Calibration(tuple(explore(scene, inputs, reference, fields)), reference)
-        save_calibration(found, path)
+        with replacing(path) as temporary:
+            table = {"points": found.points, "reference": reference}
+            temporary.write_text(json.dumps(table, default=np.ndarray.tolist))
         return found
 
     return found_or_made(lambda: kept_calibration(path.name), path, make)
@@ -196,41 +192,16 @@ def kept_calibration(name: str) -> Calibration | None:
     """The calibration in a file of the cache; None where there is none, or a damaged one."""
     for folder in data_folders("calibrations"):
         try:
-            return _read(folder / name)
+            table = read_json(folder / name)
+            backbones, tips, along, level = table["reference"]
+            present = tuple(None if own is None else np.array(own) for own in backbones)
+            points = tuple(Point(Setting(*own), n, tuple(tip), tuple(rest), *cost) for own, n, tip, rest, *cost in table["points"])
+            return Calibration(points, Reference(present, tuple(tips), tuple(along), Level(*level)))
         except FileNotFoundError:
             continue
         except (OSError, ValueError, KeyError, TypeError) as error:
             say_unless_quiet(f"{folder / name} is damaged, and made anew: {error}")
     return None
-
-
-def _read(path: Path) -> Calibration:
-    arrays = read_arrays(path, ("table", "backbones"), "calibration")
-    table = parse_json(str(arrays["table"]))
-    points = tuple(_point(own) for own in table["points"])
-    present = [None if np.isnan(motion).all() else motion for motion in arrays["backbones"]]
-    errors = tuple(table["tip_errors"]), tuple(table["backbone_errors"])
-    return Calibration(points, Reference(tuple(present), *errors, Level(**table["level"])))
-
-
-def _point(table: dict[str, Any]) -> Point:
-    errors = {key: tuple(table[key]) for key in ("tip_errors", "backbone_errors")}
-    return Point(**{**table, **errors, "setting": Setting(**table["setting"])})
-
-
-def save_calibration(calibration: Calibration, path: Path) -> None:
-    """The file appears whole or not at all. Raises OSError."""
-    reference = calibration.reference
-    shape = next(motion.shape for motion in reference.backbones if motion is not None)
-    backbones = np.array([np.full(shape, np.nan) if motion is None else motion for motion in reference.backbones])
-    table = {
-        "points": [{**point._asdict(), "setting": point.setting._asdict()} for point in calibration.points],
-        "tip_errors": reference.tip_errors,
-        "backbone_errors": reference.backbone_errors,
-        "level": reference.level._asdict(),
-    }
-    with replacing(path) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(file, table=json.dumps(table), backbones=backbones)
 
 
 Made = TypeVar("Made")

@@ -1,10 +1,10 @@
 """Accuracy against computing time: errors of settings against full physics, and the Pareto front of them.
 
-The error of a setting is about that of its strain field and quadrature and that of its time integration together, so they are sought one
-after the other: strain fields on a fine quadrature and converged in time, then quadratures, then integrators, each time only for what
-nothing else beats in both cost and error.
+The error of a setting is about that of strain field, quadrature and time integration together, so these are sought one after the other:
+strain fields on a fine quadrature and converged in time, then quadratures, then integrators, each time for what nothing else beats.
 """
 
+import contextlib
 import itertools
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -112,10 +112,6 @@ class _Field(NamedTuple):
     least: int  # intervals that it needs at rest
     error: float  # [m] of the tip
 
-    @property
-    def rank(self) -> tuple[float, float]:
-        return evaluation_cost(self.model), self.error
-
 
 def explore(scene: Scene, inputs: Sequence[Array], reference: Reference, fields: PassiveFields | None) -> list[Point]:
     """Settings that may lie on the Pareto front, with what they cost and their errors under inputs (rows, n_a) [N].
@@ -123,17 +119,16 @@ def explore(scene: Scene, inputs: Sequence[Array], reference: Reference, fields:
     fields: the arm's own, if there are any.
     """
     search = _Search(scene, inputs, reference)
-    found = _side_by_side(search.fine_field, list(strain_fields(scene, fields).items()), "strain fields")
-    kept = pareto_front((field for field in found if field is not None), lambda field: field.rank)
-    on_grids = _side_by_side(search.coarser, kept, "quadratures")
-    kept = pareto_front(itertools.chain(*on_grids), lambda field: field.rank)
+    found = search.side_by_side(search.fine_field, list(strain_fields(scene, fields).items()), "strain fields")
+    on_grids = search.side_by_side(search.coarser, _best(field for field in found if field is not None), "quadratures")
+    kept = _best(itertools.chain(*on_grids))
     chosen = search.integrators(kept[-1]) if kept else []
     settings = [field.setting.integrated(*integrator) for field in kept for integrator in chosen]
-    return _side_by_side(search.measured, settings, "integrators")
+    return search.side_by_side(search.measured, settings, "integrators")
 
 
-def _side_by_side(call: Callable[[Item], Result], items: Sequence[Item], label: str) -> list[Result]:
-    return run_all(call, items, processors(), label, unit="setting", threads=True)
+def _best(fields: Iterable[_Field]) -> list[_Field]:
+    return pareto_front(fields, lambda field: (evaluation_cost(field.model), field.error))
 
 
 class _Search(NamedTuple):
@@ -143,35 +138,32 @@ class _Search(NamedTuple):
     inputs: Sequence[Array]
     reference: Reference
 
-    def model(self, setting: Setting) -> Model:
-        return model_on(setting.of(self.scene), setting.intervals)
+    def side_by_side(self, call: Callable[[Item], Result], items: Sequence[Item], label: str) -> list[Result]:
+        return run_all(call, items, processors(), label, unit="setting", threads=True)
 
     def measured(self, setting: Setting) -> Point:
-        return measure(self.model(setting), setting, self.inputs, self.reference)
+        return measure(model_on(setting.of(self.scene), setting.intervals), setting, self.inputs, self.reference)
+
+    def field(self, setting: Setting, least: int) -> _Field:
+        model = model_on(setting.of(self.scene), setting.intervals)
+        return _Field(setting, model, least, measure(model, setting, self.inputs, self.reference).tip_error)
 
     def fine_field(self, named: tuple[str, dict[str, Any]]) -> _Field | None:
         """A strain field on a fine quadrature; None where it has no independent coordinates or no quadrature suffices."""
         name, table = named
-        try:
-            coarsest = {"tolerance": QUADRATURE_TOLERANCE, "least": 2}
-            least = quadrature_estimate(self.scene.replace({"strain": table, "quadrature": coarsest}))
-            if least.problem:
-                return None
-            intervals = max(FINE_INTERVALS, 2 * least.intervals)
-            setting = Setting(name, table, intervals, FINE_STEP, None, FINE_TOLERANCE * rod_length(self.scene))
-            return self._field(setting, least.intervals)
-        except ConfigurationError:
-            return None
-
-    def _field(self, setting: Setting, least: int) -> _Field:
-        model = self.model(setting)
-        return _Field(setting, model, least, measure(model, setting, self.inputs, self.reference).tip_error)
+        coarsest = {"tolerance": QUADRATURE_TOLERANCE, "least": 2}
+        with contextlib.suppress(ConfigurationError):
+            needed = quadrature_estimate(self.scene.replace({"strain": table, "quadrature": coarsest}))
+            if not needed.problem:
+                intervals, tolerance = max(FINE_INTERVALS, 2 * needed.intervals), FINE_TOLERANCE * rod_length(self.scene)
+                return self.field(Setting(name, table, intervals, FINE_STEP, None, tolerance), needed.intervals)
+        return None
 
     def coarser(self, field: _Field) -> list[_Field]:
         """The field on every quadrature from the coarsest that it needs to the first that is as good as the fine one."""
         found: list[_Field] = []
         for intervals in quadratures(self.scene, field.least):
-            found.append(self._field(field.setting._replace(intervals=intervals), field.least))
+            found.append(self.field(field.setting._replace(intervals=intervals), field.least))
             if found[-1].error <= CONVERGED * field.error or intervals >= field.setting.intervals:
                 break
         return found
@@ -180,8 +172,7 @@ class _Search(NamedTuple):
         """Integrators on the Pareto front of evaluations and error to the same model's converged motion."""
         converged = [trajectory(field.model, tensions) for tensions in self.inputs]
         exact = tuple(None if motion is None else backbones(field.model, motion.q) for motion in converged)
-        own = self._replace(reference=self.reference._replace(backbones=exact))
-        tried = list(integrators(self.scene))
-        settings = [field.setting.integrated(*integrator) for integrator in tried]
-        points = dict(zip(tried, _side_by_side(own.measured, settings, "time integration"), strict=True))
-        return pareto_front(points, lambda which: (points[which].evaluations, points[which].tip_error), SLACK)
+        own, tried = self._replace(reference=self.reference._replace(backbones=exact)), list(integrators(self.scene))
+        points = own.side_by_side(own.measured, [field.setting.integrated(*each) for each in tried], "time integration")
+        front = pareto_front(zip(tried, points, strict=True), lambda pair: (pair[1].evaluations, pair[1].tip_error), SLACK)
+        return [integrator for integrator, _ in front]

@@ -76,17 +76,10 @@ class Setting(NamedTuple):
 
     def of(self, scene: Scene) -> Scene:
         """The scene with this setting."""
-        integrator = {"step": self.step, "columns": self.columns, "tolerance": self.tolerance}
-        return scene.replace(
-            {
-                "strain": self.strain,
-                "quadrature": {"intervals": self.intervals, "tolerance": QUADRATURE_TOLERANCE},
-                "integrator": {
-                    **{key: value for key, value in integrator.items() if value is not None},
-                    "max_halvings": scene.integrator.max_halvings,
-                },
-            }
-        )
+        given = {"step": self.step, "columns": self.columns, "tolerance": self.tolerance, "max_halvings": scene.integrator.max_halvings}
+        quadrature = {"intervals": self.intervals, "tolerance": QUADRATURE_TOLERANCE}
+        integrator = {key: value for key, value in given.items() if value is not None}
+        return scene.replace({"strain": self.strain, "quadrature": quadrature, "integrator": integrator})
 
     def integrated(self, step: float, columns: int | None, tolerance: float | None) -> "Setting":
         """The setting with another integrator."""

@@ -1,15 +1,11 @@
 """Strain coordinates of a scene: actuation and passive fields, independent tensions, explicit bases; and all arrays of the arm."""
 
-import hashlib
-import json
-from typing import NamedTuple
-
 import numpy as np
 from numpy.polynomial import legendre
 
-from soft_tendon_env.effects.base import Discretisation, Effects
-from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, Loaded, StaticsBased, Tendons, point_field
-from soft_tendon_env.model.grid import STRAIGHT, AtPoints, Grid, at_points, chords, discretisation, make_rod, make_tendons, pack_range
+from soft_tendon_env.effects.base import Effects
+from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, Loaded, StaticsBased, point_field
+from soft_tendon_env.model.grid import STRAIGHT, AtPoints, Grid, at_points, chords, discretisation, make_rod, pack_range
 from soft_tendon_env.scene.passive_fields import fields_of
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Modes, Snapshots
@@ -18,37 +14,19 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
 
-class Shape(NamedTuple):
-    """Stress-free shape of rod and tendons on a grid, whatever they are made of."""
-
-    geometry: Array  # see AtPoints
-    seen: Discretisation
-    tendons: Tendons
-
-
-def make_arm(scene: Scene, grid: Grid, strain: StaticsBased | Loaded | Explicit | None = None, shape: Shape | None = None) -> Arm:
+def make_arm(scene: Scene, grid: Grid, strain: StaticsBased | Loaded | Explicit | None = None) -> Arm:
     """All that the kernels read of a scene, on this grid.
 
-    strain: that of the scene with other numbers, whose combinations of tensions and passive fields stay; made anew if None. shape: of a
-    scene of the same shape, if it is at hand.
+    strain: that of the scene with other numbers, whose combinations of tensions and passive fields stay; made anew if None.
     """
-    here = at_points(scene, grid, None if shape is None else shape.geometry)
-    seen = discretisation(scene, grid, here, None if shape is None else shape.seen)
-    rod = make_rod(scene, grid, scene.strain.free, here, seen)
-    tendons = make_tendons(grid, here.geometry) if shape is None else shape.tendons
+    here = at_points(scene, grid)
+    seen = discretisation(scene, grid, here)
     effects = effects_outside(scene).table(seen)
     if effects.base.any() and effects_inside(scene):
         text = "is given, but the loads inside of a strain have to stand still beside the arm's base, which moves: leave it out"
         raise ConfigurationError([Problem(("strain", "include_loads"), text)])
-    law = strain.law if isinstance(strain, Loaded) else strain
-    kept = _under_loads(scene, law, grid) if isinstance(law, StaticsBased) else None
-    return Arm(rod=rod, tendons=tendons, strain=kept or make_strain(scene, grid, here), effects=effects)
-
-
-def has_shape_of(scene: Scene, other: Scene) -> bool:
-    """Whether two scenes make arms of one shape, which carry the same tendons and are seen by effects in the same steps of time."""
-    of_rods = [[(own.length, own.radius, own.curvature) for own in each.segments] for each in (scene, other)]
-    return of_rods[0] == of_rods[1] and (scene.tendons, scene.integrator.step) == (other.tendons, other.integrator.step)
+    own = make_strain(scene, grid, here) if strain is None or isinstance(strain, Explicit) else _under_loads(scene, strain.law, grid)
+    return Arm(rod=make_rod(scene, grid, scene.strain.free, here, seen), tendons=here.shape.tendons, strain=own, effects=effects)
 
 
 def effects_inside(scene: Scene) -> bool:
@@ -59,16 +37,6 @@ def effects_inside(scene: Scene) -> bool:
 def effects_outside(scene: Scene) -> Effects:
     """The effects that act as forces on the coordinates: all but those inside of the strain."""
     return scene.effects.outside() if effects_inside(scene) else scene.effects
-
-
-def strain_name(scene: Scene, coordinates: int) -> str:
-    """Name of the scene's strain coordinates: kind, number, and a digest of all settings that decide what they mean."""
-    settings = scene.strain.model_dump(mode="json", exclude={"include_loads"})  # which coordinates answer to loads, not what they are
-    passive = settings.get("passive")
-    if isinstance(passive, dict) and passive["digest"] is not None:
-        del passive["file"]  # wherever it is
-    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:8]
-    return f"{scene.strain.type}:{coordinates} {digest}"
 
 
 def make_strain(scene: Scene, grid: Grid, here: AtPoints | None = None) -> StaticsBased | Loaded | Explicit:
@@ -160,30 +128,23 @@ def with_every_tension(arm: Arm) -> Arm:
 
     Their mass and stiffness are singular where the arm is straight, so that it can be placed, and not moved.
     """
-    strain, tendons = arm.strain, arm.tendons
-    if isinstance(strain, Explicit):
-        return arm
-    law = strain.law
-    size, packs = tendons.size + law.size - law.active, arm.rod.packs
-    every = law.replaced(
-        size=size,
-        first=np.concatenate([tendons.first, law.first[law.active :]]),
-        last=np.concatenate([tendons.last, law.last[law.active :]]),
-        tip=np.full(size, packs),
-        row=np.arange(tendons.size + 1),
-        coordinate=np.arange(tendons.size),
-        mixing=np.ones(tendons.size),
-        mixed=0,
-        active=tendons.size,
-    )
-    if isinstance(strain, Loaded):
-        return arm.replaced(strain=strain.replaced(size=size, first=np.zeros_like(every.first), last=every.tip, tip=every.tip, law=every))
-    return arm.replaced(strain=every)
+    strain, count = arm.strain, arm.tendons.size
+    assert not isinstance(strain, Explicit)
+    size = count + strain.law.size - strain.law.active
+    everywhere = {
+        "size": size,
+        "first": np.zeros(size, dtype=np.int64),
+        "last": np.full(size, arm.rod.packs),
+        "tip": np.full(size, arm.rod.packs),
+    }
+    each = np.arange(count)
+    law = strain.law.replaced(**everywhere, row=np.arange(count + 1), coordinate=each, mixing=np.ones(count), mixed=0, active=count)
+    return arm.replaced(strain=strain.replaced(**everywhere, law=law) if isinstance(strain, Loaded) else law)
 
 
 def actuation_fields(here: AtPoints) -> Array:
     """Actuation fields Phi_a of the stress-free arm: (n_a, intervals, 2, 6)."""
-    return actuation_columns(here.geometry, here.curvature, STRAIGHT)
+    return actuation_columns(here.shape.geometry, here.shape.curvature, STRAIGHT)
 
 
 def actuation_columns(geometry: Array, k: Array, p: Array) -> Array:
@@ -219,23 +180,22 @@ def independent_tensions(gram: Array, tolerance: float) -> Array:
 
 def _orthogonal_to(actuation: Array, passive: Array, compliance: Array, grid: Grid, tolerance: float) -> Array:
     """The parts of the passive fields orthogonal to the actuation fields and to each other, of unit energy; dependent ones dropped."""
-    found = _orthonormal([], actuation, compliance, grid, tolerance)
-    active = len(found)
-    return np.array(_orthonormal(found, passive, compliance, grid, tolerance)[active:]).reshape(-1, *passive.shape[1:])
 
+    def product(left: Array, right: Array) -> float:
+        return float(_inner(left[None], right[None], compliance, grid)[0, 0])
 
-def _orthonormal(basis: list[Array], fields: Array, compliance: Array, grid: Grid, tolerance: float) -> list[Array]:
-    basis = list(basis)
-    for field in fields:
-        size = np.sqrt(_inner(field[None], field[None], compliance, grid)[0, 0])
+    basis: list[Array] = []
+    found: list[Array] = []
+    for i, field in enumerate([*actuation, *passive]):
         rest = field
         for _ in range(2):  # the second pass removes the rounding of the first
             for b in basis:
-                rest = rest - b * _inner(b[None], rest[None], compliance, grid)[0, 0]
-        left = np.sqrt(_inner(rest[None], rest[None], compliance, grid)[0, 0])
-        if left > tolerance * size:
+                rest = rest - b * product(b, rest)
+        left = np.sqrt(product(rest, rest))
+        if left > tolerance * np.sqrt(product(field, field)):
             basis.append(rest / left)
-    return basis
+            found += [basis[-1]] * (i >= len(actuation))
+    return np.array(found).reshape(-1, *passive.shape[1:])
 
 
 def _inner(left: Array, right: Array, weight: Array, grid: Grid) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from typing import NamedTuple
@@ -18,6 +19,7 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.state import State
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.step_control import step_control, step_method
+from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.scene.parameters import Parameter, scene_parameters
 from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.types import Array
@@ -65,6 +67,9 @@ def ends(model: Model, period: Period, inputs: Array, sensors: Array) -> list[Ar
     batch = make_batch(arm, model.grid.places(np.zeros(0), sensors), period.start, 0.0, count)
     rows, read, failed = batch.rows, batch.reading, np.zeros(count, dtype=bool)
     rows.q[:], rows.q_dot[:], rows.state[:], commands = np.split(inputs, [n, 2 * n, 2 * n + period.start.state.size], axis=1)
+    for row, q in enumerate(rows.q if rows.state.size else ()):  # a memory remembers the strain before a step
+        with contextlib.suppress(StrainLimitError):
+            rows.xi[row] = model.packed_strain(q)
     method, control = step_method(model)._replace(strain_tolerance=STRAIN), step_control(model, period.taken[:, 0].sum() or 1.0)
     control = control._replace(adaptive=False, tolerance=SPARE * control.tolerance)
     scratch, tape = make_scratch(arm, method.columns), make_tape(arm, 0, 0)
@@ -106,12 +111,14 @@ def static_derivatives(model: Model, keys: Iterable[str], tension: ArrayLike) ->
     to one where it ends, as a mass at 0, and by 1e-5 of its unit where it is zero; quadrature and passive fields stay. The error is about
     1e-6 of the largest entry. Raises as `static_equilibrium`, ConfigurationError for keys, LinAlgError where there is no equilibrium.
     """
-    guess = static_equilibrium(model, tension).q
+    guess: Array | None = None
 
     def evaluate(other: Model) -> tuple[Array, Array, Array]:
+        nonlocal guess
         found = static_equilibrium(other, tension, guess)
         if not found.converged:
             raise np.linalg.LinAlgError(f"there is no equilibrium to differentiate: {found.reason}")
+        guess = found.q if guess is None else guess  # that of the model itself, which is evaluated first
         return found.q, found.tip_pose, other.tendon_lengths(found.q)
 
     return _by_numbers(model, keys, evaluate)

@@ -76,14 +76,12 @@ class Balance:
         self.linearisations += 1
         unit = np.sqrt(self.energy / np.diag(self.model.metric))
         computed = self._computed(q, part, True, np.diag(unit))
-        if computed is None:
+        compliance = None if computed is None else self._inverse(stiffness := computed[1].slopes / unit)
+        if computed is None or compliance is None:
             return None
-        at, out = computed
-        stiffness = out.slopes / unit
-        compliance = self.inverse(stiffness)
-        return None if compliance is None else Linearised(at, stiffness, compliance, compliance @ out.rate)
+        return Linearised(computed[0], stiffness, compliance, compliance @ computed[1].rate)
 
-    def inverse(self, stiffness: Array) -> Array | None:
+    def _inverse(self, stiffness: Array) -> Array | None:
         """Inverse (n, n) of a tangent stiffness, 0 for neutral modes; None where it is singular."""
         try:
             with np.errstate(all="ignore"):
@@ -102,19 +100,17 @@ class Balance:
         return None
 
     def _is_symmetric(self, S: Array) -> bool:
-        strain = self.model.arm.strain
-        if isinstance(strain, Loaded) and strain.has_potential and not self.model.arm.effects.load:
-            return True  # G grows without bound where the arm buckles, and differences of forces lose their symmetry
-        return bool(np.linalg.norm(S - S.T) <= ASYMMETRIC * np.linalg.norm(S))
+        strain = self.model.arm.strain  # G grows without bound where the arm buckles, and differences of forces lose their symmetry
+        is_conservative = isinstance(strain, Loaded) and strain.has_potential and not self.model.arm.effects.load
+        return is_conservative or bool(np.linalg.norm(S - S.T) <= ASYMMETRIC * np.linalg.norm(S))
 
     @cached_property
     def unloaded(self) -> Linearised:
         """The unloaded arm, where S is G."""
         computed = self._computed(np.zeros(self.size), 0.0, True, np.empty((0, self.size)))
         assert computed is not None, "the unloaded arm has a strain and resists every coordinate"
-        at, out = computed
-        compliance = np.asarray(np.linalg.inv(at.G), dtype=np.float64)
-        return Linearised(at, at.G, compliance, compliance @ out.rate)
+        compliance = np.asarray(np.linalg.inv(computed[0].G), dtype=np.float64)
+        return Linearised(computed[0], computed[0].G, compliance, compliance @ computed[1].rate)
 
     def curvature(self, q: Array, part: float, modes: Array) -> tuple[At, Array] | None:
         """The balance at q (n,), and V^T S V (m, m) for modes V (n, m), 1 for each of them on the unloaded arm."""

@@ -1,12 +1,12 @@
 """Discretisation of the rod: intervals, quadrature points and nodes, and the arrays of section and tendons there."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.effects import Discretisation, Effects
+from soft_tendon_env.effects import Discretisation
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.motion.batch import Places
 from soft_tendon_env.mechanics.types import IntVector, Rod, Tendons, node_field, point_field
@@ -23,7 +23,7 @@ LARGEST_PANEL = 7  # closed Newton-Cotes rules have positive weights up to this 
 class Grid:
     """Quadrature grid: intervals of the rod, padded with empty ones at the tip to whole packs.
 
-    start, length (intervals,) [m]; points (intervals, 2) [m]; real (intervals,) False where padded.
+    start, length (intervals,) [m]; points (intervals, 2) [m]; real (intervals,) False where padded; shapes: the last `Shape` on it.
     """
 
     start: Array
@@ -32,6 +32,7 @@ class Grid:
     real: np.ndarray
     breakpoints: Array
     per_piece: int
+    shapes: dict[str, tuple[object, "Shape"]] = field(default_factory=dict, repr=False)
 
     @property
     def packs(self) -> int:
@@ -125,21 +126,47 @@ def screw_matrices(scene: Scene, arc_length: Array) -> tuple[Array, Array, Array
     return elasticity, damping, inertia
 
 
+class Shape(NamedTuple):
+    """Rod and tendons of the stress-free arm on a grid, whatever they are made of."""
+
+    curvature: Array  # (intervals, 2, 3) [1/m]
+    geometry: Array  # (n_a, intervals, 2, 5), see `tendon_geometry`
+    tendons: Tendons
+    tendon_length: Array  # (n_a,) [m]
+    tendon_turn: Array  # (n_a,) [rad]
+
+
 class AtPoints(NamedTuple):
-    """Section and tendons of the stress-free arm at the points of a grid."""
+    """Section and shape of the stress-free arm at the points of a grid, which rod, tendons and strain are all made from."""
 
     elasticity: Array  # (intervals, 2, 6) diag(Sigma) [N m^2, N]
     damping: Array  # (intervals, 2, 6) diag(Upsilon)
-    curvature: Array  # (intervals, 2, 3) [1/m]
-    geometry: Array  # (n_a, intervals, 2, 5), see `tendon_geometry`
+    shape: Shape
 
 
-def at_points(scene: Scene, grid: Grid, geometry: Array | None = None) -> AtPoints:
-    """Section and tendons at the points of a grid, which rod, tendons and strain are all made from. geometry: of the tendons, if it is at
-    hand."""
+def at_points(scene: Scene, grid: Grid) -> AtPoints:
+    """Section and shape at the points of a grid, which keeps the shape for the next scene that differs in other numbers alone."""
     elasticity, damping, _ = (m.reshape(-1, 2, 6) for m in screw_matrices(scene, grid.points.ravel()))
-    curvature = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, grid.points)]
-    return AtPoints(elasticity, damping, curvature, tendon_geometry(scene, grid) if geometry is None else geometry)
+    key = scene.tendons, [(own.length, own.radius, own.curvature) for own in scene.segments]
+    kept = grid.shapes.get("last")
+    if kept is None or kept[0] != key:
+        kept = grid.shapes["last"] = key, _shape(scene, grid)
+    return AtPoints(elasticity, damping, kept[1])
+
+
+def _shape(scene: Scene, grid: Grid) -> Shape:
+    """The shape; lengths of tendons and angles by which they turn to second order in the intervals."""
+    k = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, grid.points)]
+    geometry = tendon_geometry(scene, grid)
+    _, chord = chords(geometry, k, STRAIGHT)
+    size = np.linalg.norm(chord, axis=-1)
+    length = (size * geometry[..., 4] * grid.weights).sum(axis=(1, 2))
+    t = (chord / size[..., None])[:, grid.real].reshape(len(chord), -1, 3)
+    there = geometry[:, grid.real, :, 4].reshape(len(chord), -1)
+    rate, distance = np.cross(k[grid.real].reshape(-1, 3), t), np.diff(grid.points[grid.real].ravel())[:, None]
+    turn = np.diff(t, axis=1) + 0.5 * distance * (rate[:, 1:] + rate[:, :-1])
+    turned = (np.linalg.norm(turn, axis=-1) * there[:, 1:] * there[:, :-1]).sum(axis=1)
+    return Shape(k, geometry, make_tendons(grid, geometry), length, np.asarray(turned))
 
 
 def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], here: AtPoints, seen: Discretisation) -> Rod:
@@ -147,12 +174,13 @@ def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], here: AtPoints, se
     exists = np.array([strain in free for strain in STRAINS], dtype=float)
     elasticity, damping = here.elasticity, here.damping
     reference = np.zeros((*grid.points.shape, 6))
-    reference[..., :3] = here.curvature
+    reference[..., :3] = here.shape.curvature
     reference[..., 3] = 1.0
     inertia = over_nodes(grid, lambda arc_length: screw_matrices(scene, arc_length)[2])
     mass = inertia[:, 3].copy()
     mass[-1] += scene.effects.payload[3]
-    inertia += fixed_inertia(scene.effects, seen)
+    inertia += scene.effects.added_inertia(seen)
+    inertia[-1] += scene.effects.payload
     last = max(STRAINS.index(strain) for strain in free)
     return Rod(
         packs=grid.packs,
@@ -184,18 +212,9 @@ def over_nodes(grid: Grid, density: Callable[[Array], Array]) -> Array:
     return total
 
 
-def fixed_inertia(effects: Effects, rod: Discretisation) -> Array:
-    """Screw inertia (intervals, 6) that does not grow with the rod's density: what effects add, payload at the tip included."""
-    inertia = effects.added_inertia(rod)
-    inertia[-1] += effects.payload
-    return inertia
-
-
-def discretisation(scene: Scene, grid: Grid, here: AtPoints | None = None, like: Discretisation | None = None) -> Discretisation:
-    """The rod on this grid, as effects see it. here: its section and tendons at the points, if they are at hand; like: that of a scene of
-    the same shape."""
-    here = here or at_points(scene, grid)
-    tendon_length, tendon_turn = _tendon_lengths(grid, here) if like is None else (like.tendon_length, like.tendon_turn)
+def discretisation(scene: Scene, grid: Grid, here: AtPoints | None = None) -> Discretisation:
+    """The rod on this grid, as effects see it. here: its section and shape at the points, if they are at hand."""
+    shape = (here or at_points(scene, grid)).shape
     return Discretisation(
         length=float(grid.breakpoints[-1]),
         borders=grid.breakpoints,
@@ -205,8 +224,8 @@ def discretisation(scene: Scene, grid: Grid, here: AtPoints | None = None, like:
         elasticity=lambda arc_length: screw_matrices(scene, arc_length)[0],
         line_mass=lambda arc_length: screw_matrices(scene, arc_length)[2][:, 3],
         over_nodes=lambda density: over_nodes(grid, density),
-        tendon_length=tendon_length,
-        tendon_turn=tendon_turn,
+        tendon_length=shape.tendon_length,
+        tendon_turn=shape.tendon_turn,
         tension_limits=np.array([tendon.tension_limits for tendon in scene.tendons]),
         effects=scene.effects,
         step=scene.integrator.step,
@@ -222,18 +241,6 @@ def tendon_geometry(scene: Scene, grid: Grid) -> Array:
         values[..., 0:2], values[..., 2:4] = offset.reshape(*grid.points.shape, 2), slope.reshape(*grid.points.shape, 2)
         values[..., 4] = (grid.points > start) & (grid.points < end)
     return geometry
-
-
-def _tendon_lengths(grid: Grid, here: AtPoints) -> tuple[Array, Array]:
-    """Lengths (n_a,) [m] of the tendons along the stress-free rod, and angles (n_a,) [rad] by which they turn, to second order in the
-    intervals; see `chords`."""
-    there, k, (_, chord) = here.geometry[..., 4], here.curvature, chords(here.geometry, here.curvature, STRAIGHT)
-    length = (np.linalg.norm(chord, axis=-1) * there * grid.weights).sum(axis=(1, 2))
-    t = (chord / np.linalg.norm(chord, axis=-1, keepdims=True))[:, grid.real].reshape(len(chord), -1, 3)
-    there = there[:, grid.real].reshape(len(chord), -1)
-    rate, distance = np.cross(k[grid.real].reshape(-1, 3), t), np.diff(grid.points[grid.real].ravel())[:, None]
-    turn = np.diff(t, axis=1) + 0.5 * distance * (rate[:, 1:] + rate[:, :-1])
-    return length, np.asarray((np.linalg.norm(turn, axis=-1) * there[:, 1:] * there[:, :-1]).sum(axis=1))
 
 
 def chords(geometry: Array, k: Array, p: Array) -> tuple[Array, Array]:

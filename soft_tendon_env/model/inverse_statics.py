@@ -1,13 +1,13 @@
 """Inverse statics: tensions within limits whose equilibrium has a wanted tip pose or position.
 
 Bounded nonlinear least squares over the tensions u: the scaled tip error e(u) and, far below it, the effort, |e|^2 + mu^2 |u|^2. mu
-falls from one solution to the next: the search begins at the least effort and spends more only as the error asks for it, and the last
-mu is so small that the error comes first and the effort only picks among the tensions that do equally well. The derivative is
-exact, J_tip dq/du with dq/du = S^-1 B of the equilibrium (implicit function theorem).
+falls from one solution to the next: the search begins at the least effort and spends more only as the error asks for it. The derivative
+is exact, J_tip dq/du with dq/du = S^-1 B of the equilibrium (implicit function theorem).
 """
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -70,11 +70,10 @@ def tension_for_tip_pose(
     R = pose[:3, :3]
     if np.abs(R.T @ R - np.eye(3)).max() > RIGID or np.linalg.det(R) < 0 or np.abs(pose[3] - [0, 0, 0, 1]).max() > RIGID:
         raise ValueError("pose should be a rigid transform [[R, r], [0, 0, 0, 1]] with a rotation R")
-    bounds = _checked_limits(model, limits)
-    weight = ANGLE_WEIGHT * model.length if angle_weight is None else checked_number("angle_weight", angle_weight, 0.0, NOT_NEGATIVE)
     near = POSITION_TOLERANCE * model.length if tolerance is None else checked_number("tolerance", tolerance, 0.0, NOT_NEGATIVE)
-    guess = None if start is None else checked_array("start", start, (model.tendon_count,))
-    return _TipSearch(model, pose, weight, near, *bounds).nearest(guess)
+    weight = ANGLE_WEIGHT * model.length if angle_weight is None else checked_number("angle_weight", angle_weight, 0.0, NOT_NEGATIVE)
+    search = _TipSearch(model, pose, weight, near, *_checked_limits(model, limits))
+    return search.nearest(None if start is None else checked_array("start", start, (model.tendon_count,)))
 
 
 def tension_for_tip_position(
@@ -92,11 +91,11 @@ def tension_for_tip_position(
 
 
 def _checked_limits(model: Model, limits: tuple[ArrayLike, ArrayLike] | None) -> tuple[Array, Array]:
-    given: Any = zip(*(tendon.tension_limits for tendon in model.scene.tendons), strict=True) if limits is None else limits
-    if limits is not None and (not isinstance(limits, tuple | list | np.ndarray) or dimensions(limits) == 0 or len(limits) != 2):
+    given: Any = model.discretisation.tension_limits.T if limits is None else limits
+    if not isinstance(given, tuple | list | np.ndarray) or dimensions(given) == 0 or len(given) != 2:
         raise ValueError("limits should be (least, greatest) [N], each a number or an array with one entry per tendon")
     shape = (model.tendon_count,)
-    sides = (np.broadcast_to(side, shape) if dimensions(side) == 0 else side for side in given)
+    sides = (np.full(shape, side) if dimensions(side) == 0 else side for side in given)
     least, greatest = (checked_array(f"limits[{i}]", side, shape) for i, side in enumerate(sides))
     if (least >= greatest).any():
         i = int(np.argmax(least >= greatest))
@@ -132,25 +131,24 @@ class _TipSearch:
             if np.abs(u - self.slack).max() <= 1e-3 * np.abs(self.greatest - self.least).max():
                 return u
             u = 0.5 * (self.slack + u)
-        length = self.model.length
-        try:
-            effect = float(np.linalg.norm(self.derivative(u), 2))
-            unit = length / effect if effect > 0 else 1.0  # [N], moves the tip by about the rod's length
+        with contextlib.suppress(ArithmeticError, ValueError, np.linalg.LinAlgError):  # next to the strain limit; the last u stands
+            length = self.model.length
+            unit = length / (float(np.linalg.norm(self.derivative(u), 2)) or length)  # [N], moves the tip by about the rod's length
             for mu in efforts:
-                result = least_squares(
-                    lambda x, mu=mu: np.concatenate([self.error(x * unit) / length, mu * x]),
-                    u / unit,
-                    lambda x, mu=mu: np.concatenate([self.derivative(x * unit) * unit / length, mu * np.eye(x.size)]),
-                    bounds=(self.least / unit, self.greatest / unit),
-                    method="trf",  # dogbox needs fewer steps, but stalls where many tendons reach their limits
-                    ftol=1e-8,
-                    xtol=1e-8,
-                    gtol=1e-14,
-                    max_nfev=MAX_EVALUATIONS,
+                u = (
+                    unit
+                    * least_squares(
+                        lambda x, mu=mu: np.concatenate([self.error(x * unit) / length, mu * x]),
+                        u / unit,
+                        lambda x, mu=mu: np.concatenate([self.derivative(x * unit) * unit / length, mu * np.eye(x.size)]),
+                        bounds=(self.least / unit, self.greatest / unit),
+                        method="trf",  # dogbox needs fewer steps, but stalls where many tendons reach their limits
+                        ftol=1e-8,
+                        xtol=1e-8,
+                        gtol=1e-14,
+                        max_nfev=MAX_EVALUATIONS,
+                    ).x
                 )
-                u = result.x * unit
-        except (ArithmeticError, ValueError, np.linalg.LinAlgError):
-            pass  # next to the strain limit; the last u stands
         return np.clip(u, self.least, self.greatest)
 
     def equilibrium(self, u: Array) -> Equilibrium:

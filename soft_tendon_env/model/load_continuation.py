@@ -64,13 +64,9 @@ class LoadPath:
         # with the statics-based strain q = [u; 0] balances the tensions (34): what is left to find is the answer to the effects
         self._answer = model.arm.strain.rest_coordinates(balance.tension)
 
-    def start(self) -> Point:
-        """The unloaded arm."""
-        return self._point(self.balance.unloaded)
-
-    def rest(self, settlings: int) -> End:
+    def rest(self, settlings: int = 0) -> End:
         """Follow the path from the unloaded arm; where it ends let the arm go, at most so many times, and load it further."""
-        end = self.end(self.start())
+        end = self.end(self._point(self.balance.unloaded))
         for _ in range(settlings):
             if not end.reason or (point := self.settled(end)) is None:
                 break
@@ -101,14 +97,14 @@ class LoadPath:
         ahead = self.equilibrium(predicted, aim)
         if ahead is None or not self._holds(ahead.stability):
             return None
-        soft = min(1.0, point.stability.least / SOFT, ahead.stability.least / SOFT)  # branches lie close where the arm is soft
-        if not self.balance.angle(ahead.at.q - predicted) <= max(soft, SOFTEST) * CORRECTION:
-            self.balance.obstacle = BENDS_AWAY
-            return None
+        soft = max(min(1.0, point.stability.least / SOFT, ahead.stability.least / SOFT), SOFTEST)  # branches lie close where it is soft
         middle = 0.5 * (point.at.q + ahead.at.q) + 0.125 * h * (point.tangent - ahead.tangent)
-        stray = self._stray(middle, point, ahead)
-        if stray is None or not stray <= max(soft, SOFTEST) * STRAY:
-            self.balance.obstacle = self.balance.obstacle if stray is None else BENDS_AWAY
+        is_near = self.balance.angle(ahead.at.q - predicted) <= soft * CORRECTION
+        stray = self._stray(middle, point, ahead) if is_near else np.inf
+        if stray is None:
+            return None
+        if not stray <= soft * STRAY:
+            self.balance.obstacle = BENDS_AWAY
             return None
         return ahead if self.balance.is_continuous(point.at.q, ahead.at.q) else None
 
@@ -117,7 +113,7 @@ class LoadPath:
         tolerance = RESIDUAL if part == 1.0 else ON_THE_WAY
         slow = SLOW if self.balance.size > FEW else 0.0
         here, last = self.balance.linearised(q, part), np.inf
-        at = None if here is None else here.at
+        at = here and here.at
         for _ in range(MOST_CORRECTIONS + 1):  # the last one is looked at too
             if here is None or at is None:
                 return None
@@ -130,7 +126,7 @@ class LoadPath:
                 return None
             if size > slow * last and at is not here.at:
                 here = self.balance.linearised(at.q, part)
-                at = None if here is None else here.at
+                at = here and here.at
             else:
                 at, last = self.balance.at(at.q + change, part), size
         self.balance.obstacle = f"Newton's method did not balance the forces in {MOST_CORRECTIONS} iterations"
@@ -185,9 +181,8 @@ class LoadPath:
         part = 0.5 * (point.at.part + ahead.at.part)
         if not ahead.stability.has_potential:
             here = self.balance.linearised(middle, part)
-            if here is None or not self._holds(self.balance.stability(here)):
-                return None
-            return self.balance.angle(here.compliance @ here.at.force)
+            holds = here is not None and self._holds(self.balance.stability(here))
+            return self.balance.angle(here.compliance @ here.at.force) if here is not None and holds else None
         watched = self.balance.curvature(middle, part, ahead.stability.modes[:, :WATCHED])
         if watched is None:
             return None

@@ -18,10 +18,10 @@ from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, stra
 from soft_tendon_env.mechanics.terms.tendons import tendon_lengths
 from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded
 from soft_tendon_env.mechanics.workspace import Workspace, make_workspace
-from soft_tendon_env.model.coordinates import Shape, effects_outside, has_shape_of, make_arm, strain_name
-from soft_tendon_env.model.grid import Grid, discretisation, make_grid, screw_matrices, tendon_geometry
+from soft_tendon_env.model.coordinates import effects_outside, make_arm
+from soft_tendon_env.model.grid import Grid, discretisation, make_grid, screw_matrices
 from soft_tendon_env.model.strain_limits import StrainLimitError, limit_at
-from soft_tendon_env.model.terms import Energy, Terms
+from soft_tendon_env.model.terms import Energy, Terms, empty_terms
 from soft_tendon_env.scene.parameters import scene_parameters, scene_with_numbers
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number
@@ -57,17 +57,16 @@ class Model:
         Quadrature, combinations of tensions and passive fields stay, so that coordinates are those of the same tensions and wrenches, and
         what the model computes is a smooth function of the numbers. Raises TypeError or ConfigurationError.
         """
-        arm = make_arm(scene, self.grid, self.arm.strain, self._shape if has_shape_of(scene, self.scene) else None)
-        made = Model(scene, self.grid, arm)
-        (kind, effects), (own, present) = (type(arm.strain), arm.effects), (type(self.arm.strain), self.arm.effects)
-        if kind is own and (effects.count, effects.state.size) == (present.count, present.state.size):
+        made = Model(scene, self.grid, make_arm(scene, self.grid, self.arm.strain))
+        sizes = [(type(own.strain), own.effects.count, own.effects.state.size) for own in (self.arm, made.arm)]
+        if sizes[0] == sizes[1]:
             made.__dict__["_idle"] = self._idle  # workspaces are as large for one as for the other
         return made
 
     def with_numbers(self, changes: Mapping[str, float]) -> Model:
-        """Model of the same arm with other numbers in its scene, `{"segments.*.young_modulus": 1.1e6}`, see scene.parameters.
+        """Model `with_scene` of other numbers, `{"segments.*.young_modulus": 1.1e6}`, see scene.parameters.
 
-        See `with_scene`. Raises TypeError or ConfigurationError.
+        Raises TypeError or ConfigurationError.
         """
         scene_parameters(self.scene, changes)
         made = self.with_scene(scene_with_numbers(self.scene, changes))
@@ -151,10 +150,6 @@ class Model:
         """The discretised rod as effects see it."""
         return discretisation(self.scene, self.grid)
 
-    @cached_property
-    def _shape(self) -> Shape:
-        return Shape(tendon_geometry(self.scene, self.grid), self.discretisation, self.arm.tendons)
-
     @property
     def acting(self) -> dict[str, Effect]:
         """The effects that act as forces on the coordinates, by name, in the order of the arm's table of effects."""
@@ -167,28 +162,10 @@ class Model:
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:
-        """Names of what a state is of: the strain coordinates, then every effect with internal states or with commands of its own.
-
-        Two models with the same names read a state alike: "statics_based:16 3f2a90c1", with the number of coordinates and a digest of
-        the strain's settings, and "actuators:20", with the number of internal states.
-        """
+        """Names of the effects with internal states or with commands of their own, and how many states: "actuators:20"."""
         sizes = np.diff(self.arm.effects.first_state).tolist()
         effects = zip(self.acting.items(), sizes, strict=True)
-        named = [f"{name}:{size}" for (name, own), size in effects if size or own.command_unit != "N"]
-        return strain_name(self.scene, self.coordinate_count), *named
-
-    def check_names(self, names: tuple[str, ...]) -> None:
-        """Raises ValueError where a state with these names is of other coordinates or effects than the model's."""
-        if tuple(names) != self.state_names:
-            given = " + ".join(names) or "effects that it does not name"
-            text = f"state.names should be those of the model's states, {' + '.join(self.state_names)}; this state is of {given}"
-            raise ValueError(f"{text}. Simulation.reset takes q, q_dot and internal states without a name")
-
-    @cached_property
-    def _sizes(self) -> Terms:
-        """The shapes of its terms."""
-        n, n_a = self.coordinate_count, self.tendon_count
-        return Terms((n, n), n, (n, n), (n, n), (n, n_a), n, n, (4, 4), (6, n), 6, (n, n), (n, n))  # type: ignore[arg-type]
+        return tuple(f"{name}:{size}" for (name, own), size in effects if size or own.command_unit != "N")
 
     @cached_property
     def metric(self) -> Array:
@@ -313,7 +290,7 @@ class Model:
 
     def _evaluated(self, u: Array, q: Array, q_dot: Array, work: Workspace, time: float = 0.0, effects: Array | None = None) -> Terms:
         """Terms of (23), new arrays. Raises StrainLimitError, OverflowError."""
-        out = Terms(*map(np.empty, self._sizes))
+        out = empty_terms(self.coordinate_count, self.tendon_count)
         if effects is not None:
             work.state[:] = effects
         work.clock[0] = time
@@ -341,7 +318,6 @@ class Model:
 
 def model_on(scene: Scene, intervals: int) -> Model:
     """Model of a scene on a quadrature with this many intervals per piece, whatever the scene says, and however coarse that is."""
-    scene = scene.replace({"quadrature.intervals": intervals})
     grid = make_grid(scene, intervals)
     return Model(scene, grid, make_arm(scene, grid))
 

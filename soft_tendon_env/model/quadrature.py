@@ -13,11 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.mechanics.types import Implicit
-from soft_tendon_env.model.coordinates import make_arm
 from soft_tendon_env.model.equilibrium_residual import Balance
-from soft_tendon_env.model.grid import make_grid, over_nodes, screw_matrices
+from soft_tendon_env.model.grid import over_nodes, screw_matrices
 from soft_tendon_env.model.load_continuation import LoadPath
-from soft_tendon_env.model.model import SINGULAR, Model, least_eigenvalue
+from soft_tendon_env.model.model import SINGULAR, Model, least_eigenvalue, model_on
 from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.scene.radius import RadiusProfile
 from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene, breakpoints
@@ -59,8 +58,7 @@ class QuadratureEstimate(NamedTuple):
 
 def quadrature_estimate(scene: Scene, intervals: int | None = None) -> QuadratureEstimate:
     """Estimate of the error with this many intervals per piece; None: with those that the scene says, or as few as its tolerance allows."""
-    test, given = QuadratureTest(scene), intervals or scene.quadrature.intervals
-    return test.search(scene.quadrature.least) if given is None else test.error_estimate(given)[0]
+    return QuadratureTest(scene).estimate(intervals or scene.quadrature.intervals)
 
 
 def model_on_needed(scene: Scene) -> Model:
@@ -75,7 +73,7 @@ def model_on_needed(scene: Scene) -> Model:
             text = f"is {shown(segment.curvature)}: it turns the segment {turns:.3g} times, and the finest quadrature tells {most} turns"
             raise ConfigurationError([Problem(("segments", i, "curvature"), text)])
     test, given = QuadratureTest(scene), scene.quadrature.intervals
-    found = test.search(scene.quadrature.least) if given is None else test.error_estimate(given)[0]
+    found = test.estimate(given)
     if found.problem:
         enough = found if given is None else test.search(given)
         advice = f"not even {enough.intervals} would do"
@@ -83,7 +81,7 @@ def model_on_needed(scene: Scene) -> Model:
             advice = f"{enough.intervals} would do, or leave quadrature.intervals out"
         text = f"quadrature too coarse: with {found.intervals} intervals per piece {found.problem}; {advice}"
         warnings.warn(text, QuadratureWarning, stacklevel=3)
-    return test.model(found.intervals) if test.scene.effects == scene.effects else _model(scene, found.intervals)
+    return test.model(found.intervals) if test.scene.effects == scene.effects else model_on(scene, found.intervals)
 
 
 class QuadratureTest:
@@ -95,7 +93,7 @@ class QuadratureTest:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene.model_copy(update={"effects": scene.effects.everywhere()})
-        self.model = functools.cache(functools.partial(_model, self.scene))
+        self.model = functools.cache(functools.partial(model_on, self.scene))
         self.error_estimate = functools.cache(self._error_estimate)
         self.limits = np.array([tendon.tension_limits for tendon in scene.tendons])
         self.slack, count = np.clip(0.0, *self.limits.T), len(self.limits)
@@ -111,6 +109,10 @@ class QuadratureTest:
         per_piece = math.ceil(PER_WAVE * np.diff(breakpoints(scene)).max() / shortest)
         self.resolving = min(max(per_piece, 3 * (scene.strain.highest_order + 1)), MOST_INTERVALS)
         """Intervals that a finer quadrature has at least: coarser ones could agree with each other and be both wrong."""
+
+    def estimate(self, intervals: int | None) -> QuadratureEstimate:
+        """The estimate with this many intervals per piece; None: with as few as the scene's tolerance allows."""
+        return self.search(self.scene.quadrature.least) if intervals is None else self.error_estimate(intervals)[0]
 
     def search(self, intervals: int) -> QuadratureEstimate:
         """The estimate for the first number from this one on that suffices, in steps as the fourth order suggests; or MOST_INTERVALS."""
@@ -165,11 +167,6 @@ class QuadratureTest:
         return max(settled, key=lambda found: found[0])
 
 
-def _model(scene: Scene, intervals: int) -> Model:
-    grid = make_grid(scene, intervals)
-    return Model(scene, grid, make_arm(scene, grid))
-
-
 def mass_error(coarse: Model, fine: Model) -> float:
     """Relative error of the first moment of the rod's mass about the base."""
 
@@ -219,8 +216,7 @@ def _share_at_rest(coarse: Model, fine: Model, tension: Array, guess: Array) -> 
         path, finer = LoadPath(Balance(coarse, tension, work), MOST_LINEARISATIONS), LoadPath(Balance(fine, tension, fine_work))
         found = path.equilibrium(guess, 1.0) if guess.any() else None
         if found is None or not found.stability.stable:
-            end = path.end(path.start())
-            found = end.point
+            found = path.rest().point
         fallen = found.at.part < 1.0
         q = found.at.q + FALL * found.stability.modes[:, 0] if fallen else found.at.q
         near = None if fallen else finer.equilibrium(q, 1.0)

@@ -34,24 +34,24 @@ class SimulationDiverged(RuntimeError):
     """Raised where no step of the smallest allowed size succeeds. `state` is the last good one, `cause` says why."""
 
     def __init__(self, state: State, cause: str, command: Array, unit: str = "N") -> None:
-        held = f"{'tensions' if unit == 'N' else 'commands'} {shown_numbers(command)} {unit}"
-        super().__init__(f"no step succeeds at {state.time:.6g} s under {held}: {cause}")
+        super().__init__(state, cause, command, unit)  # what it is pickled as
         self.state, self.cause, self.command, self.unit = state, cause, command, unit
 
-    def __reduce__(self) -> tuple[type, tuple[State, str, Array, str]]:
-        return type(self), (self.state, self.cause, self.command, self.unit)
+    def __str__(self) -> str:
+        held = f"{'tensions' if self.unit == 'N' else 'commands'} {shown_numbers(self.command)} {self.unit}"
+        return f"no step succeeds at {self.state.time:.6g} s under {held}: {self.cause}"
 
 
 class NoEquilibriumError(ValueError):
     """Raised where an arm is to begin at rest, and comes to rest nowhere under its loads and tensions."""
 
     def __init__(self, name: str, tension: Array, reason: str) -> None:
-        text = f"{name!r} is at rest nowhere under its loads and tensions {shown_numbers(tension)} N: {reason}"
-        super().__init__(f"{text}. Give an initial state: that of Simulation(model) is the stress-free shape")
+        super().__init__(name, tension, reason)  # what it is pickled as
         self.name, self.tension, self.reason = name, tension, reason
 
-    def __reduce__(self) -> tuple[type, tuple[str, Array, str]]:
-        return type(self), (self.name, self.tension, self.reason)
+    def __str__(self) -> str:
+        text = f"{self.name!r} is at rest nowhere under its loads and tensions {shown_numbers(self.tension)} N: {self.reason}"
+        return f"{text}. Give an initial state: that of Simulation(model) is the stress-free shape"
 
 
 class StepReport(NamedTuple):
@@ -110,9 +110,8 @@ class Simulation:
         """Resets to q, q_dot (n,) at a time [s]; returns the state. Raises ValueError, TypeError, StrainLimitError.
 
         By default q and q_dot are zero, the stress-free shape, which is not at rest where loads act: see `reset_at_rest`.
-        effects (m,): the effects' internal states, see State; by default those at rest at q under tensions `tension` (n_a,) [N], zero by
-        default, which have held the arm there since long before: that matters to what lies between command and tension, see
-        docs/how_to/actuation.md.
+        effects (m,): the effects' internal states, see State; by default those of an arm that tensions (n_a,) [N], by default zero, have
+        held at q since long before.
         """
         n = self.model.coordinate_count
         clock = np.array([checked_number("time", time, -np.inf, "a finite number")])
@@ -120,24 +119,18 @@ class Simulation:
         rate = np.zeros(n) if q_dot is None else checked_array("q_dot", q_dot, (n,))
         held = self.model.command(np.zeros(self.model.tendon_count) if tension is None else tension, start)
         strain, work = self.model.packed_strain(start), self._scratch.work
-        if effects is not None:
-            states = checked_array("effects", effects, work.state.shape).copy()
-        elif work.state.size:
+        if effects is None and work.state.size:
             work.xi[:] = strain
             rest_states(self.model.arm, held, work)
-            states = work.state.copy()
-        else:
-            states = np.zeros(0)
+        states = work.state.copy() if effects is None else checked_array("effects", effects, work.state.shape).copy()
         self._take(Motion(start, rate, strain, states, clock), self.model.scene.integrator.step)
         return self.state
 
     def reset_at_rest(self, tension: ArrayLike | None = None, *, time: float = 0.0) -> State:
-        """Resets to the static equilibrium under tensions (n_a,) [N], zero by default, and the scene's loads at time 0; returns the state.
+        """Resets to the static equilibrium under tensions (n_a,) [N], by default zero, and the loads at time 0; returns the state.
 
-        time: what the state's time is set to [s].
-
-        Where the branch of stable equilibria ends the arm is let go to where it settles, see `static_equilibrium`. The stress-free shape
-        where nothing acts. Raises ValueError or TypeError for bad arguments, NoEquilibriumError where the arm comes to rest nowhere.
+        time: what the state's time is set to [s]. Where the branch of stable equilibria ends the arm is let go to where it settles, see
+        `static_equilibrium`; the stress-free shape where nothing acts. Raises ValueError, TypeError, NoEquilibriumError.
         """
         u = np.zeros(self.model.tendon_count) if tension is None else checked_array("tension", tension, (self.model.tendon_count,))
         if not u.any() and not self.model.arm.effects.load:
@@ -187,10 +180,8 @@ class Simulation:
         Central differences with the integrator's steps held: a coordinate is moved by 1e-4 of its unit, `Model.coordinate_scale`, a rate
         by three times that a second, a command by 1e-4 of its limit, an internal state by 1e-4 of itself; among obstacles by a hundredth of
         these. The error is below 1e-6 of the largest entry of a block where the motion is smooth. At a kink, as where a tendon
-        goes slack, both sides are mixed; where one side jumps or fails, the other one counts. A delayed command that repeats the last one
-        joins no queue, so that what it changes later is missing.
-
-        Raises what `step` raises, LinAlgError where both sides fail.
+        goes slack, both sides are mixed; where one side jumps or fails, the other one counts. What a delayed command that repeats the last
+        one changes later is missing. Raises what `step` raises, LinAlgError where both sides fail.
         """
         places = self.model.arc_lengths("sensors", () if sensors is None else sensors)
         return linearized(self.model, *self._period(command, duration), places)
@@ -198,9 +189,8 @@ class Simulation:
     def derivatives(self, keys: Iterable[str], command: ArrayLike, duration: float) -> Derivatives:
         """Derivatives of `step` over `duration` [s] under a command (n_a,) by numbers of the scene; leaves the simulation where it is.
 
-        keys: dotted keys, `"segments.*.damping"`, see `scene_parameters`. Each number is moved as `static_derivatives` does, from a state
-        with the same numbers, with the integrator's steps held. The error is about 1e-6 of the largest entry where the motion is smooth.
-        Raises as `linearize`, and ConfigurationError for keys.
+        keys: dotted keys, see `scene_parameters`, of numbers moved as `static_derivatives` does, with the integrator's steps held. The
+        error is about 1e-6 of the largest entry where the motion is smooth. Raises as `linearize`, ConfigurationError for keys.
         """
         return period_derivatives(self.model, keys, self._period(command, duration)[0])
 
@@ -220,12 +210,11 @@ class Simulation:
     def rollout(self, commands: ArrayLike, duration: ArrayLike, *, forces: ArrayLike | None = None, steps: int | None = None) -> Rollout:
         """Simulated motion over N periods from the present state, with its linearisation; leaves the simulation where it was.
 
-        commands (N, n_a), each held for `duration` [s], or (N, p, n_a) of p parts of a period, each held for its own of the durations
-        (p,) [s]. forces (n, k): generalised forces by which to differentiate besides. steps: implicit steps of a period that the
-        linearisation takes, by default as many as resolve the slowest vibration.
+        commands (N, n_a), each held for `duration` [s], or (N, p, n_a) of p parts of a period with durations (p,) [s]. forces (n, k):
+        generalised forces by which to differentiate besides. steps: implicit steps of a period that the linearisation takes, by default as
+        many as resolve the slowest vibration.
 
-        Raises ValueError or TypeError for bad arguments, `SimulationDiverged` where the motion ends, LinAlgError where there is no
-        linearisation.
+        Raises ValueError, TypeError, `SimulationDiverged` where the motion ends, LinAlgError where there is no linearisation.
         """
         plan = checked_plan(self.model, commands, duration, forces)
         warn_beyond_limits(self._limits, plan.command, self.model.command_unit)
@@ -276,9 +265,8 @@ def simulate(
     table (duration / sample_period, n_a) of which each row is held over one sample period, or a function of time [s] that is sampled at
     the middle of each integrator step and held over it (second order, and jumps at the borders of steps stay exact). Beyond
     `tension_limits` commands are taken as they are, with a TensionLimitWarning.
-    initial: the state to start from, by default at rest without tension under the scene's loads at time 0, see
-    `Simulation.reset_at_rest`; `Simulation(model).state` is the stress-free shape, where loads let an arm go.
-    progress: called with the simulated time [s] now and then.
+    initial: the state to start from, by default at rest without tension under the loads at time 0, see `Simulation.reset_at_rest`;
+    `Simulation(model).state` is the stress-free shape. progress: called with the simulated time [s] now and then.
 
     Raises ValueError or TypeError for bad input before anything is computed, NoEquilibriumError where no initial state is given and the
     arm rests nowhere, `SimulationDiverged`.

@@ -19,8 +19,6 @@ SAME_STRAIN = 1e-6
 """Relative difference up to which a state's strain counts as that of its coordinates."""
 SHORTEST = 1e-12  # [s], what may count as a time step
 STATE = "state that State.save wrote"
-LATER = ("effects", "names")
-"""Fields that files may lack."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +27,7 @@ class State:
 
     time [s]; q, q_dot (n,) coordinates and rates; strain (points, 6) at the quadrature points, from which the next solution starts;
     step [s] the size to try next, where steps follow a tolerance: those of fixed size begin with the scene's; effects (m,) the internal
-    states of the scene's effects, one after the other; names: what q and effects are of, see `Model.state_names`. A state without names
-    is taken where it has no internal states.
+    states of the scene's effects, one after the other; names: which effects these are of, see `Model.state_names`.
     """
 
     time: float
@@ -53,10 +50,10 @@ class State:
     @classmethod
     def load(cls, path: str | Path) -> State:
         """Loads a state that `save` wrote. Raises TypeError, OSError or ValueError."""
-        saved = read_arrays(path, [own.name for own in fields(cls) if own.name not in LATER], STATE, optional=LATER)
+        saved = read_arrays(path, [own.name for own in fields(cls)], STATE)
         try:
             time, step = float(saved.pop("time")), float(saved.pop("step"))
-            names = tuple(map(str, saved.pop("names", ())))
+            names = tuple(map(str, saved.pop("names")))
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path} holds no {STATE}: {error}") from error
         return cls(time=time, step=step, names=names, **saved)
@@ -68,8 +65,10 @@ def checked_motion(model: Model, state: State) -> tuple[Motion, float]:
     n, arm = model.coordinate_count, model.arm
     q, q_dot = checked_array("state.q", state.q, (n,)), checked_array("state.q_dot", state.q_dot, (n,))
     strain = checked_array("state.strain", state.strain, (model.grid.point_count, 6))
-    if state.names or np.size(state.effects):
-        model.check_names(state.names)
+    if tuple(state.names) != model.state_names:
+        own, given = (" + ".join(names) or "no effects with states" for names in (model.state_names, state.names))
+        text = f"state.names should be those of the model's states, {own}; this state is of {given}"
+        raise ValueError(f"{text}. Simulation.reset takes q, q_dot and internal states without a name")
     effects = checked_array("state.effects", state.effects, arm.effects.state.shape)
     clock = np.array([checked_number("state.time", state.time, -np.inf, "a finite number")])
     motion = Motion(q, q_dot, model.grid.packed(strain), effects, clock)

@@ -45,10 +45,8 @@ class Equilibrium(NamedTuple):
     otherwise unloaded, in the sense of energy: sqrt(f^T G^-1 f / (E_1 + q^T G q)), with E_1 from a rod bent by one radian.
     `stable`: small disturbances do not grow, because the energy has a minimum there (a flat one, where a symmetric arm has buckled to
     any side) or, for loads without a potential, because the motions M q_ddot + D q_dot + S q = 0 do not.
-    `tip_error`: redundant tendons share coordinates, and what the tensions do besides, which is nothing to the stress-free arm but may be
-    something to the bent one, is left out of the strain: the distance from tip_pose to the tip of the rod with all of the tensions in its
-    strain. That is where it rests, exactly so without effects outside of the strain; infinite where no strain balances all of them.
-    0 where tendons are not redundant.
+    `tip_error`: redundant tendons share coordinates, and what the tensions do besides, to the bent arm alone, is left out of the strain:
+    the distance from tip_pose to the tip with all of the tensions in the strain, where the arm rests if no effects act outside of it.
     """
 
     q: Array  # (n,)
@@ -59,17 +57,16 @@ class Equilibrium(NamedTuple):
     iterations: int  # linearisations of the balance on the way
     stable: bool
     load: float  # the part of the load, tensions and effects, that q balances: 1 when converged
-    tip_error: float  # [m], how far redundant tendons leave the tip off, see above
+    tip_error: float  # [m], 0 where tendons are not redundant, infinite where no strain balances all of their tensions
 
 
 def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None = None, *, settle: bool = False) -> Equilibrium:
     """Static equilibrium of the arm under constant tensions (n_a,) [N] and the scene's effects, as a slowly loaded arm reaches it.
 
     Tensions and effects grow together from nothing, and the branch of stable equilibria that begins at the unloaded arm is followed
-    to its end. Loads inside of the strain are part of that arm: on the branch they are there from its beginning, but where there are no
-    others q = [u; 0] is at rest at once, and has the strain to which tensions and these loads lead as they grow together. Where the branch
-    ends before the full load (at a limit point, a bifurcation, at flutter under loads that follow the arm, at the strain limit) the result
-    is not `converged`, and tells the load reached and the reason.
+    to its end. Loads inside of the strain are there from the beginning of the branch. Where the branch ends before the full load (at a
+    limit point, a bifurcation, at flutter under loads that follow the arm, at the strain limit) the result is not `converged`, and tells
+    the load reached and the reason.
 
     guess: coordinates (n,) to start Newton's method from at the full load, in place of the branch: the equilibrium next to them is
         found, stable or not, and whether the branch leads there is the caller's business. Where there is none the branch is followed.
@@ -82,24 +79,20 @@ def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None
     u = checked_array("tension", tension, (model.tendon_count,))
     warn_beyond_limits(model.discretisation.tension_limits.tolist(), u)
     with model.workspace() as work:
-        return _equilibrium(Balance(model, u, work), guess, settle)
-
-
-def _equilibrium(balance: Balance, guess: ArrayLike | None, settle: bool) -> Equilibrium:
-    """`static_equilibrium` of a balance."""
-    model, path = balance.model, LoadPath(balance)
-    if guess is not None:
-        near = path.equilibrium(checked_array("guess", guess, (model.coordinate_count,)), 1.0)
-        if near is not None:
-            return _found(balance, near.at, near.stability.stable, "")
-    if rests_at_tensions(model):
-        # q = [u; 0] is at rest, and stable: S = G there, positive definite wherever the strain exists, unless it lacks a potential
-        at = balance.at(model.rest_coordinates(balance.tension), 1.0)
-        if at is not None and at.residual <= RESIDUAL:
-            here = None if model.arm.strain.has_potential else balance.linearised(at.q, 1.0)
-            return _found(balance, at, here is None or balance.stability(here).stable, "")
-    end = path.rest(MOST_SETTLINGS if settle else 0)
-    return _found(balance, end.point.at, end.point.stability.stable, end.reason)
+        balance = Balance(model, u, work)
+        path = LoadPath(balance)
+        if guess is not None:
+            near = path.equilibrium(checked_array("guess", guess, (model.coordinate_count,)), 1.0)
+            if near is not None:
+                return _found(balance, near.at, near.stability.stable, "")
+        if rests_at_tensions(model):
+            # q = [u; 0] is at rest, and stable: S = G there, positive definite wherever the strain exists, unless it lacks a potential
+            at = balance.at(model.rest_coordinates(u), 1.0)
+            if at is not None and at.residual <= RESIDUAL:
+                here = None if model.arm.strain.has_potential else balance.linearised(at.q, 1.0)
+                return _found(balance, at, here is None or balance.stability(here).stable, "")
+        end = path.rest(MOST_SETTLINGS if settle else 0)
+        return _found(balance, end.point.at, end.point.stability.stable, end.reason)
 
 
 def rests_at_tensions(model: Model) -> bool:
@@ -122,16 +115,15 @@ def _tip_error(balance: Balance, at: At, tip: Array) -> float:
     left_out = u - strain.law.tensions(rest)
     if np.abs(left_out).max() <= 1e-12 * np.abs(u).max():
         return 0.0
-    whole, q = replace(model, arm=with_every_tension(model.arm)), at.q if model.arm.effects else rest
+    q = at.q if model.arm.effects else rest
     try:
-        moved = whole.tip_pose(np.concatenate([strain.law.tensions(q) + left_out, q[strain.law.active :]]))
+        every = np.concatenate([strain.law.tensions(q) + left_out, q[strain.law.active :]])
+        error = float(np.linalg.norm((replace(model, arm=with_every_tension(model.arm)).tip_pose(every) - tip)[:3, 3]))
     except StrainLimitError:
         error = np.inf
-    else:
-        error = float(np.linalg.norm(moved[:3, 3] - tip[:3, 3]))
     if error > SEEN * model.length:
         text = f"redundant tendons of {model.scene.name!r} strain the bent arm in ways that have no coordinate: at rest its tip is off"
-        warnings.warn(f"{text} by Equilibrium.tip_error", RedundancyWarning, stacklevel=3)
+        warnings.warn(f"{text} by Equilibrium.tip_error", RedundancyWarning, stacklevel=4)
     return error
 
 
@@ -144,10 +136,10 @@ def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium
     """
     checked_type("model", model, Model, "see build_model")
     given, path, n_a = checked_array("command", command, (model.tendon_count,)), model.arm.effects.transmission, model.tendon_count
-    limits = model.scene.effects.command_limits(model.discretisation.tension_limits)
-    warn_beyond_limits(limits.tolist(), given, model.command_unit)
     if not path.elastic:
         return static_equilibrium(model, given), given
+    limits = model.scene.effects.command_limits(model.discretisation.tension_limits)
+    warn_beyond_limits(limits.tolist(), given, model.command_unit)
     u, found, scratch = np.zeros(n_a), None, (np.zeros(n_a), np.zeros((n_a, n_a + 1)))
     for iteration in range(MOST_COMMANDED):
         with erring_actuators():  # a word of the command is enough
@@ -190,8 +182,7 @@ def _linearised(model: Model, q: Array, tension: Array) -> Linearised:
 class ChordSolver:
     """Static equilibria near one that is known, by Newton's method with its stiffness (chord iteration): to follow tensions that change.
 
-    q (n,) and tension (n_a,): the known one. answer (n, n_a): dq/du = S^-1 B there. terms: of the equation of motion, there.
-    Raises StrainLimitError where there is no strain.
+    answer (n, n_a): dq/du = S^-1 B there; terms: of the equation of motion, there. Raises StrainLimitError where there is no strain.
     """
 
     def __init__(self, model: Model, q: Array, tension: Array) -> None:

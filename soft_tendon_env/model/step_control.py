@@ -22,9 +22,9 @@ STRAIN_SHARE, LOOSEST_STRAIN = 2.0, 3e-6
 """Tolerance of the strain's Newton within a step, as a share of the step's over the rod's length, and the most: columns are as far off as
 that, the strain by the square. With more, two ways of computing one motion, as a latency of an environment and a delay of its scene, come
 apart by more than a millionth of the position error."""
-BESIDE_MIDDLE = (-0.5 / np.sqrt(3.0), 0.5 / np.sqrt(3.0))
-"""Places in a step, as shares of it from its middle, where a command that is a function of time is looked at besides: Gauss points, which
-no period that fits into steps hits alike."""
+BESIDE_MIDDLE = 0.5 / np.sqrt(3.0)
+"""Place in a step, as a share of it from its middle, where a command that is a function of time is looked at besides: a Gauss point, which
+no period that fits into steps hits."""
 RESOLVED = 0.3
 """Phase [rad] of the slowest vibration that one step of a linearised motion may cover."""
 UNRESOLVED = 0.05
@@ -43,10 +43,10 @@ def cause_of(code: int, model: Model, control: Control) -> str:
 
 def step_method(model: Model) -> Extrapolated:
     """Integration method of the scene, as the kernels take it."""
-    integrator = model.scene.integrator
-    columns, allowed = extrapolation_columns(model.scene), integrator.tolerance
-    least = columns if allowed is None else 2
-    strain = STEP_TOLERANCE if allowed is None else min(max(STRAIN_SHARE * allowed / model.length, STEP_TOLERANCE), LOOSEST_STRAIN)
+    integrator, columns = model.scene.integrator, extrapolation_columns(model.scene)
+    least, strain = columns, STEP_TOLERANCE
+    if integrator.tolerance is not None:
+        least, strain = 2, min(max(STRAIN_SHARE * integrator.tolerance / model.length, STEP_TOLERANCE), LOOSEST_STRAIN)
     keeps = least < columns and not integrator.quasi_static  # without inertia D is in the place of M
     return Extrapolated(columns, least, not integrator.quasi_static, keeps, strain)
 
@@ -55,13 +55,9 @@ def step_control(model: Model, duration: float) -> Control:
     """Step control of the scene over `duration` [s]: equal steps of at most the scene's, tolerance, smallest step."""
     integrator = model.scene.integrator
     step = duration / np.ceil(duration / integrator.step * (1.0 - 1e-9))
-    return Control(
-        step=step,
-        tolerance=UNSTABLE * model.length if integrator.tolerance is None else integrator.tolerance,
-        adaptive=integrator.tolerance is not None,
-        smallest=step * 0.5**integrator.max_halvings,
-        horizon=0.0 if integrator.quasi_static else integrator.step,
-    )
+    adaptive, horizon = integrator.tolerance is not None, 0.0 if integrator.quasi_static else integrator.step
+    tolerance = UNSTABLE * model.length if integrator.tolerance is None else integrator.tolerance
+    return Control(step, tolerance, adaptive, smallest=step * 0.5**integrator.max_halvings, horizon=horizon)
 
 
 @lru_cache(maxsize=8)
@@ -89,19 +85,18 @@ def command_table(model: Model, command: Command, start: float, samples: int, pe
             return np.tile(checked_array("command", command, shape[2:]), (samples, per_sample, 1))
         return np.repeat(checked_array("command", command, (samples, model.tendon_count))[:, None], per_sample, axis=1)
     middles: Array = start + step * (np.arange(samples * per_sample, dtype=np.float64) + 0.5)
-    held, missed = _sampled(command, middles, model.tendon_count), np.zeros(len(middles))
-    for share in BESIDE_MIDDLE if len(held) > 1 else ():
-        inside = _sampled(command, middles + share * step, model.tendon_count) - held
-        missed = np.maximum(missed, np.minimum(np.abs(inside), np.abs(inside - share * np.gradient(held, axis=0))).max(axis=1))
-    worst = int(np.argmax(missed)) if missed.any() else 0
-    if len(held) and missed[worst] > UNRESOLVED * np.ptp(held, axis=0).max():
-        warnings.warn(
-            f"command(t) changes within integrator steps of {step:g} s, over which it is held, by {missed[worst]:.3g} {model.command_unit} "
-            f"more than from step to step, at {middles[worst]:.6g} s: a shorter integrator.step follows it, and jumps belong to borders of "
-            "steps",
-            CommandWarning,
-            stacklevel=3,
-        )
+    held = _sampled(command, middles, model.tendon_count)
+    if len(held) > 1:
+        inside = _sampled(command, middles + BESIDE_MIDDLE * step, model.tendon_count) - held
+        missed = np.minimum(np.abs(inside), np.abs(inside - BESIDE_MIDDLE * np.gradient(held, axis=0))).max(axis=1)
+        worst = int(np.argmax(missed))
+        if missed[worst] > UNRESOLVED * np.ptp(held, axis=0).max():
+            text = (
+                f"more than from step to step, at {middles[worst]:.6g} s: a shorter integrator.step follows it, and jumps belong to borders"
+            )
+            change = f"by {missed[worst]:.3g} {model.command_unit} {text} of steps"
+            text = f"command(t) changes within integrator steps of {step:g} s, over which it is held, {change}"
+            warnings.warn(text, CommandWarning, stacklevel=3)
     return held.reshape(shape)
 
 
@@ -110,7 +105,7 @@ def _sampled(command: Callable[[float], ArrayLike], times: Array, size: int) -> 
     table = np.empty((times.size, size))
     for row, time in zip(table, times, strict=True):
         given = command(time)
-        plain = isinstance(given, np.ndarray) and given.dtype == np.float64 and given.shape == (size,)
+        plain = type(given) is np.ndarray and given.dtype == np.float64 and given.shape == (size,)
         row[:] = given if plain else checked_array(f"command({time:.6g})", given, (size,))
     for i in np.flatnonzero(~np.isfinite(table).all(axis=1)):
         checked_array(f"command({times[i]:.6g})", table[i], (size,))

@@ -89,27 +89,17 @@ class PassiveFields:
 
     def misfit(self, scene: Scene) -> str:
         """Difference between the scene and that which they were made for, in words; empty where they fit."""
-        if other := self._other_material(scene) or self._other_limits(scene):
-            return other
-        if not self.effects.covers(scene.effects):
-            made, wanted = (effects.model_dump(mode="json", exclude_none=True) for effects in (self.effects, scene.effects))
-            return f"{shown(made) if made else 'no loads'}, not {shown(wanted)}"
-        return ""
-
-    def _other_material(self, scene: Scene) -> str:
-        """The first property of a segment's material that is not alike in the scene, in words; empty where all are."""
         for i, (own, wanted) in enumerate(zip(self.arm["segments"], arm_of(scene)["segments"], strict=True)):
             for name in MATERIAL:
                 if not own[name] / ALIKE <= wanted[name] <= own[name] * ALIKE:
                     return f"{name} of {own[name]:g} in segment {i}, not {wanted[name]:g}"
-        return ""
-
-    def _other_limits(self, scene: Scene) -> str:
-        """The first tendon whose limits in the scene lie outside of its own by more than ALIKE allows, in words."""
         for i, (tendon, (low, high)) in enumerate(zip(scene.tendons, self.tension_limits, strict=True)):
             (least, greatest), more = tendon.tension_limits, (ALIKE - 1.0) * (high - low)
             if least < low - more or greatest > high + more:
                 return f"{low:g} to {high:g} N at tendon {i}, not {least:g} to {greatest:g} N"
+        if not self.effects.covers(scene.effects):
+            made, wanted = (effects.model_dump(mode="json", exclude_none=True) for effects in (self.effects, scene.effects))
+            return f"{shown(made) if made else 'no loads'}, not {shown(wanted)}"
         return ""
 
     def save(self, path: Path) -> None:
@@ -183,12 +173,11 @@ def find_fields(scene: Scene, digest: str | None = None) -> PassiveFields | None
     paths = [path for folder in (*data_folders("fields"), SHIPPED) for path in sorted(folder.glob(f"*{SUFFIX}"))]
     everything = [_read_once(path, path.stat().st_mtime_ns) for path in paths]
     known = [fields for fields in everything if digest in (None, fields.digest) and fields.fits(scene)]
-    return min(known, key=lambda fields: _excess(fields, scene), default=None)
 
+    def excess(fields: PassiveFields) -> tuple[bool, bool, int]:
+        return bool(fields.misfit(scene)), not scene.effects.covers(fields.effects), len(fields.effects.chosen())
 
-def _excess(fields: PassiveFields, scene: Scene) -> tuple[bool, bool, int]:
-    """Order of preference: those that fit first, then those of the same loads, then those of the fewest."""
-    return bool(fields.misfit(scene)), not scene.effects.covers(fields.effects), len(fields.effects.chosen())
+    return min(known, key=excess, default=None)
 
 
 def fields_of(scene: Scene) -> PassiveFields:
@@ -196,22 +185,16 @@ def fields_of(scene: Scene) -> PassiveFields:
     (FieldsWarning) where they were made for another material or load."""
     assert not isinstance(scene.strain, ExplicitStrain) and isinstance(scene.strain.passive, Snapshots)
     table = scene.strain.passive
-    found = _known_fields(scene, table.digest) if table.file is None else _fields_in(table.file, scene, table.digest)
+    found = find_fields(scene, table.digest) if table.file is None else _fields_in(table.file, scene, table.digest)
+    if found is None:
+        which = "" if table.digest is None else f" with the digest {table.digest}"
+        text = f"names passive fields from snapshots{which}, and there is none for this arm: `soft-tendon fields SCENE` makes it"
+        raise _refusal(text)
     if table.fields > len(found.coefficients):
         raise _refusal(f"is {table.fields}: there are {len(found.coefficients)} of this arm", "fields")
     if misfit := found.misfit(scene):
         text = f"the passive fields of {scene.name!r} were made for {misfit}: `soft-tendon fields` makes those of this scene"
         warnings.warn(text, FieldsWarning, stacklevel=2)
-    return found
-
-
-def _known_fields(scene: Scene, digest: str | None) -> PassiveFields:
-    """The fields that `find_fields` finds. Raises ConfigurationError."""
-    found = find_fields(scene, digest)
-    if found is None:
-        which = "" if digest is None else f" with the digest {digest}"
-        text = f"names passive fields from snapshots{which}, and there is none for this arm: `soft-tendon fields SCENE` makes it"
-        raise _refusal(text)
     return found
 
 

@@ -138,10 +138,9 @@ def read_numbers(path: Path, needed: Iterable[str] = ()) -> list[dict[str, float
     return rows
 
 
-def read_arrays(path: str | Path, names: Collection[str], what: str, optional: Collection[str] = ()) -> dict[str, NDArray[Any]]:
-    """The arrays of these names in an .npz file, and of `optional` ones those that are there; `what` it should hold goes into the error.
+def read_arrays(path: str | Path, names: Collection[str], what: str) -> dict[str, NDArray[Any]]:
+    """The arrays of these names in an .npz file; `what` it should hold goes into the error.
 
-    With optional ones nothing else may be there: the name of one may be damaged.
     Raises TypeError, OSError or ValueError.
     """
     if not isinstance(path, str | os.PathLike):
@@ -151,10 +150,7 @@ def read_arrays(path: str | Path, names: Collection[str], what: str, optional: C
         saved = arrays_in(content)
         if missing := [name for name in names if name not in saved]:
             raise ValueError(f"{', '.join(missing)} missing")
-        known = [*names, *(name for name in optional if name in saved)]
-        if optional and (odd := [name for name in saved if name not in known]):
-            raise ValueError(f"{', '.join(odd)} should not be there")
-        return {name: saved[name] for name in known}
+        return {name: saved[name] for name in names}
     except UNREADABLE as error:
         raise ValueError(f"{path} holds no {what}: {error}") from error
 

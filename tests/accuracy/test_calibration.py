@@ -84,18 +84,18 @@ def test_a_second_call_simulates_nothing(cache, monkeypatch):
     monkeypatch.setattr(module, "reference_motions", None)
     monkeypatch.setattr(module, "explore", None)
     assert calibrated(ARM, FINE) == calibrated(ARM, FINE)
-    assert len(list(cache.glob("*.npz"))) == 1
+    assert len(list(cache.glob("*.json"))) == 1
 
 
 def test_it_is_the_same_when_made_anew(cache):
     kept = calibrate(ARM, short(ARM), None, FINE)
-    (file,) = cache.glob("*.npz")
-    for content in (None, file.read_bytes()[:-1000], b"no archive"):
+    (file,) = cache.glob("*.json")
+    for content in (None, file.read_bytes()[:-1000], b"no JSON"):
         file.unlink() if content is None else file.write_bytes(content)
         again = calibrate(ARM, short(ARM), None, FINE)
         assert again.points == kept.points
         np.testing.assert_array_equal(again.reference.backbones, kept.reference.backbones)
-        assert [path.suffix for path in cache.iterdir() if path.suffix != ".lock"] == [".npz"]
+        assert [path.suffix for path in cache.iterdir() if path.suffix != ".lock"] == [".json"]
         assert calibrate(ARM, short(ARM), None, FINE).points == kept.points
 
 

@@ -120,7 +120,7 @@ def test_rigid_strains_have_neither_compliance_nor_stiffness():
 
 def test_presence_and_packs_of_tendons_that_end():
     scene, grid = grid_of("paper", 6)
-    tendons = make_tendons(grid, at_points(scene, grid).geometry)
+    tendons = make_tendons(grid, at_points(scene, grid).shape.geometry)
     presence = tendons.geometry.reshape(10, grid.packs, 2, 5, LANES)[:, :, :, 4].swapaxes(2, 3).reshape(10, -1, 2)
     np.testing.assert_array_equal(presence[5:], np.tile(grid.points < 0.5, (5, 1, 1)))
     assert presence[:5, grid.real].all()
@@ -147,3 +147,15 @@ def test_packed_and_unpacked_are_inverse(name, lead):
     np.testing.assert_array_equal(grid.unpacked(packed), strain)
     empty = grid.at_points(packed, 6)[..., ~grid.real, :, :]
     np.testing.assert_array_equal(empty, np.broadcast_to(strain[..., None, -1:, :], empty.shape))
+
+
+def test_the_shape_on_a_grid_is_that_of_the_scene_at_hand():
+    """The grid keeps the last one, for scenes that differ in other numbers."""
+    straight = load_scene("three_tendon")
+    bent, grid = straight.replace({"segments.0.curvature": [0.0, 5.0, 0.0]}), make_grid(straight, 6)
+    for scene in (straight, bent, straight.replace({"segments.0.density": 900.0}), bent):
+        found, fresh = (at_points(scene, own).shape for own in (grid, make_grid(scene, 6)))
+        np.testing.assert_array_equal(found.curvature, fresh.curvature)
+        np.testing.assert_array_equal(found.tendon_length, fresh.tendon_length)
+        np.testing.assert_array_equal(found.tendons.geometry, fresh.tendons.geometry)
+    assert at_points(bent, grid).shape is at_points(bent.replace({"segments.0.density": 900.0}), grid).shape
