@@ -17,6 +17,7 @@ from numpy.polynomial import legendre
 
 from soft_tendon_env.accuracy.reference import LEVELS, Level, errors, full_physics, motion, reference_motions
 from soft_tendon_env.accuracy.test_inputs import MOTIONS, USUAL, Motion, motion_tensions
+from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.coordinates import actuation_columns
 from soft_tendon_env.model.grid import Grid, screw_matrices, tendon_geometry
 from soft_tendon_env.model.model import Model, model_on
@@ -111,7 +112,7 @@ def _loads(scene: Scene, kind: Motion, run: int) -> dict[str, object]:
 def residual_wrenches(model: Model, q: Array) -> Array:
     """Sigma (xi - xi*) - Phi_a(xi) tau at the points (samples, points, 6), tau by least squares in the norm of the compliance."""
     scene, grid = model.scene, model.grid
-    fields = grid.unpacked(model.arm.strain.columns(0).reshape(model.coordinate_count, -1))
+    fields = grid.unpacked(make_workspace(model.arm).Phi.reshape(model.coordinate_count, -1))
     strain = np.einsum("sj,jpc->spc", q, fields)
     k, p = np.split(strain + grid.unpacked(model.arm.rod.reference_strain), 2, axis=-1)
     geometry = tendon_geometry(scene, grid)[:, grid.real].reshape(model.tendon_count, -1, 5)

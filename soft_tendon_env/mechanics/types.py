@@ -8,14 +8,13 @@ pack p form block b = 2 p + z. All fields are flat float64 vectors with the lane
     a field over nodes    [.., pack, component, lane]     (node = the end of an interval; at the base everything is known)
 
 Letters, one meaning each: xi strain, eta body twist, J body Jacobian, e = Sigma^1/2 (xi - xi*) the scaled strain, H = I - C^1/2
-Psi C^1/2 with C = Sigma^-1 the scaled section stiffness (H = L D L^T), Phi the columns of xi_dot = Phi q_dot, Y = D^-1/2 L^-1 C^1/2
-[Phi_a Phi_p] the columns with G = sum Y^T Y, M D G the mass, damping and stiffness matrices.
+Psi C^1/2 with C = Sigma^-1 the scaled section stiffness (H = L D L^T), Phi the columns of xi_dot = Phi q_dot, Y their wrenches, with
+G = sum Phi^T Y, M D G the mass, damping and stiffness matrices.
 """
-
 
 import numpy as np
 
-from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned, aligned_zeros
+from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import EffectTable
 
@@ -71,13 +70,18 @@ class Implicit(Strain):
     stiffness at rest.
     """
 
-    def elastic_force(self, stiffness: np.ndarray, q: FloatVector) -> FloatVector:
-        """Elastic force less that of the loads inside, K - F (n,), at q (n,), of which `stiffness` is G (n, n)."""
-        return stiffness @ q
+    law: "StaticsBased"  # of tensions and passive wrenches
 
-    def columns(self, points: int) -> FloatVector:
-        """Room for the columns Phi at so many points: they are computed at every evaluation."""
-        return aligned_zeros(self.size * points * 6)
+    @property
+    def is_tensions(self) -> bool:
+        """True if every tension is a coordinate and there are no passive ones."""
+        return self.law.active == self.size and not self.law.mixed
+
+    def rest_coordinates(self, tension: FloatVector) -> FloatVector:
+        """Coordinates (n,) at which tensions (n_a,), with the loads inside, are in balance, [u; 0] of (34)."""
+        law, q = self.law, np.zeros(self.size)
+        np.add.at(q, law.coordinate, law.mixing * np.repeat(tension, np.diff(law.row)))
+        return q
 
 
 class StaticsBased(Implicit):
@@ -95,20 +99,9 @@ class StaticsBased(Implicit):
     passive: FloatVector  # passive coordinate x points x 6, the wrench fields Phi_p
 
     @property
-    def law(self) -> "StaticsBased":
+    def law(self) -> "StaticsBased":  # type: ignore[override]
         """The strain law of tensions and passive wrenches: this strain itself."""
         return self
-
-    @property
-    def is_tensions(self) -> bool:
-        """True if every tension is a coordinate and there are no passive ones."""
-        return self.active == self.size and not self.mixed
-
-    def rest_coordinates(self, tension: FloatVector) -> FloatVector:
-        """Coordinates (n,) at which tensions (n_a,) alone are in balance, [u; 0] of (34)."""
-        q = np.zeros(self.size)
-        np.add.at(q, self.coordinate, self.mixing * np.repeat(tension, np.diff(self.row)))
-        return q
 
     def tensions(self, q: FloatVector) -> FloatVector:
         """Tensions (n_a,) of the strain law at q (n,), tau = mixing q_a."""
@@ -130,18 +123,9 @@ class Loaded(Implicit):
     moment: tuple[float, float, float]  # at the tip [N m]
 
     @property
-    def is_tensions(self) -> bool:
-        """True if every tension is a coordinate and there are no passive ones."""
-        return self.law.is_tensions
-
-    @property
     def has_potential(self) -> bool:
         """True without a dead moment, which has no potential."""
         return not any(self.moment)
-
-    def rest_coordinates(self, tension: FloatVector) -> FloatVector:
-        """Coordinates (n,) at which tensions (n_a,) and these loads are in balance, [u; 0] of (34)."""
-        return self.law.rest_coordinates(tension)
 
 
 class Explicit(Strain):
@@ -158,14 +142,6 @@ class Explicit(Strain):
     def rest_coordinates(self, tension: FloatVector) -> FloatVector:
         """Coordinates (n,) of the stress-free rod, at which a search for the equilibrium begins."""
         return np.zeros(self.size)
-
-    def elastic_force(self, stiffness: np.ndarray, q: FloatVector) -> FloatVector:
-        """Elastic force K (n,) at q (n,); its stiffness is constant, G (n, n) has the tendons' share besides."""
-        return self.stiffness @ q
-
-    def columns(self, points: int) -> FloatVector:
-        """The columns Phi, which are the fields."""
-        return self.field
 
 
 class Arm(Struct):

@@ -6,7 +6,7 @@ import numpy as np
 
 from soft_tendon_env.mechanics.algebra.lanes import LINE, aligned, aligned_zeros
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.types import Arm, FloatVector, Loaded
+from soft_tendon_env.mechanics.types import Arm, Explicit, FloatVector, Loaded
 
 PER_LINE = LINE // 8  # numbers of a cache line
 
@@ -51,7 +51,7 @@ class Workspace(Struct):
     tau: FloatVector  # (n_a) tensions of the strain law [N]; of explicit strains those that pull
     tau_dot: FloatVector  # (n_a)
     Phi: FloatVector  # coordinate x points x 6
-    Y: FloatVector  # coordinate x points x 6, wrenches of the coordinates times the weight; explicit: Y^T Y = G
+    Y: FloatVector  # coordinate x points x 6, wrenches of the coordinates times the weight, Phi^T Y = G
     mismatch: FloatVector  # points x 6, the stress that drives the coordinates, times the weight
     factor: FloatVector  # points x 21, L below the diagonal then 1 / D
     tangent: FloatVector  # tendon x points x 4, unit tangent t and 1 / |t_c|
@@ -121,7 +121,7 @@ def make_workspace(arm: Arm) -> Workspace:
     )
     return Workspace(
         **arrays,
-        Phi=strain.columns(points),
+        Phi=strain.field if isinstance(strain, Explicit) else aligned_zeros(n * points * 6),
         base=np.concatenate([np.eye(3).ravel(), np.zeros(15)]),
         state=arm.effects.state.copy(),
         unit=aligned(np.ones(points * 6)),

@@ -301,7 +301,8 @@ class Model:
             raise _too_large(q)
         if placed == TOO_FAST:
             raise OverflowError(f"the rates q_dot are too large to compute with, up to {np.abs(q_dot).max():.3g}")
-        out.elastic_force[:] = self.arm.strain.elastic_force(out.stiffness, q)
+        strain = self.arm.strain
+        out.elastic_force[:] = (strain.stiffness if isinstance(strain, Explicit) else out.stiffness) @ q
         return out
 
     @cached_property

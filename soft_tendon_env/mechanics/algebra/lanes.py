@@ -13,7 +13,7 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic, lower_builtin, models, overload, register_model, type_callable
+from numba.extending import lower_builtin, models, overload, register_model, type_callable
 
 LANES = 4
 WIDE = 2 * LANES
@@ -84,109 +84,6 @@ def _type_negation(context):
 @lower_builtin(operator.neg, pack)
 def _negate(context, builder, sig, args):
     return builder.fneg(args[0], flags=_FLAGS)
-
-
-def _pack_pointer(context, builder, array_type, array, index, kind):
-    data = context.data_model_manager[array_type].get(builder, array, "data")
-    return builder.bitcast(builder.gep(data, [index]), kind.vector.as_pointer())
-
-
-def _loaded(context, builder, sig, args):
-    return builder.load(_pack_pointer(context, builder, sig.args[0], *args, sig.return_type), align=8)
-
-
-@intrinsic
-def _load(typingctx, array, index):
-    return pack(array, types.intp), _loaded
-
-
-@intrinsic
-def _load_wide(typingctx, array, index):
-    return wide(array, types.intp), _loaded
-
-
-@intrinsic
-def _store(typingctx, array, index, value):
-    def codegen(context, builder, sig, args):
-        builder.store(args[2], _pack_pointer(context, builder, sig.args[0], *args[:2], sig.args[2]), align=8)
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, pack), codegen
-
-
-def _spread_out(context, builder, sig, args):
-    return _splat(builder, args[0], sig.return_type)
-
-
-@intrinsic
-def _spread(typingctx, number):
-    return pack(types.float64), _spread_out
-
-
-@intrinsic
-def _spread_wide(typingctx, number):
-    return wide(types.float64), _spread_out
-
-
-@intrinsic
-def _folded(typingctx, value):
-    def codegen(context, builder, sig, args):
-        halves = (_shuffled(builder, args[0], args[0], [*range(start, start + LANES)]) for start in (0, LANES))
-        return builder.fadd(*halves)
-
-    return pack(wide), codegen
-
-
-@intrinsic
-def _sqrt(typingctx, value):
-    def codegen(context, builder, sig, args):
-        function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(pack.vector, [pack.vector]), f"llvm.sqrt.v{LANES}f64")
-        return builder.call(function, args)
-
-    return pack(pack), codegen
-
-
-@intrinsic
-def _lane(typingctx, value, index):
-    def codegen(context, builder, sig, args):
-        return builder.extract_element(args[0], args[1])
-
-    return types.float64(pack, types.intp), codegen
-
-
-@intrinsic
-def _with_lane(typingctx, value, index, number):
-    def codegen(context, builder, sig, args):
-        return builder.insert_element(args[0], args[2], args[1])
-
-    return pack(pack, types.intp, types.float64), codegen
-
-
-@intrinsic
-def _prefix_sum(typingctx, value):
-    def codegen(context, builder, sig, args):
-        zero, total, step = ir.Constant(pack.vector, [0.0] * LANES), args[0], 1
-        while step < LANES:
-            total = builder.fadd(total, _shuffled(builder, zero, total, [i + LANES - step for i in range(LANES)]))
-            step *= 2
-        return total
-
-    return pack(pack), codegen
-
-
-@intrinsic
-def _lane_sums(typingctx, values):
-    def codegen(context, builder, sig, args):
-        packs, size = cgutils.unpack_tuple(builder, args[0]), 1
-        while size < LANES:  # pairs of packs are added, with blocks of each in turn, until one is left
-            even = [start + of + i for start in range(0, LANES, 2 * size) for of in (0, LANES) for i in range(size)]
-            odd = [i + size for i in even]
-            pairs = zip(packs[::2], packs[1::2], strict=True)
-            packs = [builder.fadd(_shuffled(builder, *pair, even), _shuffled(builder, *pair, odd)) for pair in pairs]
-            size *= 2
-        return packs[0]
-
-    return pack(values), codegen
 
 
 def aligned_zeros(*shape, dtype=np.float64):
@@ -271,44 +168,82 @@ def with_lane(value, index, number):
     return replaced
 
 
-def _compiled_as(function, intrinsic, place=None):
-    """Has kernels take an intrinsic for a function, if its argument at this place is a pack."""
+def _emits(function, typed):
+    """Decorator: the machine code of a function in kernels, where `typed` makes a signature of the types of its arguments, or None."""
 
-    @overload(function)
-    def _select(*given):
-        if place is None or isinstance(given[place], Pack):
-            return lambda *given: intrinsic(*given)
+    def register(emit):
+        type_callable(function)(lambda context: typed)
+        lower_builtin(function, types.VarArg(types.Any))(emit)
+        return emit
 
-
-_compiled_as(load, _load)
-_compiled_as(load_wide, _load_wide)
-_compiled_as(store, _store, 2)
-_compiled_as(spread, _spread)
-_compiled_as(spread_wide, _spread_wide)
-_compiled_as(lane, _lane, 0)
-_compiled_as(prefix_sum, _prefix_sum, 0)
-_compiled_as(with_lane, _with_lane, 0)
+    return register
 
 
-@overload(lane_sum)
-def _lane_sum_overload(value):
-    if value == pack:
-        return lambda value: _lane(_prefix_sum(value), LANES - 1)
+def _place_in(context, builder, sig, args, kind):
+    data = context.data_model_manager[sig.args[0]].get(builder, args[0], "data")
+    return builder.bitcast(builder.gep(data, [args[1]]), kind.vector.as_pointer())
 
 
-@overload(lane_sums)
-def _lane_sums_overload(values):
-    if values == types.UniTuple(wide, LANES):
-        return lambda values: _lane_sums((_folded(values[0]), _folded(values[1]), _folded(values[2]), _folded(values[3])))
-    if values == types.UniTuple(pack, LANES):
-        return lambda values: _lane_sums(values)
+@_emits(load, lambda array, index: pack(array, types.intp))
+@_emits(load_wide, lambda array, index: wide(array, types.intp))
+def _load(context, builder, sig, args):
+    return builder.load(_place_in(context, builder, sig, args, sig.return_type), align=8)
 
 
-@overload(sqrt)
-def _sqrt_overload(value):
-    if isinstance(value, Pack):
-        return lambda value: _sqrt(value)
-    return lambda value: math.sqrt(value)
+@_emits(store, lambda array, index, value: types.void(array, types.intp, value) if isinstance(value, Pack) else None)
+def _store(context, builder, sig, args):
+    builder.store(args[2], _place_in(context, builder, sig, args, sig.args[2]), align=8)
+    return context.get_dummy_value()
+
+
+@_emits(spread, lambda number: pack(types.float64))
+@_emits(spread_wide, lambda number: wide(types.float64))
+def _spread(context, builder, sig, args):
+    return _splat(builder, args[0], sig.return_type)
+
+
+@_emits(lane, lambda value, index: types.float64(value, types.intp) if value == pack else None)
+def _lane(context, builder, sig, args):
+    return builder.extract_element(*args)
+
+
+@_emits(with_lane, lambda value, index, number: value(value, types.intp, types.float64) if value == pack else None)
+def _with_lane(context, builder, sig, args):
+    return builder.insert_element(args[0], args[2], args[1])
+
+
+@_emits(prefix_sum, lambda value: value(value) if value == pack else None)
+def _prefix_sum(context, builder, sig, args):
+    zero, total, step = ir.Constant(pack.vector, [0.0] * LANES), args[0], 1
+    while step < LANES:
+        total = builder.fadd(total, _shuffled(builder, zero, total, [i + LANES - step for i in range(LANES)]))
+        step *= 2
+    return total
+
+
+@_emits(lane_sum, lambda value: types.float64(value) if value == pack else None)
+def _lane_sum(context, builder, sig, args):
+    return builder.extract_element(_prefix_sum(context, builder, sig, args), ir.Constant(ir.IntType(32), LANES - 1))
+
+
+@_emits(lane_sums, lambda values: pack(values) if isinstance(values, types.UniTuple) and isinstance(values.dtype, Pack) else None)
+def _lane_sums(context, builder, sig, args):
+    packs, size = cgutils.unpack_tuple(builder, args[0]), 1
+    if sig.args[0].dtype == wide:  # its halves are added
+        packs = [builder.fadd(*(_shuffled(builder, of, of, [*range(at, at + LANES)]) for at in (0, LANES))) for of in packs]
+    while size < LANES:  # pairs of packs are added, with blocks of each in turn, until one is left
+        even = [start + of + i for start in range(0, LANES, 2 * size) for of in (0, LANES) for i in range(size)]
+        pairs = zip(packs[::2], packs[1::2], strict=True)
+        packs = [builder.fadd(_shuffled(builder, *pair, even), _shuffled(builder, *pair, [i + size for i in even])) for pair in pairs]
+        size *= 2
+    return packs[0]
+
+
+@_emits(sqrt, lambda value: value(value) if value == pack else types.float64(types.float64))
+def _sqrt(context, builder, sig, args):
+    kind, name = args[0].type, f"v{LANES}f64" if sig.return_type == pack else "f64"
+    function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(kind, [kind]), f"llvm.sqrt.{name}")
+    return builder.call(function, args)
 
 
 @overload(largest)
@@ -317,9 +252,9 @@ def _largest_overload(value):
         return lambda value: value
 
     def pick(value):
-        found = _lane(value, 0)
+        found = lane(value, 0)
         for i in range(1, LANES):
-            number = _lane(value, i)
+            number = lane(value, i)
             if found == found and not number <= found:  # a NaN stays
                 found = number
         return found

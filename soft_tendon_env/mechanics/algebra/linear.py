@@ -100,27 +100,16 @@ def add_product(a, b, out):
 
 
 @kernel
-def factorise(a):
-    """Eliminates a symmetric matrix (n, n) in place, of which the upper triangle is read: that of L D L^T with the inverse of D in the
-    diagonal; whether it is positive definite."""
-    n, positive = a.shape[0], True
+def solve_symmetric(a, x):
+    """Solutions in place of right-hand sides x (n, m) of a symmetric system a (n, n), of which the upper triangle is read: by L D L^T
+    elimination, in place too. Of a system that is singular they are not finite."""
+    n, m = x.shape
     for j in range(n):
-        positive = positive and a[j, j] > 0.0
         a[j, j] = 1.0 / a[j, j]
         for i in range(j + 1, n):
             share = a[j, i] * a[j, j]
             for k in range(i, n):
                 a[i, k] -= share * a[j, k]
-    return positive
-
-
-@kernel
-def solve_factored(a, x):
-    """Solutions in place of right-hand sides x (n, m), of the system that factorise() has eliminated."""
-    n, m = x.shape
-    for j in range(n):
-        for i in range(j + 1, n):
-            share = a[j, i] * a[j, j]
             for k in range(m):
                 x[i, k] -= share * x[j, k]
     for i in range(n - 1, -1, -1):
@@ -129,10 +118,3 @@ def solve_factored(a, x):
                 x[i, k] -= a[i, j] * x[j, k]
         for k in range(m):
             x[i, k] *= a[i, i]
-
-
-@kernel
-def solve_symmetric(a, x):
-    """Solutions in place of right-hand sides x (n, m) of a symmetric system a (n, n), which is eliminated."""
-    factorise(a)
-    solve_factored(a, x)

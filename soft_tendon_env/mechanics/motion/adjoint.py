@@ -8,26 +8,27 @@ motion. There, and where a part is long beside the slowest vibration, it is inte
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.linear import copy, product
+from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 from soft_tendon_env.mechanics.motion.advance import Record, Scheme, advance
 from soft_tendon_env.mechanics.motion.batch import Places
 from soft_tendon_env.mechanics.motion.filter_adjoint import FilterMemory, begin_filter, filter_adjoint, make_filter_memory
 from soft_tendon_env.mechanics.motion.force_gradient import GradientMemory, force_gradient, make_gradient_memory
-from soft_tendon_env.mechanics.motion.period_map import PeriodMap, make_period_map, matrices_of_motion, transposed_map
+from soft_tendon_env.mechanics.motion.period_map import matrices_of_motion, transposed_map
 from soft_tendon_env.mechanics.motion.reading_adjoint import read_adjoint
-from soft_tendon_env.mechanics.motion.scratch import Motion
+from soft_tendon_env.mechanics.motion.scratch import copy_motion
 from soft_tendon_env.mechanics.motion.stages import evaluate_force
 from soft_tendon_env.mechanics.motion.status import OK
-from soft_tendon_env.mechanics.motion.tape import Tape, make_tape, tape_border, tape_part
+from soft_tendon_env.mechanics.motion.tape import Tape, make_tape, motion_at, tape_part
 from soft_tendon_env.mechanics.terms.dynamics import combined_columns
 from soft_tendon_env.mechanics.terms.tendons import tendon_forces
 from soft_tendon_env.mechanics.terms.transmission import tension_slope
-from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector
+from soft_tendon_env.mechanics.types import Arm, IntVector
 from soft_tendon_env.mechanics.workspace import zeros_of
 
 MOST_PIECES = 16  # of a part
@@ -70,39 +71,28 @@ def make_cotangents(arm: Arm, places: Places, rows: int, parts: int) -> Cotangen
 class AdjointMemory(Struct):
     """Arrays that the adjoint of one row fills besides the scratch of a step."""
 
-    map: PeriodMap
     gradient: GradientMemory
     filter: FilterMemory
-    tape: Tape  # of one row: a part in pieces
+    tape: Tape  # of one row: a part in pieces, and at last the motion within one
     rate: float  # [1/s] of pieces that resolve the slowest vibration of the scene's arm
-    share: FloatVector  # (1) of a part, where its matrices are evaluated
-    middle: FloatVector  # (n)
-    rates: FloatVector  # (n)
-    q: FloatVector  # (n) cotangents that go back through a part
-    v: FloatVector  # (n)
     impulse: np.ndarray  # (2, n) of forces in the halves of a piece
-    xi: FloatVector  # points x 6
-    state: FloatVector  # (states)
-    clock: FloatVector  # (1)
-    lasting: FloatVector  # (1) [s] of a piece
-    poses: np.ndarray  # (0, 4, 4) of no samples
     still: np.ndarray  # (n_a) zeros
 
 
 def make_adjoint_memory(arm: Arm, rate: float) -> AdjointMemory:
     """Zeroed AdjointMemory for one arm. rate: [1/s] of pieces that resolve the slowest vibration."""
-    n, n_a, points = arm.strain.size, arm.tendons.size, 2 * arm.rod.length.size
-    arrays = zeros_of(
-        ((n,), "middle rates q v"),
-        ((points * 6,), "xi"),
-        ((arm.effects.state.size,), "state"),
-        ((1,), "clock share lasting"),
-        ((0, 4, 4), "poses"),
-        ((n_a,), "still"),
-        ((2, n), "impulse"),
-    )
-    own = {"map": make_period_map(n, 1), "gradient": make_gradient_memory(arm), "filter": make_filter_memory(arm)}
-    return AdjointMemory(tape=make_tape(arm, 1, MOST_PIECES), rate=rate, **own, **arrays)
+    arrays = zeros_of(((arm.tendons.size,), "still"), ((2, arm.strain.size), "impulse"))
+    parts = {"gradient": make_gradient_memory(arm), "filter": make_filter_memory(arm), "tape": make_tape(arm, 1, MOST_PIECES + 1)}
+    return AdjointMemory(rate=rate, **parts, **arrays)
+
+
+class Sought(NamedTuple):
+    """Cotangents of one row that go back through a part."""
+
+    q: np.ndarray  # (n)
+    q_dot: np.ndarray  # (n)
+    state: np.ndarray  # (states)
+    command: np.ndarray  # (n_a) of the part
 
 
 @kernel
@@ -110,69 +100,38 @@ def adjoint_rows(batch, scheme, tape, members, cotangents, scratch, memory):
     """Cotangents of the rows named in `members`, in place: from those of state and reading after a period to those of the state before it
     and of its commands. A row whose step had failed gets zeros; cotangents.status (rows) where there is no derivative."""
     for row in members:
-        own = struct_at(batch.arm, batch.rows.arm, row)
-        part, status = tape.duration.shape[1] - 1, OK
-        rate = memory.rate * own.rod.root_stiffness[0] / batch.arm.rod.root_stiffness[0]
-        if has_failed(tape.duration[row]):
+        own, status, failed = struct_at(batch.arm, batch.rows.arm, row), OK, False
+        for duration in tape.duration[row]:
+            failed = failed or duration < 0.0
+        cotangents.command[row, :, :] = 0.0
+        if failed:
             for values in (cotangents.q[row], cotangents.q_dot[row], cotangents.state[row]):
                 values[:] = 0.0
-            cotangents.command[row, :, :] = 0.0
         else:
             status = read_adjoint(own, batch.places, tape, cotangents, row, scratch.work, memory)
-            memory.share[0] = 1.0 if own.effects.transmission.elastic else 0.5
-            while part >= 0 and status == OK:
-                status = part_adjoint(own, scheme, tape, (row, part), rate, cotangents, scratch, memory)
-                part -= 1
+            rate = memory.rate * own.rod.root_stiffness[0] / batch.arm.rod.root_stiffness[0]
+            for part in range(tape.duration.shape[1] - 1, -1, -1):
+                if status == OK:
+                    sought = Sought(cotangents.q[row], cotangents.q_dot[row], cotangents.state[row], cotangents.command[row, part])
+                    status = part_adjoint(own, scheme, tape, (row, part), rate, sought, scratch, memory)
         cotangents.status[row] = status
 
 
 @kernel
-def has_failed(durations):
-    """Whether a step of a row has failed on its way."""
-    for duration in durations:
-        if duration < 0.0:
-            return True
-    return False
-
-
-@kernel
-def motion_within(tape, row, part, memory):
-    """The motion at memory.share of a part, between its ends, with its mean acceleration in memory.gradient.a."""
-    h, q, v, xi, share = tape.duration[row, part], tape.q[row], tape.q_dot[row], tape.xi[row], memory.share[0]
-    for i in range(memory.middle.size):
-        memory.middle[i] = q[part, i] + share * (q[part + 1, i] - q[part, i])
-        memory.rates[i] = v[part, i] + share * (v[part + 1, i] - v[part, i])
-        memory.gradient.a[i] = (v[part + 1, i] - v[part, i]) / h
-    for m in range(memory.xi.size):
-        memory.xi[m] = xi[part, m] + share * (xi[part + 1, m] - xi[part, m])
-    copy(tape.state[row, part], memory.state)
-    memory.clock[0] = tape.clock[row, part] + share * h
-    return Motion(memory.middle, memory.rates, memory.xi, memory.state, memory.clock)
-
-
-@kernel
-def part_adjoint(arm, scheme, tape, place, rate, cotangents, scratch, memory):
+def part_adjoint(arm, scheme, tape, place, rate, sought, scratch, memory):
     """Cotangents from the end of a part to its beginning, and of the command that was held; place: row and part; a status.
 
     It goes back in as many pieces as its slowest vibration or stiff tendons call for.
     """
-    row, part = place
-    duration, command, state = tape.duration[row, part], cotangents.command[row, part], cotangents.state[row]
-    command[:] = 0.0
+    duration, status = tape.duration[place], OK
     if duration == 0.0:
         return OK
-    copy(cotangents.q[row], memory.q)
-    copy(cotangents.q_dot[row], memory.v)
-    status, least = OK, STIFF_PIECES if memory.share[0] == 1.0 else 1
-    count = min(max(least, math.ceil(duration * rate)), MOST_PIECES)
+    count = min(max(STIFF_PIECES if arm.effects.transmission.elastic else 1, math.ceil(duration * rate)), MOST_PIECES)
     if count == 1 or not cut_part(arm, scheme, tape, place, count, scratch, memory):
-        status = piece_adjoint(arm, scheme.method, tape, place, state, command, scratch, memory)
-    else:
-        for back in range(count):
-            if status == OK:
-                status = piece_adjoint(arm, scheme.method, memory.tape, (0, count - 1 - back), state, command, scratch, memory)
-    copy(memory.q, cotangents.q[row])
-    copy(memory.v, cotangents.q_dot[row])
+        return piece_adjoint(arm, scheme.method, tape, place, sought, scratch, memory)
+    for piece in range(count - 1, -1, -1):
+        if status == OK:
+            status = piece_adjoint(arm, scheme.method, memory.tape, (0, piece), sought, scratch, memory)
     return status
 
 
@@ -180,59 +139,68 @@ def part_adjoint(arm, scheme, tape, place, rate, cotangents, scratch, memory):
 def cut_part(arm, scheme, tape, place, count, scratch, memory):
     """Integrates a part in equal pieces, onto memory.tape; whether it could."""
     row, part = place
-    command, own, lasting = tape.command[row, part : part + 1], memory.tape, memory.lasting
-    none = Record(tape.q[row, :0], tape.q_dot[row, :0], memory.poses)
-    motion = Motion(memory.middle, memory.rates, memory.xi, memory.state, memory.clock)
-    copy(tape.q[row, part], motion.q)
-    copy(tape.q_dot[row, part], motion.q_dot)
-    copy(tape.xi[row, part], motion.xi)
-    copy(tape.state[row, part], motion.state)
-    motion.clock[0] = tape.clock[row, part]
-    lasting[0] = tape.duration[row, part] / count
-    tape_border(own, 0, 0, motion)
+    command, own = tape.command[row, part : part + 1], memory.tape
+    none = Record(tape.q[row, :0], tape.q_dot[row, :0], tape.q[:0])
+    copy_motion(motion_at(tape, row, part), motion_at(own, 0, 0))
     for piece in range(count):
-        begins = piece == 0 and tape.begins[row, part] == 1
-        tape_part(own, 0, piece, command[0], lasting[0], begins)
-        held = Scheme(scheme.method, scheme.control, begins)
+        begins, motion = piece == 0 and tape.begins[row, part] == 1, motion_at(own, 0, piece + 1)
+        copy_motion(motion_at(own, 0, piece), motion)
+        tape_part(own, 0, piece, command[0], tape.duration[row, part] / count, begins)
+        held, lasting = Scheme(scheme.method, scheme.control, begins), own.duration[0, piece : piece + 1]
         if advance(arm, held, command, lasting, motion, scheme.control.step, scratch, none).status != OK:
             return False
-        tape_border(own, 0, piece + 1, motion)
     return True
 
 
+@kernel(refcount=True)
+def motion_within(tape, row, part, share, memory):
+    """The motion at a share of a part, between its ends, with its mean acceleration in memory.gradient.a."""
+    start, end, motion = motion_at(tape, row, part), motion_at(tape, row, part + 1), motion_at(memory.tape, 0, MOST_PIECES + 1)
+    copy_motion(start, motion)
+    motion.clock[0] += share * tape.duration[row, part]
+    for i in range(motion.q.size):
+        motion.q[i] += share * (end.q[i] - start.q[i])
+        motion.q_dot[i] += share * (end.q_dot[i] - start.q_dot[i])
+        memory.gradient.a[i] = (end.q_dot[i] - start.q_dot[i]) / tape.duration[row, part]
+    for m in range(motion.xi.size):
+        motion.xi[m] += share * (end.xi[m] - start.xi[m])
+    return motion
+
+
 @kernel
-def piece_adjoint(arm, method, tape, place, state, command, scratch, memory):
-    """Cotangents memory.q, memory.v and `state` (states) from the end of a part on a tape to its beginning, in place, and those added to
-    `command` (n_a), which was held; place: row and part; a status."""
+def piece_adjoint(arm, method, tape, place, sought, scratch, memory):
+    """Cotangents from the end of a part on a tape to its beginning, in place, and that which is added to its command; place: row and part;
+    a status."""
     row, part = place
-    work, gradient, path, h = scratch.work, memory.gradient, memory.filter, tape.duration[row, part]
-    times, u, is_filtered = tape.clock[row, part : part + 2], tape.command[row, part], arm.effects.transmission.filter >= 0
-    begins = tape.begins[row, part] == 1
+    work, gradient, path, h = scratch.work, memory.gradient, memory.filter, tape.duration[place]
+    times, u, before = tape.clock[row, part : part + 2], tape.command[row, part], tape.state[row, part]
+    is_filtered, is_elastic, begins = arm.effects.transmission.filter >= 0, arm.effects.transmission.elastic, tape.begins[place] == 1
     if is_filtered:
-        begin_filter(arm.effects, tape.state[row, part], u, times, begins, path)
-        u = path.after[0 if memory.share[0] < 1.0 else 1]
-    motion = motion_within(tape, row, part, memory)
+        begin_filter(arm.effects, before, u, times, begins, scratch, path)
+        u = path.after[1 if is_elastic else 0]
+    motion = motion_within(tape, row, part, 1.0 if is_elastic else 0.5, memory)
     copy(motion.xi, work.xi)
     status = evaluate_force(arm, method, u, motion.q, motion.q_dot, motion.state, motion.clock[0], scratch)
-    if status != OK:
-        return status
-    matrices_of_motion(arm, method, scratch)
-    status = transposed_map(scratch.first, h, memory.map, memory.q, memory.v, memory.impulse)
+    if status == OK:
+        matrices_of_motion(arm, method, scratch)
+        status = transposed_map(scratch.first, h, scratch, sought.q, sought.q_dot, memory.impulse)
     if status != OK:
         return status
     for side in range(2):
         combined_columns(work.Phi, memory.impulse[side], gradient.along)
         tendon_forces(arm.rod, arm.tendons, work.share, work.tangent, gradient.along, path.force[side])
-        for i in range(command.size):
+        for i in range(u.size):
             path.force[side, i] *= tension_slope(arm.effects.transmission, i, work)
             if not is_filtered:
-                command[i] += path.force[side, i]
+                sought.command[i] += path.force[side, i]
     for i in range(gradient.w.size):
         gradient.w[i] = memory.impulse[0, i] + memory.impulse[1, i]
     force_gradient(arm, u, motion, h, method.with_inertia, work, gradient)
-    for i in range(memory.q.size):
-        memory.q[i] += gradient.by_q[i] + product(scratch.first.stiffness[i], gradient.w)
-        memory.v[i] += gradient.by_rate[i]
+    for i in range(gradient.w.size):
+        sought.q[i] += gradient.by_q[i]
+        sought.q_dot[i] += gradient.by_rate[i]
+        for j in range(gradient.w.size):
+            sought.q[j] += gradient.w[i] * scratch.first.stiffness[i, j]
     if is_filtered:
-        filter_adjoint(arm.effects, times, begins, state, command, path)
+        filter_adjoint(arm.effects, before, times, begins, sought.state, sought.command, path)
     return OK

@@ -76,24 +76,18 @@ def take_substep(arm, method, tolerance, u, motion, step, row, substep, scratch)
 
 
 @kernel
-def fill_row(row, scratch):
-    """Extrapolate a row of the table from scratch.q, scratch.v, its first entry: the last one in their place."""
+def complete_row(row, scratch):
+    """Extrapolate a row of the table from scratch.q, scratch.v, its first entry: the last one in their place, with the error estimate.
+
+    Where the tension of an elastic tendon has a kink within the step nothing is smooth enough to be extrapolated: the first entry is kept,
+    with the estimate of a method of first order.
+    """
     copy(scratch.q, scratch.table_q[row, 0])
     copy(scratch.v, scratch.table_v[row, 0])
     extrapolate(scratch.table_q, row)
     extrapolate(scratch.table_v, row)
     copy(scratch.table_q[row, row], scratch.q)
     copy(scratch.table_v[row, row], scratch.v)
-
-
-@kernel
-def complete_row(row, scratch):
-    """Extrapolate a row of the table from its first entry, with the error estimate.
-
-    Where the tension of an elastic tendon has a kink within the step nothing is smooth enough to be extrapolated: the first entry is kept,
-    with the estimate of a method of first order.
-    """
-    fill_row(row, scratch)
     scratch.rows[0] = row + 1.0
     if row == 0:
         return

@@ -7,8 +7,7 @@ extrapolation.
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix, product, row_stride, solve_positive_definite
-from soft_tendon_env.mechanics.motion.elastic_tendons import stretch_tendons
-from soft_tendon_env.mechanics.motion.sliding_tendons import slide_tendons
+from soft_tendon_env.mechanics.motion.implicit_tendons import slide_tendons, stretch_tendons
 from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK
 from soft_tendon_env.mechanics.terms.command_filter import command_at
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit

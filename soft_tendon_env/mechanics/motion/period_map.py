@@ -4,9 +4,8 @@ Changes (dq, dv) of coordinates and rates and df of held forces go over a step o
 
     v' = A^-1 (M dv - h G dq + h df),    q' = dq + h v',    A = M + h D + h^2 G,
 
-and over a period by equal steps, extrapolated as the integrator's: T = 2 T(h/2) - T(h). The factor of A makes the step itself, and the
-adjoint, which takes cotangents of (q', v') to those of (dq, dv, df). The rows of the Jacobian are the adjoint of unit cotangents. Left out
-is how M, D, G and B change along the motion.
+and over a period by equal steps, extrapolated as the integrator's: T = 2 T(h/2) - T(h). The factor of A makes the columns of its Jacobian,
+and its adjoint, which takes cotangents of (q', v') to those of (dq, dv, df). Left out is how M, D, G and B change along the motion.
 """
 
 from typing import NamedTuple
@@ -14,41 +13,17 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.linear import copy, factorise, solve_factored, total
+from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix, product, solve_again, solve_symmetric, total
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.motion.advance import Record, advance
-from soft_tendon_env.mechanics.motion.implicit_euler import linear_matrices
+from soft_tendon_env.mechanics.motion.implicit_euler import linear_matrices, rate_change
 from soft_tendon_env.mechanics.motion.stages import evaluate_force
-from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK
+from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.terms.command_filter import command_at, receive
 from soft_tendon_env.mechanics.terms.evaluate import copy_tip
-from soft_tendon_env.mechanics.terms.external_forces import add_matrix
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix
 from soft_tendon_env.mechanics.types import Arm, FloatVector
 from soft_tendon_env.mechanics.workspace import zeros_of
-
-
-class PeriodMap(Struct):
-    """Factor of A, and m cotangents that go back through steps, of n coordinates."""
-
-    system: np.ndarray  # (n, n) A, then its factor
-    q: np.ndarray  # (n, m) cotangents of q' and v', then those of dq and dv
-    v: np.ndarray  # (n, m)
-    impulse: np.ndarray  # (n, m) those of df, h A^-1 (v + h q)
-    total: np.ndarray  # (n, m) sum of these over the steps
-
-
-def make_period_map(coordinates: int, cotangents: int) -> PeriodMap:
-    """Zeroed PeriodMap for so many coordinates and cotangents."""
-    return PeriodMap(**zeros_of(((coordinates, coordinates), "system"), ((coordinates, cotangents), "q v impulse total")))
-
-
-@kernel
-def step_matrix(mass, damping, stiffness, h, out):
-    """A = M + h D + h^2 G of a step of length h, out (n, n)."""
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            out[i, j] = mass[i, j] + h * (damping[i, j] + h * stiffness[i, j])
 
 
 @kernel
@@ -60,87 +35,37 @@ def matrices_of_motion(arm, method, scratch):
 
 
 @kernel
-def factorise_step(balance, h, own):
-    """Factors A of a step of length h; whether it is positive definite."""
-    step_matrix(balance.mass, balance.damping, balance.stiffness, h, own.system)
-    return factorise(own.system)
-
-
-@kernel
-def transposed_step(balance, h, own):
-    """Cotangents own.q, own.v of the end of a step, whose A is factored, to those of its beginning, and of forces, own.impulse."""
-    q, v, impulse = own.q, own.v, own.impulse
-    n, m = q.shape
-    for i in range(n):
-        for k in range(m):
-            impulse[i, k] = h * (v[i, k] + h * q[i, k])
-            v[i, k] = 0.0
-    solve_factored(own.system, impulse)
-    for i in range(n):
-        for j in range(n):
-            inertia, stiffness = balance.mass[i, j] / h, balance.stiffness[i, j]
-            for k in range(m):
-                v[i, k] += inertia * impulse[j, k]
-                q[i, k] -= stiffness * impulse[j, k]
-
-
-@kernel
-def transposed_map(balance, period, own, q, v, impulse):
-    """Cotangents q, v (n) of a period's end to those of its beginning, in place, and of the forces in its halves, impulse (2, n); a status:
-    NOT_POSITIVE where A is not positive definite."""
+def transposed_step(balance, h, scratch, q, v, impulse):
+    """Cotangents q, v (n) of the end of a step, whose A is factored, to those of its beginning, in place, and of forces, impulse (n)."""
     n = q.size
     for i in range(n):
-        own.q[i, 0], own.v[i, 0] = q[i], v[i]
-    fine = factorise_step(balance, 0.5 * period, own)
-    for half in range(1, -1, -1):
-        transposed_step(balance, 0.5 * period, own)
-        for i in range(n):
-            impulse[half, i] = 2.0 * own.impulse[i, 0]
+        impulse[i] = h * (v[i] + h * q[i])
+    solve_again(scratch.system, n, impulse)
     for i in range(n):
-        own.q[i, 0], q[i] = q[i], 2.0 * own.q[i, 0]
-        own.v[i, 0], v[i] = v[i], 2.0 * own.v[i, 0]
-    coarse = factorise_step(balance, period, own)
-    transposed_step(balance, period, own)
-    for i in range(n):
-        q[i] -= own.q[i, 0]
-        v[i] -= own.v[i, 0]
-        for half in range(2):
-            impulse[half, i] -= 0.5 * own.impulse[i, 0]
-    return OK if fine and coarse else NOT_POSITIVE
-
-
-@kernel
-def add_jacobian(balance, h, count, share, forces, own, out):
-    """Adds a share of the Jacobian (2 n, 2 n + k) of `count` steps of length h by (q, v) and by factors of the columns of forces (n, k).
-
-    Its rows of v' go back from unit cotangents. Those of q' are sums of them over the steps, as q' is q + h sum v'.
-    """
-    n = own.q.shape[0]
-    factorise_step(balance, h, own)
-    own.q[:, :] = 0.0
-    own.v[:, :] = 0.0
-    own.total[:, :] = 0.0
-    for i in range(n):
-        own.v[i, i] = 1.0
-        out[i, i] += share
-    for _ in range(count):
-        transposed_step(balance, h, own)
-        add_matrix(own.impulse, own.total)
-        add_rows(share * h, forces, own, out[:n])
-    add_rows(share, forces, own, out[n:])
-
-
-@kernel
-def add_rows(share, forces, own, rows):
-    """Adds a share of the cotangents so far to rows (n, 2 n + k) of a Jacobian."""
-    n = rows.shape[0]
-    for i in range(n):
+        v[i] = product(balance.mass[i], impulse) / h
         for j in range(n):
-            rows[i, j] += share * own.q[j, i]
-            rows[i, n + j] += share * own.v[j, i]
-            pull = share * own.total[j, i]
-            for k in range(forces.shape[1]):
-                rows[i, 2 * n + k] += pull * forces[j, k]
+            q[j] -= impulse[i] * balance.stiffness[i, j]
+
+
+@kernel
+def transposed_map(balance, period, scratch, q, v, impulse):
+    """Cotangents q, v (n) of a period's end to those of its beginning, in place, and of the forces in its halves, impulse (2, n); a status:
+    NOT_POSITIVE where A is not positive definite. Overwrites the linear system and the error estimates of the scratch."""
+    whole_q, whole_v, whole = scratch.error_q, scratch.error_v, scratch.q
+    copy(q, whole_q)
+    copy(v, whole_v)
+    status = rate_change(True, balance, 0.5 * period, scratch)
+    transposed_step(balance, 0.5 * period, scratch, q, v, impulse[1])
+    transposed_step(balance, 0.5 * period, scratch, q, v, impulse[0])
+    if status == OK:
+        status = rate_change(True, balance, period, scratch)
+    transposed_step(balance, period, scratch, whole_q, whole_v, whole)
+    for i in range(q.size):
+        q[i] = 2.0 * q[i] - whole_q[i]
+        v[i] = 2.0 * v[i] - whole_v[i]
+        for half in range(2):
+            impulse[half, i] = 2.0 * impulse[half, i] - 0.5 * whole[i]
+    return status
 
 
 class Plan(Struct):
@@ -156,7 +81,11 @@ class Plan(Struct):
     command: np.ndarray  # (N, parts, n_a) that is played
     duration: FloatVector  # (parts) [s] of the parts of a period
     forces: np.ndarray  # (n, k), B at the beginning of a period and what was asked for besides
-    map: PeriodMap
+    system: np.ndarray  # (n, n) A, then its factor
+    solved: np.ndarray  # (n, 2 n + k) A^-1 [-h G | M | h forces]
+    moved: np.ndarray  # (n, 2 n + k) coordinates after a step by (q, v, forces) before the first
+    rates: np.ndarray  # (n, 2 n + k) likewise their rates
+    ahead: np.ndarray  # (n, 2 n + k) likewise the rates a step later
 
 
 def make_plan(arm: Arm, periods: int, parts: int, forces: np.ndarray) -> Plan:
@@ -166,9 +95,69 @@ def make_plan(arm: Arm, periods: int, parts: int, forces: np.ndarray) -> Plan:
     motion = (((begins, n), "q q_dot"), ((begins, arm.effects.state.size), "state"))
     tip = (((begins, 4, 4), "tip_pose"), ((begins, 6, n), "tip_jacobian"), ((6,), "tip_bias"))
     played = (((periods, parts, n_a), "command"), ((parts,), "duration"), ((n, inputs), "forces"))
-    plan = Plan(map=make_period_map(n, n), **zeros_of(*motion, *tip, *played, ((periods, 2 * n, 2 * n + inputs), "jacobian")))
+    maps = (((periods, 2 * n, 2 * n + inputs), "jacobian"), ((n, n), "system"), ((n, 2 * n + inputs), "solved moved rates ahead"))
+    plan = Plan(**zeros_of(*motion, *tip, *played, *maps))
     plan.forces[:, n_a:] = forces
     return plan
+
+
+@kernel
+def step_matrix(mass, damping, stiffness, h, out):
+    """A = M + h D + h^2 G of a step of length h, out (n, n)."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = mass[i, j] + h * (damping[i, j] + h * stiffness[i, j])
+
+
+@kernel
+def first_step(balance, h, plan):
+    """Coordinates and rates after a step of length h by (q, v, forces) before it, into plan.moved and plan.rates."""
+    n, inputs = plan.forces.shape
+    system, solved, moved = plan.system, plan.solved, plan.moved
+    step_matrix(balance.mass, balance.damping, balance.stiffness, h, system)
+    for i in range(n):
+        for j in range(n):
+            solved[i, j] = -h * balance.stiffness[i, j]
+            solved[i, n + j] = balance.mass[i, j]
+        for j in range(inputs):
+            solved[i, 2 * n + j] = h * plan.forces[i, j]
+    solve_symmetric(system, solved)
+    copy_matrix(solved, plan.rates)
+    for i in range(n):
+        for j in range(2 * n + inputs):
+            moved[i, j] = h * solved[i, j]
+        moved[i, i] += 1.0
+
+
+@kernel
+def further_step(h, plan):
+    """The same after a further step, of the length of the first one."""
+    n, inputs = plan.forces.shape
+    solved, moved, rates, ahead = plan.solved, plan.moved, plan.rates, plan.ahead
+    for i in range(n):
+        for k in range(2 * n + inputs):
+            ahead[i, k] = solved[i, k] if k >= 2 * n else 0.0
+        for j in range(n):
+            by_q, by_v = solved[i, j], solved[i, n + j]
+            for k in range(2 * n + inputs):
+                ahead[i, k] += by_q * moved[j, k] + by_v * rates[j, k]
+    copy_matrix(ahead, rates)
+    for i in range(n):
+        for j in range(2 * n + inputs):
+            moved[i, j] += h * ahead[i, j]
+
+
+@kernel
+def add_jacobian(balance, h, count, share, plan, out):
+    """Adds a share of the Jacobian (2 n, 2 n + k) of `count` steps of length h by (q, v, forces) to out."""
+    n = plan.forces.shape[0]
+    first_step(balance, h, plan)
+    for _ in range(count - 1):
+        further_step(h, plan)
+    for i in range(n):
+        for j in range(out.shape[1]):
+            out[i, j] += share * plan.moved[i, j]
+            out[n + i, j] += share * plan.rates[i, j]
 
 
 class Tip(NamedTuple):
@@ -203,8 +192,8 @@ def linearised_rollout(arm, scheme, motion, steps, scratch, plan):
             matrices_of_motion(arm, method, scratch)
             actuation_matrix(arm.rod, arm.tendons, arm.strain, scratch.work, plan.forces)
             plan.jacobian[k] = 0.0
-            add_jacobian(scratch.first, 0.5 * length / steps, 2 * steps, 2.0, plan.forces, plan.map, plan.jacobian[k])
-            add_jacobian(scratch.first, length / steps, steps, -1.0, plan.forces, plan.map, plan.jacobian[k])
+            add_jacobian(scratch.first, 0.5 * length / steps, 2 * steps, 2.0, plan, plan.jacobian[k])
+            add_jacobian(scratch.first, length / steps, steps, -1.0, plan, plan.jacobian[k])
             done = advance(arm, scheme, plan.command[k], plan.duration, motion, step, scratch, none)
             if done.status != OK:
                 return done.status, k

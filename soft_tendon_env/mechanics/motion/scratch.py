@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.mechanics.algebra.linear import row_stride
+from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.mechanics.algebra.linear import copy, row_stride
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import ContactFlags, make_contact_flags
 from soft_tendon_env.mechanics.types import Arm
@@ -23,6 +24,16 @@ class Motion(NamedTuple):
     def copy(self) -> "Motion":
         """A motion of its own, at the same place."""
         return Motion(*(part.copy() for part in self))
+
+
+@kernel
+def copy_motion(source, out):
+    """Copies a motion into another one."""
+    copy(source.q, out.q)
+    copy(source.q_dot, out.q_dot)
+    copy(source.xi, out.xi)
+    copy(source.state, out.state)
+    copy(source.clock, out.clock)
 
 
 class Balance(Struct):

@@ -38,7 +38,7 @@ def predict_strain(strain, q, q_last, work):
 
 @kernel
 def evaluate_force(arm, method, u, q, v, state, time, scratch):
-    """Force on the coordinates, drive - C v + F, under the command u that acts, into scratch.force, see evaluate_forces(); a status.
+    """Force on the coordinates, drive - C v + F, or without inertia drive + F, under the command u that acts, into scratch.force; a status.
     state: internal states of the effects, at this time or that of work.since before it."""
     work = scratch.work
     copy(state, work.state)
@@ -47,16 +47,9 @@ def evaluate_force(arm, method, u, q, v, state, time, scratch):
     if evaluate_forces(arm, u, q, v, method.strain_tolerance, work) >= 0:
         return NO_STRAIN
     copy(q, scratch.q_last)
-    sum_forces(method, scratch)
-    return OK
-
-
-@kernel
-def sum_forces(method, scratch):
-    """Force drive - C v + F of the last evaluation into scratch.force; without inertia no C v."""
-    work = scratch.work
-    for i in range(scratch.force.size):
+    for i in range(q.size):
         scratch.force[i] = work.drive[i] - (work.bias[i] if method.with_inertia else 0.0) + work.load[i]
+    return OK
 
 
 class Demand(NamedTuple):

@@ -5,6 +5,7 @@ import numpy as np
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.structs import Struct
+from soft_tendon_env.mechanics.motion.scratch import Motion, copy_motion
 from soft_tendon_env.mechanics.types import Arm, IntVector
 from soft_tendon_env.mechanics.workspace import zeros_of
 
@@ -40,15 +41,18 @@ def make_tape(arm: Arm, rows: int, parts: int) -> Tape:
     )
 
 
+@kernel(refcount=True)
+def motion_at(tape, row, border):
+    """Motion of a row on the tape where a part begins, or the last one ends."""
+    clock = tape.clock[row, border : border + 1]
+    return Motion(tape.q[row, border], tape.q_dot[row, border], tape.xi[row, border], tape.state[row, border], clock)
+
+
 @kernel
 def tape_border(tape, row, border, motion):
     """Keeps a motion as that at a border between parts, where anything is kept."""
     if tape.duration.shape[0] > 0:
-        copy(motion.q, tape.q[row, border])
-        copy(motion.q_dot, tape.q_dot[row, border])
-        copy(motion.xi, tape.xi[row, border])
-        copy(motion.state, tape.state[row, border])
-        tape.clock[row, border] = motion.clock[0]
+        copy_motion(motion, motion_at(tape, row, border))
 
 
 @kernel

@@ -24,6 +24,18 @@ def filter_state(effects, state):
     return state[effects.first_state[i] : effects.first_state[i + 1]]
 
 
+@kernel(refcount=True)
+def queue_of(own, tendons):
+    """Times of arrival and commands on their way (room, 1 + n_a), of the filter's internal state."""
+    return own[2 * tendons :].reshape(-1, 1 + tendons)
+
+
+@kernel(inline=True)
+def has_arrived_by(time):
+    """Time [s] of arrival up to which a command acts at a time [s]."""
+    return time + EARLY + ROUND_OFF * abs(time)
+
+
 @kernel
 def receive(effects, command, begins, time, state, acting, until):
     """Writes the command that has arrived into `acting` (n_a) where one (n_a) is given, from this time [s] on if it `begins`, and into
@@ -51,7 +63,7 @@ def queue(delay, begins, time, own, acting, until):
     Where there is room, one that repeats the last one is kept too: it has a derivative of its own.
     """
     tendons, arrival, count = acting.size, time + delay, 0
-    last, waiting = own[tendons : 2 * tendons], own[2 * tendons :].reshape(-1, 1 + tendons)
+    last, waiting = own[tendons : 2 * tendons], queue_of(own, tendons)
     while count < len(waiting) and waiting[count, 0] < NEVER:
         count += 1
     is_new = begins and differ(last if count == 0 else waiting[count - 1, 1:], acting)
@@ -67,7 +79,7 @@ def queue(delay, begins, time, own, acting, until):
         waiting[count, 0] = arrival
         copy(acting, waiting[count, 1:])
         count += 1
-    while count > 0 and waiting[0, 0] <= time + EARLY + ROUND_OFF * abs(time):
+    while count > 0 and waiting[0, 0] <= has_arrived_by(time):
         copy(waiting[0, 1:], last)
         count -= 1
         leave(0, count, waiting)
@@ -119,19 +131,33 @@ def settling_time(path, own, acting):
 
 
 @kernel
-def lagged(path, u, command, step):
-    """u after a time [s] towards a command that is held, exactly, and its mean over that time."""
-    away, limited = command - u, 0.0
+def limited_time(path, away, step):
+    """For how much of a time [s] the rate is limited, and what the lag leaves over the rest of it of how far u is away."""
+    limited = 0.0
     slow = path.rate_limit * path.time_constant if path.time_constant > 0.0 else 0.0  # nearer than this the rate is below its limit
     if abs(away) > slow and path.rate_limit < math.inf:
         limited = min((abs(away) - slow) / path.rate_limit, step)
-    kink = u + math.copysign(path.rate_limit * limited, away) if limited > 0.0 else u
     rest = step - limited
-    end = command + (kink - command) * math.exp(-rest / path.time_constant) if path.time_constant > 0.0 else kink
-    if step == 0.0:
-        return u, u
-    area = 0.5 * limited * (u + kink) + rest * command + path.time_constant * (kink - end)
-    return end, area / step
+    return limited, math.exp(-rest / path.time_constant) if path.time_constant > 0.0 else 1.0 if rest == 0.0 else 0.0
+
+
+@kernel
+def lagged(path, u, command, step):
+    """u after a time [s] towards a command that is held, exactly."""
+    away = command - u
+    limited, left = limited_time(path, away, step)
+    kink = u + math.copysign(path.rate_limit * limited, away) if limited > 0.0 else u
+    return u if step == 0.0 else command + (kink - command) * left
+
+
+@kernel
+def lag_slopes(path, away, step):
+    """Derivatives by u of lagged(), and of its mean over the time; those by the command are what is left to 1. Without a lag the command
+    is the mean, and u stays."""
+    if not path.lags:
+        return 1.0, 0.0
+    limited, left = limited_time(path, away, step)
+    return left, (limited + path.time_constant * (1.0 - left)) / step
 
 
 @kernel(refcount=True)
@@ -142,7 +168,7 @@ def command_at(effects, acting, state, since, out):
         return acting
     first = effects.first_state[effects.transmission.filter]
     for i in range(acting.size):
-        out[i] = lagged(effects.transmission, state[first + i], acting[i], since)[0]
+        out[i] = lagged(effects.transmission, state[first + i], acting[i], since)
     return out
 
 
@@ -152,7 +178,7 @@ def follow(effects, acting, step, state):
     if effects.transmission.lags:
         first = effects.first_state[effects.transmission.filter]
         for i in range(acting.size):
-            state[first + i] = lagged(effects.transmission, state[first + i], acting[i], step)[0]
+            state[first + i] = lagged(effects.transmission, state[first + i], acting[i], step)
 
 
 @kernel
@@ -160,7 +186,7 @@ def rest_filter(effects, command, state):
     """The filter's part of the internal states where a command (n_a) has always been held."""
     if effects.transmission.filter >= 0:
         own, tendons = filter_state(effects, state), command.size
-        waiting = own[2 * tendons :].reshape(-1, 1 + tendons)
+        waiting = queue_of(own, tendons)
         copy(command, own[:tendons])
         copy(command, own[tendons : 2 * tendons])
         for k in range(len(waiting)):

@@ -37,11 +37,6 @@ TILE = 4  # columns that are multiplied together, so that every number is loaded
 
 @kernel(inline=True)
 def _load_tile(columns, at, m):
-    return load(columns, at[0] + m), load(columns, at[1] + m), load(columns, at[2] + m), load(columns, at[3] + m)
-
-
-@kernel(inline=True)
-def _load_wide_tile(columns, at, m):
     return load_wide(columns, at[0] + m), load_wide(columns, at[1] + m), load_wide(columns, at[2] + m), load_wide(columns, at[3] + m)
 
 
@@ -54,12 +49,6 @@ def _tile_starts(tile, n, per_column):
 
 @kernel(inline=True)
 def _zero_tile():
-    zero = spread(0.0)
-    return zero, zero, zero, zero
-
-
-@kernel(inline=True)
-def _zero_wide_tile():
     zero = spread_wide(0.0)
     return zero, zero, zero, zero
 
@@ -120,10 +109,10 @@ def gram_within(columns, others, weight, rows, first, last, packs, out):
         for tile_j in range(tile_i + 1):
             begin_j, end_j = _reach(tile_j, first, last)
             at_j = _tile_starts(tile_j, n, per_column)
-            row_0, row_1, row_2, row_3 = _zero_wide_tile(), _zero_wide_tile(), _zero_wide_tile(), _zero_wide_tile()
+            row_0, row_1, row_2, row_3 = _zero_tile(), _zero_tile(), _zero_tile(), _zero_tile()
             for group in range(max(begin, begin_i, begin_j) * rows.groups, min(end, end_i, end_j) * rows.groups):
                 for m in range(group * rows.size, group * rows.size + rows.used, WIDE):
-                    w, x, y = load_wide(weight, m), _load_wide_tile(columns, at_i, m), _load_wide_tile(others, at_j, m)
+                    w, x, y = load_wide(weight, m), _load_tile(columns, at_i, m), _load_tile(others, at_j, m)
                     row_0, row_1 = _add_products(row_0, w * x[0], y), _add_products(row_1, w * x[1], y)
                     row_2, row_3 = _add_products(row_2, w * x[2], y), _add_products(row_3, w * x[3], y)
             _write_row(row_0, TILE * tile_i, tile_j, out)
@@ -140,8 +129,8 @@ def project(columns, field, rows, first, last, out):
         begin, end = _reach(tile, first, last)
         at, total = _tile_starts(tile, n, per_column), _zero_tile()
         for group in range(begin * rows.groups, end * rows.groups):
-            for m in range(group * rows.size, group * rows.size + rows.used, LANES):
-                total = _add_products(total, load(field, m), _load_tile(columns, at, m))
+            for m in range(group * rows.size, group * rows.size + rows.used, WIDE):
+                total = _add_products(total, load_wide(field, m), _load_tile(columns, at, m))
         _write_sums(lane_sums(total), tile, out)
 
 
@@ -153,7 +142,6 @@ def combined_columns(Phi, q_dot, xi_dot):
         for j in range(q_dot.size):
             total = total + q_dot[j] * load(Phi, j * xi_dot.size + m)
         store(xi_dot, m, total)
-
 
 
 @kernel(inline=True)

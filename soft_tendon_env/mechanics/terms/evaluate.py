@@ -37,15 +37,6 @@ def find_strain(arm, q, tolerance, work):
 
 
 @kernel
-def configure_from_rest(arm, q, tolerance, work):
-    """Strain and poses at q on the branch that begins at the stress-free rod; as strain_from_rest()."""
-    place_base(arm, work)
-    found = strain_from_rest(arm, q, tolerance, work)
-    poses(arm.rod, work)
-    return found
-
-
-@kernel
 def drive_strained_rod(arm, u, q, q_dot, work):
     """Drive of (23) at (q, q_dot, u), poses and Jacobians in `work`, where strain_from_guess() has just left the strain at q."""
     tension = transmitted(arm, u, work)
@@ -56,26 +47,21 @@ def drive_strained_rod(arm, u, q, q_dot, work):
 
 
 @kernel
-def forces_at_strain(arm, u, q, q_dot, work):
-    """All forces of (23) at (q, q_dot, u), where strain_from_guess() has just left the strain at q; see evaluate_forces()."""
+def evaluate_forces(arm, u, q, q_dot, tolerance, work):
+    """M and all forces of (23) at (q, q_dot, u), effects at work.state and work.clock, in `work`; -1, or the block at which the strain
+    could not be found. See work.u_is_command for u."""
+    place_base(arm, work)
+    failed = strain_from_guess(arm, q, tolerance, work)
+    if failed >= 0:
+        return failed
     drive_strained_rod(arm, u, q, q_dot, work)
     bias_force(arm.rod, arm.strain, work)
     if arm.effects.count > 0:
         external_force(arm, work)
     else:
         work.load[:] = 0.0  # which another arm has filled, if it shares the workspace
-
-
-@kernel
-def evaluate_forces(arm, u, q, q_dot, tolerance, work):
-    """M and all forces of (23) at (q, q_dot, u), effects at work.state and work.clock, in `work`; -1, or the block at which the strain
-    could not be found. See work.u_is_command for u."""
-    place_base(arm, work)
-    failed = strain_from_guess(arm, q, tolerance, work)
-    if failed < 0:
-        forces_at_strain(arm, u, q, q_dot, work)
-        mass_matrix(arm.rod, arm.strain, work)
-    return failed
+    mass_matrix(arm.rod, arm.strain, work)
+    return -1
 
 
 @kernel

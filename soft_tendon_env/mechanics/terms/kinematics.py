@@ -145,12 +145,6 @@ def pose_at(field, node):
     return _gather(field, node // LANES * 12 * LANES + node % LANES)
 
 
-@kernel(inline=True)
-def start_of(interval, work):
-    """Pose of the start of an interval as numbers; after poses()."""
-    return pose_at(work.start, interval)
-
-
 @kernel
 def poses_inside(length, interval, distance, work, out):
     """Poses out (m, 4, 4) at `distance` (m,) from the start of the intervals (m,), with the strain linear between the two points."""
@@ -159,7 +153,7 @@ def poses_inside(length, interval, distance, work, out):
         xi_1, xi_2 = strains_of_part(length[i], i, part, work)
         Omega = magnus(part, xi_1, xi_2)
         R_part, r_part = exp_se3(Omega, coefficients(dot(Omega[0], Omega[0])))
-        R, r = start_of(i, work)
+        R, r = pose_at(work.start, i)
         R, r = matmul(R, R_part), plus(r, rotate(R, r_part))
         write_pose(R, r, out[m])
 

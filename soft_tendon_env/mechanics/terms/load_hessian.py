@@ -27,7 +27,7 @@ from soft_tendon_env.mechanics.algebra.lie import (
     twist_sum,
 )
 from soft_tendon_env.mechanics.algebra.linear import add_product
-from soft_tendon_env.mechanics.terms.kinematics import KAPPA, interval_operators, magnus, pose_at, start_of, twist_at
+from soft_tendon_env.mechanics.terms.kinematics import KAPPA, interval_operators, magnus, pose_at, twist_at
 from soft_tendon_env.mechanics.terms.transposed_kinematics import add_at, transposed_dexp, wrench_at_start, zanna_transposed
 
 SIZE = 12  # unknowns of an interval: the scaled strains e at its two points
@@ -80,7 +80,7 @@ def load_stress(rod, strain, part, work, out):
     for node in range(rod.length.size - 1, -1, -1):
         position, own = _node_load(rod, strain, part, node, work)
         moment, force = plus(moment, cross(position, own)), plus(force, own)
-        (R, r), (xi_1, xi_2), mu = start_of(node, work), _strains(node, work), 2.0 * KAPPA * rod.length[node]
+        (R, r), (xi_1, xi_2), mu = pose_at(work.start, node), _strains(node, work), 2.0 * KAPPA * rod.length[node]
         Omega = magnus(rod.length[node], xi_1, xi_2)
         t = transposed_dexp(Omega, coefficients(dot(Omega[0], Omega[0])), wrench_at_start(R, r, (moment, force)))
         add_at(out, place(node), zanna_transposed(-mu, xi_2, t))
@@ -91,7 +91,7 @@ def load_stress(rod, strain, part, work, out):
 def _assemble_interval(rod, node, wrench, work, D, Z):
     """Hessian D (12, 12) of an interval over the weight, but for what y makes of it; its unknowns as derivatives of Omega, Z (12, 6), over
     the weight too. Returns the operator from these to W."""
-    at, h, (R, r), (xi_1, xi_2) = place(node), rod.length[node], start_of(node, work), _strains(node, work)
+    at, h, (R, r), (xi_1, xi_2) = place(node), rod.length[node], pose_at(work.start, node), _strains(node, work)
     mu, psi = 2.0 * KAPPA * h, wrench_at_start(R, r, wrench)
     _, _, A, C, Omega, c = interval_operators(h, 1.0, mu, xi_1, xi_2, R, r)
     t = transposed_dexp(Omega, c, psi)

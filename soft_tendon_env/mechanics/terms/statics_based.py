@@ -16,55 +16,9 @@ from soft_tendon_env.mechanics.types import StaticsBased
 
 
 @kernel(inline=True)
-def add_at(field, at, x):
-    store6(field, at, twist_sum(load6(field, at), x))
-
-
-@kernel(inline=True)
 def solve_column(f, c, wrench, free):
     """Column Phi = H^-1 wrench, H^-1 = C^1/2 L^-T D^-1 L^-1 C^1/2."""
     return scaled(c, solve(f, scaled(c, wrench), free))
-
-
-@kernel
-def statics_columns(arm, strain, u, q, q_dot, work):
-    """Columns Phi_xi (31) of every coordinate, xi_dot, xi_bias and the mismatch weight (Phi_a (u - tau) - Phi_p q_p).
-
-    Of these is the drive of the implicit strain (34), G ([u; 0] - q).
-    """
-    rod, tendons = arm.rod, arm.tendons
-    strain_tension(strain, q_dot, work.tau_dot)
-    blocks = 2 * rod.packs
-    for block in range(blocks):
-        at, pack = block * 6 * LANES, block // 2
-        f, c, weight = load_factor(work.factor, block), load6(rod.root_compliance, at), load(rod.weight, block * LANES)
-        mismatch, rate = zero6(), zero6()
-        if strain.mixed:
-            for j in range(strain.active):
-                store6(work.Phi, (j * blocks + block) * 6 * LANES, zero6())
-        for i in range(tendons.size):
-            if tendons.first[i] <= pack < tendons.last[i]:
-                wrench = actuation_wrench(tendons, blocks, block, i, work)
-                mismatch = twist_sum(mismatch, twist_scaled(u[i] - work.tau[i], wrench))
-                phi = solve_column(f, c, wrench, rod.free)
-                for m in range(strain.row[i], strain.row[i + 1]):
-                    j, share = strain.coordinate[m], strain.mixing[m]
-                    column_at = (j * blocks + block) * 6 * LANES
-                    rate = twist_sum(rate, twist_scaled(share * q_dot[j], phi))
-                    if strain.mixed:
-                        add_at(work.Phi, column_at, twist_scaled(share, phi))
-                    else:
-                        store6(work.Phi, column_at, phi)
-        for j in range(strain.active, strain.size):
-            if strain.first[j] <= pack < strain.last[j]:
-                wrench = load6(strain.passive, ((j - strain.active) * blocks + block) * 6 * LANES)
-                mismatch = twist_sum(mismatch, twist_scaled(-q[j], wrench))
-                phi = solve_column(f, c, wrench, rod.free)
-                rate = twist_sum(rate, twist_scaled(q_dot[j], phi))
-                store6(work.Phi, (j * blocks + block) * 6 * LANES, phi)
-        store6(work.mismatch, at, twist_scaled(weight, mismatch))
-        store6(work.xi_dot, at, rate)
-    statics_bias(arm, strain, work)
 
 
 @kernel(inline=True)
@@ -75,40 +29,51 @@ def actuation_wrench(tendons, blocks, block, i, work):
     return twist_scaled(-load(tendons.geometry, at + 4 * LANES), wrench_column(tendons.geometry, at, t))
 
 
-@kernel
-def coordinate_wrenches(rod, tendons, law, weight, work, out):
-    """Wrenches weight [Phi_a Phi_p] of every coordinate into out, which is zero where a coordinate has none; after solve_strain."""
-    blocks = 2 * rod.packs
-    for block in range(blocks):
-        pack, own_weight = block // 2, load(weight, block * LANES)
-        if law.mixed:
-            for j in range(law.active):
-                store6(out, (j * blocks + block) * 6 * LANES, zero6())
-        for i in range(tendons.size):
-            if tendons.first[i] <= pack < tendons.last[i]:
-                wrench = twist_scaled(own_weight, actuation_wrench(tendons, blocks, block, i, work))
-                for m in range(law.row[i], law.row[i + 1]):
-                    at = (law.coordinate[m] * blocks + block) * 6 * LANES
-                    if law.mixed:
-                        add_at(out, at, twist_scaled(law.mixing[m], wrench))
-                    else:
-                        store6(out, at, wrench)
-        for j in range(law.active, law.size):
-            if law.first[j] <= pack < law.last[j]:
-                column = load6(law.passive, ((j - law.active) * blocks + block) * 6 * LANES)
-                store6(out, (j * blocks + block) * 6 * LANES, twist_scaled(own_weight, column))
+@kernel(inline=True)
+def coordinate_wrenches(arm, law, block, u, q, work):
+    """Wrenches [Phi_a Phi_p] of every coordinate at a block into work.Phi, times the weight into work.Y, and the mismatch of tensions and
+    passive wrenches, weight (Phi_a (u - tau) - Phi_p q_p), into work.mismatch; where solve_strain() has left the tangents."""
+    rod, tendons, pack, blocks = arm.rod, arm.tendons, block // 2, 2 * arm.rod.packs
+    weight, mismatch = load(rod.weight, block * LANES), zero6()
+    if law.mixed:
+        for j in range(law.active):
+            store6(work.Phi, (j * blocks + block) * 6 * LANES, zero6())
+    for i in range(tendons.size):
+        if tendons.first[i] <= pack < tendons.last[i]:
+            wrench = actuation_wrench(tendons, blocks, block, i, work)
+            mismatch = twist_sum(mismatch, twist_scaled(u[i] - work.tau[i], wrench))
+            for m in range(law.row[i], law.row[i + 1]):
+                at, column = (law.coordinate[m] * blocks + block) * 6 * LANES, wrench
+                if law.mixed:
+                    column = twist_sum(load6(work.Phi, at), twist_scaled(law.mixing[m], wrench))
+                store6(work.Phi, at, column)
+                store6(work.Y, at, twist_scaled(weight, column))
+    for j in range(law.active, law.size):
+        if law.first[j] <= pack < law.last[j]:
+            at, column = (j * blocks + block) * 6 * LANES, load6(law.passive, ((j - law.active) * blocks + block) * 6 * LANES)
+            mismatch = twist_sum(mismatch, twist_scaled(-q[j], column))
+            store6(work.Phi, at, column)
+            store6(work.Y, at, twist_scaled(weight, column))
+    store6(work.mismatch, block * 6 * LANES, twist_scaled(weight, mismatch))
 
 
 @kernel
-def coordinate_mismatch(rod, tendons, law, u, q, work):
-    """Mismatch weight (Phi_a (u - tau) - Phi_p q_p) of tensions and passive wrenches, into work.mismatch."""
-    blocks = 2 * rod.packs
+def statics_columns(arm, strain, u, q, q_dot, work):
+    """Columns Phi_xi (31) of every coordinate, xi_dot, xi_bias and the mismatch, of which is the drive of the implicit strain (34),
+    G ([u; 0] - q)."""
+    rod, blocks = arm.rod, 2 * arm.rod.packs
+    strain_tension(strain, q_dot, work.tau_dot)
     for block in range(blocks):
-        mismatch = twist_scaled(-1.0, passive_wrench(law, blocks, block, q))
-        for i in range(tendons.size):
-            if tendons.first[i] <= block // 2 < tendons.last[i]:
-                mismatch = twist_sum(mismatch, twist_scaled(u[i] - work.tau[i], actuation_wrench(tendons, blocks, block, i, work)))
-        store6(work.mismatch, block * 6 * LANES, twist_scaled(load(rod.weight, block * LANES), mismatch))
+        coordinate_wrenches(arm, strain, block, u, q, work)
+        f, c, rate = load_factor(work.factor, block), load6(rod.root_compliance, block * 6 * LANES), zero6()
+        for j in range(strain.size):
+            if strain.first[j] <= block // 2 < strain.last[j]:
+                at = (j * blocks + block) * 6 * LANES
+                phi = solve_column(f, c, load6(work.Phi, at), rod.free)
+                rate = twist_sum(rate, twist_scaled(q_dot[j], phi))
+                store6(work.Phi, at, phi)
+        store6(work.xi_dot, block * 6 * LANES, rate)
+    statics_bias(arm, strain, work)
 
 
 @kernel(inline=True)
@@ -140,7 +105,6 @@ def statics_bias(arm, strain, work):
 @kernel
 def statics_matrices(arm, strain, work):
     """Stiffness G = int Phi_xi^T (Sigma - Psi_a) Phi_xi dX = int Phi_xi^T [Phi_a Phi_p] dX (34) and D, of the columns."""
-    coordinate_wrenches(arm.rod, arm.tendons, strain, arm.rod.weight, work, work.Y)
     stiffness_matrix(arm.rod, strain, work)
     damping_matrix(arm.rod, strain, work)
 

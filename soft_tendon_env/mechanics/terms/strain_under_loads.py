@@ -32,7 +32,7 @@ from soft_tendon_env.mechanics.terms.dynamics import combined_columns, damping_m
 from soft_tendon_env.mechanics.terms.kinematics import poses
 from soft_tendon_env.mechanics.terms.load_hessian import factorise_hessian, load_stress, solve_hessian
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
-from soft_tendon_env.mechanics.terms.statics_based import coordinate_mismatch, coordinate_wrenches, rate_wrench, turning_wrench
+from soft_tendon_env.mechanics.terms.statics_based import coordinate_wrenches, rate_wrench, turning_wrench
 from soft_tendon_env.mechanics.terms.statics_newton import CONTRACTION, MAX_NEWTON, passive_wrench, strain_tension
 from soft_tendon_env.mechanics.terms.tendons import pull
 from soft_tendon_env.mechanics.types import Loaded
@@ -154,9 +154,9 @@ def loaded_columns(arm, strain, u, q, q_dot, work):
     """
     rod, tendons, law, memory, size = arm.rod, arm.tendons, strain.law, work.under_loads, work.xi.size
     strain_tension(law, q_dot, work.tau_dot)
-    coordinate_mismatch(rod, tendons, law, u, q, work)
     work.Phi[:] = 0.0
-    coordinate_wrenches(rod, tendons, law, work.unit, work, work.Phi)
+    for block in range(2 * rod.packs):
+        coordinate_wrenches(arm, law, block, u, q, work)
     for j in range(law.size):
         solve_hessian(rod, memory, work.Phi, j * size)
     combined_columns(work.Phi, q_dot, work.xi_dot)
@@ -172,7 +172,6 @@ def loaded_columns(arm, strain, u, q, q_dot, work):
 def loaded_matrices(arm, strain, work):
     """Stiffness G = int Phi^T Phi_w dX and D, of the columns."""
     law, size = strain.law, work.xi.size
-    coordinate_wrenches(arm.rod, arm.tendons, law, arm.rod.weight, work, work.Y)
     for i in range(law.size):
         project(work.Y, work.Phi[i * size : (i + 1) * size], point_rows(arm.rod), law.first, law.last, work.G[i])
     damping_matrix(arm.rod, strain, work)

@@ -120,19 +120,13 @@ def chord_lengths(rod, tendons, xi, out):
 @kernel
 def tendon_lengths(rod, tendons, work, out):
     """Lengths out (n_a) of the tendons along the rod strained by work.xi."""
-    path_lengths(tendons.geometry, tendons.first, tendons.last, rod.weight, work.xi, 2 * rod.packs, out)
-
-
-@kernel
-def path_lengths(geometry, first, last, weight, xi, blocks, out):
-    """Lengths out (n_a) of tendons in a strain field, from the arrays of rod and tendons."""
-    for i in range(out.size):
+    blocks = 2 * rod.packs
+    for i in range(tendons.size):
         total = spread(0.0)
-        for block in range(2 * first[i], 2 * last[i]):
-            geometry_at = (i * blocks + block) * 5 * LANES
-            k, p = load6(xi, block * 6 * LANES)
-            t_c = chord(geometry, geometry_at, k, p)
-            total = total + load(weight, block * LANES) * load(geometry, geometry_at + 4 * LANES) * sqrt(squared_length(t_c))
+        for block in range(2 * tendons.first[i], 2 * tendons.last[i]):
+            at, (k, p) = (i * blocks + block) * 5 * LANES, load6(work.xi, block * 6 * LANES)
+            weight = load(rod.weight, block * LANES) * load(tendons.geometry, at + 4 * LANES)
+            total = total + weight * sqrt(squared_length(chord(tendons.geometry, at, k, p)))
         out[i] = lane_sum(total)
 
 

@@ -1,6 +1,6 @@
 """From commands to tensions, see effects.Transmission: elastic tendons, and friction along them.
 
-An elastic tendon pulls with k (u - shortening), between nothing and the strength of its actuator; see motion.elastic_tendons for how it
+An elastic tendon pulls with k (u - shortening), between nothing and the strength of its actuator; see motion.implicit_tendons for how it
 enters a step.
 """
 

@@ -29,7 +29,7 @@ from soft_tendon_env.mechanics.algebra.lie import (
 )
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store6
 from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
-from soft_tendon_env.mechanics.terms.kinematics import KAPPA, load_pose, magnus, start_of, strains_of_part
+from soft_tendon_env.mechanics.terms.kinematics import KAPPA, load_pose, magnus, pose_at, strains_of_part
 from soft_tendon_env.mechanics.terms.tendons import wrench_column
 
 
@@ -140,7 +140,7 @@ def add_station_forces(length, interval, distance, force, work, wrench, stress):
         xi_1, xi_2 = strains_of_part(h, i, part, work)
         Omega = magnus(part, xi_1, xi_2)
         c = coefficients(dot(Omega[0], Omega[0]))
-        R = start_of(i, work)[0]
+        R = pose_at(work.start, i)[0]
         way = rotate(R, exp_se3(Omega, c)[1])
         at_start = rotate_back(R, cross(way, f)), rotate_back(R, f)
         if i > 0:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.mechanics.algebra.linear import factorise, row_stride, solve_positive_definite, solve_symmetric
+from soft_tendon_env.mechanics.algebra.linear import row_stride, solve_positive_definite, solve_symmetric
 
 pytestmark = pytest.mark.no_jit
 
@@ -50,7 +50,6 @@ def test_solution_of_symmetric_systems(n, is_positive):
     a, b = rng.normal(size=(n, n + 3)), rng.normal(size=(n, 4))
     a = a @ a.T - (0.0 if is_positive else 2.0 * n * np.diag(np.arange(n) == 1))
     read = np.where(np.tri(n, k=-1, dtype=bool), 1e3, a)
-    assert factorise(read.copy()) == is_positive
     x = b.copy()
     solve_symmetric(read, x)
     np.testing.assert_allclose(x, np.linalg.solve(a, b), rtol=0, atol=1e-13 * np.linalg.cond(a) * np.abs(x).max())

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
+from soft_tendon_env.mechanics.algebra.lanes import LANES, store
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
     inverse_diagonal,
     load6,
+    load21,
     load_factor,
-    multiply_upper,
     scaled,
     solve,
     solve_lower,
@@ -18,6 +18,7 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
     squared_norm,
     store6,
     store_factor,
+    symmetric_product,
 )
 
 pytestmark = pytest.mark.no_jit
@@ -26,26 +27,17 @@ LOWER = np.tril_indices(6)
 BELOW = np.tril_indices(6, -1)
 
 
-@kernel(inline=True)
-def load_symmetric(h):
-    return (
-        load(h, 0), load(h, LANES), load(h, 2 * LANES), load(h, 3 * LANES), load(h, 4 * LANES), load(h, 5 * LANES), load(h, 6 * LANES),
-        load(h, 7 * LANES), load(h, 8 * LANES), load(h, 9 * LANES), load(h, 10 * LANES), load(h, 11 * LANES), load(h, 12 * LANES),
-        load(h, 13 * LANES), load(h, 14 * LANES), load(h, 15 * LANES), load(h, 16 * LANES), load(h, 17 * LANES), load(h, 18 * LANES),
-        load(h, 19 * LANES), load(h, 20 * LANES),
-    )  # fmt: skip
-
-
 @kernel
 def products(h, b, free, factor, out):
     """The factor to `factor` (21 packs) and the products, one twist-shaped pack each, to `out`."""
-    f, x = factorise(load_symmetric(h), free), load6(b, 0)
+    own, x = load21(h, 0), load6(b, 0)
+    f = factorise(own, free)
     store_factor(factor, 0, f)
     f = load_factor(factor, 0)
     store6(out, 0, solve(f, x, free))
     store6(out, 6 * LANES, solve_lower(f, x, free))
     store6(out, 12 * LANES, solve_upper(f, x, free))
-    store6(out, 18 * LANES, multiply_upper(f, x, free))
+    store6(out, 18 * LANES, symmetric_product(own, x))
     store6(out, 24 * LANES, inverse_diagonal(f))
     store6(out, 30 * LANES, scaled(x, x))
     store(out, 36 * LANES, squared_norm(x))
@@ -77,7 +69,7 @@ def test_factor_and_products_of_positive_definite_matrices(seed, free):
         L[BELOW] = f[:15]
         np.testing.assert_allclose(L @ np.diag(1 / f[15:]) @ L.T, matrix, atol=1e-14 * np.abs(matrix).max())
         expected = [
-            np.linalg.solve(matrix, b), np.linalg.solve(L, b), np.linalg.solve(L.T, b), L.T @ b, f[15:], b * b,
+            np.linalg.solve(matrix, b), np.linalg.solve(L, b), np.linalg.solve(L.T, b), matrix @ b, f[15:], b * b,
         ]  # fmt: skip
         for one, other in zip(got, expected, strict=True):
             np.testing.assert_allclose(one, other, atol=1e-11 * np.abs(other).max())

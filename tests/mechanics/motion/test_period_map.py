@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated
-from soft_tendon_env.mechanics.motion.period_map import add_jacobian, make_period_map, matrices_of_motion, transposed_map
+from soft_tendon_env.mechanics.motion.period_map import add_jacobian, make_plan, matrices_of_motion, transposed_map
 from soft_tendon_env.mechanics.motion.scratch import make_scratch
 from soft_tendon_env.mechanics.motion.stages import evaluate_force
 from soft_tendon_env.mechanics.motion.status import OK
@@ -42,15 +42,17 @@ def test_map_is_that_of_the_extrapolated_linearly_implicit_step(scene, build):
         for part in (slice(0, 2 * n), slice(2 * n, None)):
             np.testing.assert_allclose(found[:, part], expected[:, part], atol=1e-9 * np.abs(expected[:, part]).max())
 
+    plan = make_plan(arm, 1, 1, np.zeros((n, n - 3)))
+    plan.forces[:] = np.eye(n)
     for count in (1, 3):
         coarse, fine, found = step(PERIOD / count), step(0.5 * PERIOD / count), np.zeros((2 * n, 3 * n))
-        add_jacobian(scratch.first, 0.5 * PERIOD / count, 2 * count, 2.0, np.eye(n), make_period_map(n, n), found)
-        add_jacobian(scratch.first, PERIOD / count, count, -1.0, np.eye(n), make_period_map(n, n), found)
+        add_jacobian(scratch.first, 0.5 * PERIOD / count, 2 * count, 2.0, plan, found)
+        add_jacobian(scratch.first, PERIOD / count, count, -1.0, plan, found)
         expected = (2.0 * np.linalg.matrix_power(fine, 2 * count) - np.linalg.matrix_power(coarse, count))[: 2 * n]
         close(found, expected)
-    rows, memory = [], make_period_map(n, 1)
+    rows = []
     for unit in np.eye(2 * n):
         q, v, impulse = unit[:n].copy(), unit[n:].copy(), np.zeros((2, n))
-        assert transposed_map(scratch.first, PERIOD, memory, q, v, impulse) == OK
+        assert transposed_map(scratch.first, PERIOD, scratch, q, v, impulse) == OK
         rows.append(np.concatenate([q, v, impulse.sum(axis=0)]))
     close(np.array(rows), (2.0 * step(0.5 * PERIOD) @ step(0.5 * PERIOD) - step(PERIOD))[: 2 * n])
