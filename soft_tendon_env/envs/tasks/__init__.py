@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from soft_tendon_env.envs.observation import GROUPS, HISTORY, Group
-from soft_tendon_env.envs.rewards import OWN_TERMS, TERMS, Term, TipGoal
+from soft_tendon_env.envs.rewards import OWN_TERMS, TERMS, Term
 from soft_tendon_env.envs.targets import TARGETS
 from soft_tendon_env.envs.tracking import Tracking, TrackingError, register_reward_term
 from soft_tendon_env.registration import MAX_EPISODE_STEPS, register_environment
@@ -39,7 +39,7 @@ class Task:
         reference: groups that give a controller its reference, where it observes the coordinates.
         measured_reference: groups that give a controller its reference, where a state estimator finds the coordinates.
         shapes: whether it compares whole shapes, and so needs a target that gives shapes.
-        goal: for goal-conditioned tasks, what their goals are and how they are rewarded.
+        goal: for goal-conditioned tasks, what their goals (3,) [m] are.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Task:
     reference: tuple[str, ...] = ()
     measured_reference: tuple[str, ...] = ()
     shapes: bool = False
-    goal: TipGoal | None = None
+    goal: str | None = None
 
     @property
     def terms(self) -> dict[str, Term]:
