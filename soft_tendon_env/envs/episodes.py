@@ -12,7 +12,6 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.envs.actuation import Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.contacts import NO_CONTACT, Contacts
@@ -21,12 +20,12 @@ from soft_tendon_env.envs.observation import History, Layout, Observed, RestValu
 from soft_tendon_env.envs.options import GOAL_BOUND, Options, check_fit, check_target, groups_of, resolved_scene, sensor_places
 from soft_tendon_env.envs.randomization import Measured, Sensors
 from soft_tendon_env.envs.reset_options import ResetOptions
-from soft_tendon_env.envs.rewards import GoalReward, Reward, Weight, goal_distance, goal_reward
+from soft_tendon_env.envs.rewards import Reward, Weight, goal_distance, goal_reward
 from soft_tendon_env.envs.starts import Beginning, Begun, Starts
 from soft_tendon_env.envs.target_draws import TargetDraws
 from soft_tendon_env.envs.targets import TARGETS, TargetSamples
 from soft_tendon_env.envs.tasks import STATIONS, Task
-from soft_tendon_env.envs.tracking import CONTACT_ERRORS, Tracking, norm
+from soft_tendon_env.envs.tracking import CONTACT_ERRORS, Tracking, TrackingError, norm
 from soft_tendon_env.envs.trajectories import TargetTrajectories
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
@@ -34,16 +33,13 @@ from soft_tendon_env.mechanics.motion.scratch import Motion
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.motion.tape import Tape
 from soft_tendon_env.model.build import build_model
-from soft_tendon_env.model.contact_forces import ContactForces, contact_forces
 from soft_tendon_env.model.state import State, checked_motion, state_of
 from soft_tendon_env.model.step_control import cause_of, step_control
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
-THRESHOLD = 0.01
-"""Distance within which a goal is reached, as a share of the rod's length, unless options say otherwise."""
-EVERYWHERE = 7.0
-"""Threshold, in lengths of the rod, beyond which it is asked that every goal be reached: the diagonal of the space that goals are in."""
+THRESHOLD, EVERYWHERE = 0.01, 7.0
+"""Distance within which a goal is reached, in lengths of the rod, unless options say otherwise, and that beyond which all goals are."""
 
 
 class Snapshot(NamedTuple):
@@ -78,15 +74,15 @@ class Episodes:
         stations = np.linspace(0.0, model.length, STATIONS + 1)[1:] if task.shapes else np.empty(0)
         self.arms = Arms(model, rows, self.period, stations, self.sensors, threads)
         self._contacts = Contacts(self.arms, options.contact_sections) if model.scene.effects.contact else None
-        self._measures = [*task.errors, *(CONTACT_ERRORS if self._contacts else ())]
         self._make_draws(options, task)
         self._make_actuation(options, rows)
         if task.goal is None:
             given = options.reward if isinstance(options.reward, dict) else {name: Weight(weight=own) for name, own in task.reward.items()}
             terms = {**task.terms, **{error.term: error.as_term for error in self._measures}}
             self._reward_terms = Reward(given, terms, self._strongest, model.length)
-        noise = options.randomize.noise
-        self._sensors = Sensors(noise, rows, model.tendon_count, self.sensors.size) if noise != SensorNoise() else None
+        self._sensors = (
+            Sensors(options.randomize.noise, rows, model.tendon_count, self.sensors.size) if options.randomize.of_sensors else None
+        )
         self._all, self._transmits, self._simulated = np.arange(rows, dtype=np.int64), model.arm.effects.transmission.acts, True
         self.arms.place(self._all, np.tile(self.starts.rest.q, (rows, 1)), self.start_tension)
         reading = self.arms.reading
@@ -106,9 +102,8 @@ class Episodes:
         self._courses = TargetTrajectories(self.arms, self.period, ahead, task.shapes)
         self.starts = starts = Starts(options, self.arms)
         self.limits, (self.start_tension, self.start_command, _) = starts.limits, starts.rest
-        length = self.model.length
-        self.threshold = THRESHOLD * length if options.threshold is None else options.threshold
-        away = self.threshold if task.goal is not None and self.threshold <= EVERYWHERE * length else 0.0
+        self.threshold = THRESHOLD * self.model.length if options.threshold is None else options.threshold
+        away = self.threshold if task.goal is not None and self.threshold <= EVERYWHERE * self.model.length else 0.0
         self._draws = TargetDraws(starts.setting, self._courses, self.period, not starts.drawn.redraws, away)
         self._usual = starts.beginning(options.start, self._draws.settled(options.target or TARGETS[task.target](type=task.target)))
 
@@ -119,8 +114,7 @@ class Episodes:
         self.actuation = Actuation(options, commands, self.start_command, share, rows, self.arms.substeps)
         self.actions = self.actuation.actions
         self.tension, self._applied = np.tile(self.start_tension, (rows, 1)), np.tile(self.start_command, (rows, 1))
-        self._action = np.tile(self.actuation.start_action, (rows, 1))
-        self._action_change = np.zeros_like(self._action)
+        self._action, self._action_change = np.tile(self.actuation.start_action, (rows, 1)), np.zeros_like(self.tension)
 
     def attach(self, arms: Arms) -> None:
         """Take other arms of the same model in place of the simulated ones, as measured ones: their readings have noise of their own.
@@ -143,9 +137,10 @@ class Episodes:
             raise TypeError("an environment whose arm is a robot cannot be copied: there is one robot")
         return {name: value for name, value in self.__dict__.items() if name not in ("layout", "_measures")}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._measures = [*self.task.errors, *(CONTACT_ERRORS if self._contacts else ())]
+    @cached_property
+    def _measures(self) -> list[TrackingError]:
+        """The errors of the task, and those of contact where arms can touch something."""
+        return [*self.task.errors, *(CONTACT_ERRORS if self._contacts else ())]
 
     def beginnings(self, given: Mapping[int, ResetOptions], members: Indices) -> dict[int, Beginning]:
         """How those of the rows `members` begin that are given options. Raises ConfigurationError, TypeError, ValueError."""
@@ -253,16 +248,14 @@ class Episodes:
         self.reward[self.diverged] = 0.0
 
     def _seen(self, measured: Reading | Measured, error: Array, contact: ContactReading) -> Observed:
-        asked = self._action, self.actuation.command
-        return Observed(self.arms, measured, error, self.target, *asked, contact, self._rest_values)
+        return Observed(self.arms, measured, error, self.target, self._action, self.actuation.command, contact, self._rest_values)
 
     def _contact(self, members: Indices) -> ContactReading:
         return NO_CONTACT if self._contacts is None else self._contacts.read(members)
 
     def goal_reward(self, achieved: ArrayLike, desired: ArrayLike) -> Array:
         """Rewards (...) of goals (..., 3) [m]. Raises ValueError for goals of other shapes."""
-        kind: GoalReward = "dense" if self.options.reward == "dense" else "sparse"
-        return goal_reward(goal_distance(achieved, desired), kind, self.threshold)
+        return goal_reward(goal_distance(achieved, desired), self.options.reward == "dense", self.threshold)
 
     def target_at(self, row: int, times: Array) -> TargetSamples:
         """A row's target at times (m,) [s] from the beginning of its episode."""
@@ -315,10 +308,6 @@ class Episodes:
         """The motion of a row, as Simulation has it."""
         motion = Motion(*(getattr(self.arms.rows, name)[row] for name in Motion._fields))
         return state_of(self.arms.model_of(row), motion, float(self.arms.rows.step[row]))
-
-    def contact_forces(self, row: int) -> ContactForces:
-        """Contact of a row with its obstacles now, per obstacle and along the arm. Raises ValueError where the scene has no contact."""
-        return contact_forces(self.arms.model_of(row), self.state(row))
 
     def drawn_numbers(self, row: int) -> dict[str, float]:
         """Numbers of the scene that were drawn for a row's episode, by dotted keys, as `Scene.replace` takes them."""

@@ -95,6 +95,11 @@ class Randomization(Configuration):
         """Whether applied tensions can differ from commanded ones, apart from latency."""
         return (self.tension_gain, self.tension_offset) != ((1.0, 1.0), (0.0, 0.0))
 
+    @property
+    def of_sensors(self) -> bool:
+        """Whether observations can differ from what is."""
+        return self.noise != SensorNoise()
+
 
 def _in_full(numbers: dict[str, Any]) -> dict[str, Any]:
     """Ranges by the keys that short names stand for, without those that change nothing. Raises ConfigurationError."""

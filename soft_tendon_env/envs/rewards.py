@@ -141,6 +141,6 @@ def goal_distance(achieved: ArrayLike, desired: ArrayLike) -> Array:
     return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
-def goal_reward(distance: Array, kind: GoalReward, threshold: float) -> Array:
+def goal_reward(distance: Array, dense: bool, threshold: float) -> Array:
     """Rewards (...) at distances (...) [m]: "sparse" 1 within the threshold [m], else 0; "dense" the closeness, 1/2 at 5 thresholds."""
-    return (distance <= threshold).astype(np.float64) if kind == "sparse" else closeness(distance, HALF * threshold)
+    return np.asarray(closeness(distance, HALF * threshold) if dense else distance <= threshold, dtype=np.float64)

@@ -24,7 +24,7 @@ from soft_tendon_env.tools.checks import checked_array, checked_count
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import Array
 
-MODES = {"next_step": AutoresetMode.NEXT_STEP, "same_step": AutoresetMode.SAME_STEP, "disabled": AutoresetMode.DISABLED}
+MODES = {mode.name.lower(): mode for mode in AutoresetMode}
 MOST_ROWS = 100_000
 """A row takes 0.06 to 0.26 MB, see docs/appendix/scaling.md."""
 
@@ -187,11 +187,9 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
 
 
 def _checked_mode(mode: str | AutoresetMode) -> AutoresetMode:
-    if isinstance(mode, AutoresetMode):
-        return mode
-    if not isinstance(mode, str) or mode not in MODES:
+    if not isinstance(mode, AutoresetMode) and str(mode) not in MODES:
         raise ConfigurationError([Problem(("autoreset_mode",), f"is {mode!r}: {not_among(str(mode), MODES)}")], "environment")
-    return MODES[mode]
+    return mode if isinstance(mode, AutoresetMode) else MODES[str(mode)]
 
 
 def _checked_seeds(seed: Any, rows: int) -> list[int | None]:

@@ -332,7 +332,8 @@ class Snapping:
         return SimpleNamespace(q=q, force=force, residual=float(np.abs(force).max()))
 
     def linearised(self, q, part):
-        return SimpleNamespace(compliance=1.0 / np.atleast_2d(3.0 * q**2 - 3.0), stiff=3.0 * q[0] ** 2 - 3.0)
+        stiff = 3.0 * q[0] ** 2 - 3.0
+        return SimpleNamespace(at=self.at(q, part), compliance=np.array([[1.0 / stiff]]), stiff=stiff)
 
     def stability(self, here):
         return SimpleNamespace(stable=here.stiff > 0.0, least=here.stiff, has_potential=True)

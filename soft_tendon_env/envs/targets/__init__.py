@@ -17,7 +17,6 @@ from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.contacts import ObstacleFreeSpace
 from soft_tendon_env.mechanics.types import Implicit
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.statics import rests_at_tensions
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, shown
 from soft_tendon_env.tools.types import Array
@@ -36,7 +35,6 @@ class Setting(NamedTuple):
     tension: Array  # (n_a,) [N] nearest to zero within them
     rest: Array  # (n,) coordinates in which that tension holds the arm
     response: Array  # (n_a, n) that makes tensions the coordinates in which they hold the unloaded arm, to first order
-    is_exact: bool  # whether that is so for all tensions, and no load comes to them: (34), without effects
     model: Model  # whose equilibria targets are: that of the arms, among the obstacles of the row where these are drawn
     free: ObstacleFreeSpace | None = None  # where drawn motions stay, if there are obstacles and the arm does not rest against one
 
@@ -49,7 +47,7 @@ def make_setting(arms: Arms, limits: Array, tension: Array, rest: Array) -> Sett
     else:
         unloaded = model.terms(np.zeros(model.coordinate_count), np.zeros(model.coordinate_count))
         response = np.asarray(np.linalg.solve(unloaded.stiffness, unloaded.actuation).T, dtype=np.float64)
-    return Setting(arms, limits, tension, rest, response, rests_at_tensions(model), model)
+    return Setting(arms, limits, tension, rest, response, model)
 
 
 class TargetSamples(NamedTuple):

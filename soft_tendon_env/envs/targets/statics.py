@@ -98,7 +98,7 @@ def shape_course(
     reach = share * (setting.limits - middle[:, None])
     offset = generator.uniform(reach[:, 0], reach[:, 1], (count, middle.size))
     if setting.free is not None:
-        setting = setting._replace(model=setting.free.model, is_exact=rests_at_tensions(setting.free.model))
+        setting = setting._replace(model=setting.free.model)
     for halvings in range(HALVINGS + 1):
         try:
             course = StaticCourse(setting, motion(middle + 0.5**halvings * offset), MARGIN)
@@ -143,7 +143,7 @@ class StaticCourse(ShapeCourse):
     def __init__(self, setting: Setting, tension: Tensions, margin: float = 1.0) -> None:
         """margin: part of the coordinates that should have a strain too, above 1 for drawn ones. Raises NoEquilibrium."""
         self.tension, self._response = tension, setting.response
-        self._added = None if setting.is_exact else self._loaded(setting)
+        self._added = None if rests_at_tensions(setting.model) else self._loaded(setting)
         pulls = margin > 1.0 and setting.limits.min() >= 0.0  # so that there is a strain, and one alone, between knots too
         places = tension.knots if pulls else self.places
         if not (firm := setting.arms.are_firm(margin * self.coordinates(places)[0])).all():

@@ -93,9 +93,8 @@ def register_task(task: Task, max_episode_steps: int = MAX_EPISODE_STEPS) -> Tas
         f"not call a group {HISTORY!r}, which is what the option of that name adds": HISTORY not in task.groups,
         "have the observation 'full', the default": "full" in task.observations,
     }
-    for rule, holds in rules.items():
-        if not holds:
-            raise ValueError(f"the task {task.name} should {rule}")
+    if broken := [rule for rule, holds in rules.items() if not holds]:
+        raise ValueError(f"the task {task.name} should {broken[0]}")
     named: dict[str, tuple[Iterable[str], Mapping[str, object]]] = {
         "target": ([task.target], TARGETS),
         **{f"observations[{choice!r}]": (groups, task.observable) for choice, groups in task.observations.items()},
