@@ -14,7 +14,7 @@ def angle_between_axes(tracking):
 
 
 POINTING = TrackingError("pointing_error", "pointing", "angle between the x axes of tip and target [rad]", 0.2, angle_between_axes)
-AXIS = Group("the tip's x axis, world frame", lambda sizes: 3, lambda observed: observed.tip_pose[:, :3, 0], lambda units, sizes: 1.0)
+AXIS = Group("the tip's x axis, world frame", lambda observed: observed.tip_pose[:, :3, 0])
 
 POINT = register_task(
     Task(

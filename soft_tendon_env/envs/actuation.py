@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from soft_tendon_env.control.smith_predictor import whole_periods
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.options import Options
-from soft_tendon_env.envs.randomization import Draw
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
@@ -70,7 +69,7 @@ class Actuation:
         self.substeps, self._share, self._period = substeps, share, options.control_period
         self.start_action = self.actions.action(start, start)
         self.command = np.tile(start, (rows, 1))
-        self.imperfect = options.randomize.of_actuators
+        self._randomize, self.imperfect = options.randomize, options.randomize.of_actuators
         self.gain, self.offset = np.ones((rows, start.size)), np.zeros((rows, start.size))
         latency, most = options.randomize.latency[1], MOST_LATENCY * options.control_period
         if latency > most:
@@ -80,13 +79,15 @@ class Actuation:
         self.in_transit = np.tile(start, (rows, self._kept, 1)) if latency else None
         self._periods_late, self._durations = np.zeros(rows, dtype=np.int64), np.tile([0.0, self._period], (rows, 1))
 
-    def begin(self, row: int, draw: Draw, command: Array) -> None:
-        """A new episode of a row under a command (n_a,), held since long before."""
-        self.command[row], self.gain[row], self.offset[row] = command, draw.gain, self._share * draw.offset
+    def begin(self, row: int, generator: np.random.Generator, command: Array) -> None:
+        """A new episode of a row under a command (n_a,), held since long before; its actuators are drawn, always in the same order."""
+        drawn, self.command[row] = self._randomize, command
+        self.gain[row] = generator.uniform(*drawn.tension_gain, command.size)
+        self.offset[row] = self._share * generator.uniform(*drawn.tension_offset, command.size)
+        self._periods_late[row], rest = whole_periods(generator.uniform(*drawn.latency), self._period)
+        self._durations[row] = rest, self._period - rest
         if self.in_transit is not None:
             self.in_transit[row] = command
-            self._periods_late[row], rest = whole_periods(draw.latency, self._period)
-            self._durations[row] = rest, self._period - rest
 
     def delay(self, row: int) -> float:
         """Time [s] by which a row's commands are late."""
@@ -94,15 +95,12 @@ class Actuation:
 
     def acting(self, command: Array, row: int) -> Array:
         """Commands (..., n_a) with the errors of a row's actuators; a tendon that can only pull goes slack."""
-        return self._erring(command, self.gain[row], self.offset[row])
+        return np.asarray(np.maximum(self.gain[row] * command + self.offset[row], self.slack))
 
     @property
     def slack(self) -> Array:
         """Commands (n_a,) below which actuators that err do not go: 0 where a tendon can only pull."""
         return np.minimum(self.actions.least, 0.0)
-
-    def _erring(self, command: Array, gain: Array, offset: Array) -> Array:
-        return np.asarray(np.maximum(gain * command + offset, self.slack))
 
     def commanded(self, acting: Array, row: int) -> Array:
         """Commands (..., n_a) of which a row's actuators make `acting` (..., n_a): the inverse of `acting`, where there is one."""
@@ -134,5 +132,5 @@ class Actuation:
             self.in_transit[members, -1] = self.command[members]
             acting, durations = self.in_transit[self.arriving], self._durations
         if self.imperfect:
-            acting = self._erring(acting, self.gain[:, None], self.offset[:, None])
+            acting = np.maximum(self.gain[:, None] * acting + self.offset[:, None], self.slack)
         return acting, durations

@@ -105,12 +105,9 @@ class Arms:
         """Derivatives of a scalar by what went into the period on the tape, of the rows `members`: given those by the state after it and by
         what was read of it, those by the state before it, in their place, and by its commands; see Cotangents.
 
-        They are approximate, see mechanics.motion.adjoint: of the continuous motion, to second order in the length of a piece; at
-        kinks of contact, of the side that the middle of the piece is on, at slack that of its end. Their errors by arm and effect:
-        docs/appendix/derivatives_measured.md. What is read is not overwritten. Rows whose step had failed get zeros.
-
-        Raises ValueError where rows have got another arm since, and as `check_adjoint`; LinAlgError, which names a row, where its
-        motion has no derivative.
+        They are approximate, see mechanics.motion.adjoint; their errors: docs/appendix/derivatives_measured.md. Rows whose step had failed
+        get zeros. Raises ValueError where rows have got another arm since, and as `check_adjoint`; LinAlgError, which names a row, where
+        its motion has no derivative.
         """
         self.check_adjoint()
         changed = members[tape.material[members] != self._changes[members]]
@@ -119,13 +116,9 @@ class Arms:
         if self._adjoint_memory is None:
             rate = linear_rate(self.model)
             self._adjoint_memory = [make_adjoint_memory(self.model.arm, rate) for _ in range(self.threads)]
-        memories, scheme = self._adjoint_memory, self._scheme
-
-        def go_back(part: Indices, scratch: Scratch) -> None:
-            memory = memories[self._scratch.index(scratch)]
-            adjoint_rows(self._batch, scheme, tape, part, cotangents, scratch, memory)
-
-        self.share(go_back, members, HEAD_START)
+        memories = {id(scratch): memory for scratch, memory in zip(self._scratch, self._adjoint_memory, strict=True)}
+        own = self._batch, self._scheme, tape
+        self.share(lambda part, scratch: adjoint_rows(*own, part, cotangents, scratch, memories[id(scratch)]), members, HEAD_START)
         failed = members[cotangents.status[members] != OK]
         if failed.size:
             cause = MESSAGES[int(cotangents.status[failed[0]])]
@@ -153,10 +146,8 @@ class Arms:
         if self.threads == 1 or members.size < self.threads + head_start:
             work(members, self._scratch[0])
             return
-        pool = self._own_pool()
-        if pool is None:
-            pool = ThreadPoolExecutor(self.threads - 1)
-            self._pool = os.getpid(), pool
+        pool = self._own_pool() or ThreadPoolExecutor(self.threads - 1)
+        self._pool = os.getpid(), pool
         shared = members.size - head_start
         borders = [head_start + shared * i // self.threads for i in range(1, self.threads + 1)]
         parts = zip(borders[:-1], borders[1:], self._scratch[1:], strict=True)
@@ -173,16 +164,14 @@ class Arms:
         """
         arm, where = self.model.arm, self.places if places is None else places
         q, q_dot = np.ascontiguousarray(q), np.ascontiguousarray(q_dot)  # kernels are compiled for such
-        reading, good = batch.make_reading(self.model.arm, where, len(q)), np.zeros(len(q), dtype=bool)
-        everything = np.arange(len(q), dtype=np.int64)
-        self.share(lambda part, scratch: batch.read_samples(arm, where, q, q_dot, part, scratch.work, reading, good), everything)
+        reading, good = batch.make_reading(arm, where, len(q)), np.zeros(len(q), dtype=bool)
+        self.share(lambda part, scratch: batch.read_samples(arm, where, q, q_dot, part, scratch.work, reading, good), np.arange(len(q)))
         return reading, good
 
     def are_firm(self, q: Array) -> NDArray[np.bool_]:
         """Whether the scene's arm has firm strains, see mechanics.strain, at coordinates q (samples, n): (samples,)."""
         q, firm = np.ascontiguousarray(q), np.zeros(len(q), dtype=bool)
-        everything = np.arange(len(q), dtype=np.int64)
-        self.share(lambda part, scratch: batch.are_firm(self.model.arm, q, part, scratch.work, firm), everything)
+        self.share(lambda part, scratch: batch.are_firm(self.model.arm, q, part, scratch.work, firm), np.arange(len(q)))
         return firm
 
     def set_model(self, row: int, model: Model) -> None:

@@ -15,12 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 from soft_tendon_env.envs.actuation import Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.contacts import NO_CONTACT, Contacts
-from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, Sizes, stress_free_strain, units_of
+from soft_tendon_env.envs.kernels import ContactReading
+from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, stress_free_strain, units_of
 from soft_tendon_env.envs.options import GOAL_BOUND, Options, check_fit, check_target, groups_of, resolved_scene, sensor_places
 from soft_tendon_env.envs.randomization import Measured, Sensors
 from soft_tendon_env.envs.reset_options import ResetOptions
-from soft_tendon_env.envs.rewards import Reward, Weight
-from soft_tendon_env.envs.starts import Beginning, Starts
+from soft_tendon_env.envs.rewards import Reward, Weight, goal_distance, goal_reward
+from soft_tendon_env.envs.starts import Beginning, Begun, Starts
 from soft_tendon_env.envs.target_draws import TargetDraws
 from soft_tendon_env.envs.targets import TARGETS, TargetSamples
 from soft_tendon_env.envs.tasks import STATIONS, Task
@@ -32,16 +33,13 @@ from soft_tendon_env.mechanics.motion.scratch import Motion
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.motion.tape import Tape
 from soft_tendon_env.model.build import build_model
-from soft_tendon_env.model.contact_forces import ContactForces, contact_forces
 from soft_tendon_env.model.state import State, checked_motion, state_of
 from soft_tendon_env.model.step_control import cause_of, step_control
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
-THRESHOLD = 0.01
-"""Distance within which a goal is reached, as a share of the rod's length, unless options say otherwise."""
-EVERYWHERE = 7.0
-"""Threshold, in lengths of the rod, beyond which it is asked that every goal be reached: the diagonal of the space that goals are in."""
+THRESHOLD, EVERYWHERE = 0.01, 7.0
+"""Distance within which a goal is reached, in lengths of the rod, unless options say otherwise, and that beyond which all goals are."""
 
 
 class Snapshot(NamedTuple):
@@ -60,59 +58,63 @@ class Episodes:
     After `begin` or `step`: `errors` (name to (rows,)), `terms` (likewise), `reward` (rows,), `diverged` (rows,);
     `observation()` and `info()` make what environments return. `step_count` (rows,), `tension` (rows, n_a) [N] applied at last and
     `target` (TargetSamples of rows, 1 + previews, `ahead` (1 + previews,) [s] of now) are the present ones, and `observed` what the
-    observation is made of; `history` keeps what was observed, if the options ask for it. `starts` makes beginnings of arms, `actuation`
-    commands of actions, `sensors` (s,) [m] are the arc lengths of strain sensors. `arms.reading` and `arms.rows` are written in place at
-    every step; `last` is what `remember` kept.
+    observation is made of. `arms.reading` and `arms.rows` are written in place at every step; `last` is what `remember` kept.
+
+    From the options: `limits` of tensions (n_a, 2) [N], `start_tension` (n_a,) [N] at reset and `start_command` (n_a,) that holds it,
+    `sensors` (s,) arc lengths [m] of strain sensors, `goal_bound` the largest coordinate [m] of goals, `threshold` [m] of reached ones.
     """
 
     def __init__(self, task: Task, options: Options, rows: int, threads: int | None = None) -> None:
-        """Raises ConfigurationError where the options do not fit the task or the scene.
-
-        Attributes made here: `limits` of tensions (n_a, 2) [N], `start_tension` (n_a,) [N] at reset and `start_command` (n_a,) that holds
-        it, `actions` the action scaling, `goal_bound` the largest coordinate [m] of goals, `threshold` the distance [m] within which one is
-        reached.
-        """
+        """Raises ConfigurationError where the options do not fit the task or the scene."""
         scene = resolved_scene(options)
         check_fit(options, task, scene)
         self.task, self.options, self.size, self.period = task, options, rows, options.control_period
         self.model = model = build_model(scene)
-        self.sensors = sensor_places(options, scene)
+        self.goal_bound, self.sensors = GOAL_BOUND * model.length, sensor_places(options, scene)
         stations = np.linspace(0.0, model.length, STATIONS + 1)[1:] if task.shapes else np.empty(0)
         self.arms = Arms(model, rows, self.period, stations, self.sensors, threads)
-        ahead = [0, *(round(time / self.period) for time in options.preview)]
-        self.ahead = self.period * np.array(ahead, dtype=np.float64)
-        self._courses = TargetTrajectories(self.arms, self.period, ahead, task.shapes)
-        self.starts = starts = Starts(options, self.arms)
-        self.threshold = THRESHOLD * model.length if options.threshold is None else options.threshold
-        away = self.threshold if task.goal is not None and self.threshold <= EVERYWHERE * model.length else None
-        self._draws = TargetDraws(starts.setting, self._courses, self.period, not starts.drawn.redraws, away)
-        target = self._draws.settled(options.target or TARGETS[task.target](type=task.target))
-        self._usual = starts.beginning(options.start, target)
-        self.limits, self.start_tension, self.start_command = starts.limits, starts.tension, starts.command
-        self.goal_bound = GOAL_BOUND * model.length
         self._contacts = Contacts(self.arms, options.contact_sections) if model.scene.effects.contact else None
-        commands = model.scene.effects.command_limits(self.limits)
-        share, self._strongest = np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0], np.abs(commands).max(axis=1)
-        self.actuation = Actuation(options, commands, self.start_command, share, rows, self.arms.substeps)
-        self.actions = self.actuation.actions
+        self._make_draws(options, task)
+        self._make_actuation(options, rows)
         if task.goal is None:
             given = options.reward if isinstance(options.reward, dict) else {name: Weight(weight=own) for name, own in task.reward.items()}
             terms = {**task.terms, **{error.term: error.as_term for error in self._measures}}
             self._reward_terms = Reward(given, terms, self._strongest, model.length)
-        noise = options.randomize.noise if options.randomize.of_sensors else None
-        self._sensors = Sensors(noise, rows, model.tendon_count, self.sensors.size) if noise is not None else None
-        self.history = History(rows, options.history, self.layout.kept) if options.history else None
+        self._sensors = (
+            Sensors(options.randomize.noise, rows, model.tendon_count, self.sensors.size) if options.randomize.of_sensors else None
+        )
         self._all, self._transmits, self._simulated = np.arange(rows, dtype=np.int64), model.arm.effects.transmission.acts, True
-        self.arms.place(self._all, np.tile(starts.q, (rows, 1)), self.start_tension)
-        self._rest_values = RestValues(self.arms.reading.tendon_length[0].copy(), stress_free_strain(scene, self.sensors))
+        self.arms.place(self._all, np.tile(self.starts.rest.q, (rows, 1)), self.start_tension)
+        reading = self.arms.reading
+        self._rest_values = RestValues(reading.tendon_length[0].copy(), stress_free_strain(scene, self.sensors))
         self.step_count: Indices = np.zeros(rows, dtype=np.int64)
-        self.tension, self._applied = np.tile(self.start_tension, (rows, 1)), np.tile(self.start_command, (rows, 1))
-        self._action = np.tile(self.actuation.start_action, (rows, 1))
-        self._action_change = np.zeros_like(self._action)
         self.errors = {error.name: np.full(rows, np.nan) for error in self._measures}
         self.diverged, self.terms = np.zeros(rows, dtype=bool), dict[str, Array]()
-        self.target = self._courses.now_and_ahead(self.step_count, self.arms.reading.tip_pose)[0]
+        self.target, error, _ = self._courses.now_and_ahead(self.step_count, reading.tip_pose)
+        self.observed = self._seen(reading, error, self._contact(self._all))
+        self.history = History(rows, options.history, self.layout.kept) if options.history else None
         self.last: Snapshot | None = None
+
+    def _make_draws(self, options: Options, task: Task) -> None:
+        """Make what episodes begin with: starts and targets."""
+        ahead = [0, *(round(time / self.period) for time in options.preview)]
+        self.ahead = self.period * np.array(ahead, dtype=np.float64)
+        self._courses = TargetTrajectories(self.arms, self.period, ahead, task.shapes)
+        self.starts = starts = Starts(options, self.arms)
+        self.limits, (self.start_tension, self.start_command, _) = starts.limits, starts.rest
+        self.threshold = THRESHOLD * self.model.length if options.threshold is None else options.threshold
+        away = self.threshold if task.goal is not None and self.threshold <= EVERYWHERE * self.model.length else 0.0
+        self._draws = TargetDraws(starts.setting, self._courses, self.period, not starts.drawn.redraws, away)
+        self._usual = starts.beginning(options.start, self._draws.settled(options.target or TARGETS[task.target](type=task.target)))
+
+    def _make_actuation(self, options: Options, rows: int) -> None:
+        """Make the actuators, and what they did last."""
+        commands = self.model.scene.effects.command_limits(self.limits)
+        share, self._strongest = np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0], np.abs(commands).max(axis=1)
+        self.actuation = Actuation(options, commands, self.start_command, share, rows, self.arms.substeps)
+        self.actions = self.actuation.actions
+        self.tension, self._applied = np.tile(self.start_tension, (rows, 1)), np.tile(self.start_command, (rows, 1))
+        self._action, self._action_change = np.tile(self.actuation.start_action, (rows, 1)), np.zeros_like(self.tension)
 
     def attach(self, arms: Arms) -> None:
         """Take other arms of the same model in place of the simulated ones, as measured ones: their readings have noise of their own.
@@ -126,20 +128,19 @@ class Episodes:
     @cached_property
     def layout(self) -> Layout:
         """The layout of observations."""
-        model, options = self.model, self.options
-        sizes = Sizes(model.coordinate_count, model.tendon_count, self.sensors.size, len(options.preview), options.contact_sections)
-        return Layout(groups_of(options, self.task, model.scene), sizes, units_of(model, self._strongest), options.history)
-
-    @cached_property
-    def _measures(self) -> list[TrackingError]:
-        """The errors of the task, and those of contact where arms can touch something."""
-        return [*self.task.errors, *(CONTACT_ERRORS if self._contacts else ())]
+        groups = groups_of(self.options, self.task, self.model.scene)
+        return Layout(groups, units_of(self.model, self._strongest), self.observed, self.options.history)
 
     def __getstate__(self) -> dict[str, Any]:
         """All of it but what is found again, whose functions have no names. Raises TypeError."""
         if not self._simulated:
             raise TypeError("an environment whose arm is a robot cannot be copied: there is one robot")
         return {name: value for name, value in self.__dict__.items() if name not in ("layout", "_measures")}
+
+    @cached_property
+    def _measures(self) -> list[TrackingError]:
+        """The errors of the task, and those of contact where arms can touch something."""
+        return [*self.task.errors, *(CONTACT_ERRORS if self._contacts else ())]
 
     def beginnings(self, given: Mapping[int, ResetOptions], members: Indices) -> dict[int, Beginning]:
         """How those of the rows `members` begin that are given options. Raises ConfigurationError, TypeError, ValueError."""
@@ -157,11 +158,11 @@ class Episodes:
     def begin(self, members: Indices, generators: Sequence[np.random.Generator], beginnings: Mapping[int, Beginning] | None = None) -> None:
         """New episodes for the rows `members`, each drawn from its generator; `beginnings` of rows that do not begin as usual."""
         hows = [(beginnings or {}).get(row, self._usual) for row in members.tolist()]
-        rows = list(zip(members.tolist(), hows, generators, strict=True))
-        begun = {row: self.starts.begin(row, how, generator, self._draws.inside) for row, how, generator in rows}
+        rows, begun = list(zip(members.tolist(), hows, generators, strict=True)), dict[int, Begun]()
+        for row, how, generator in rows:
+            begun[row] = self.starts.begin(row, how, generator, self._draws.inside)
+            self.actuation.begin(row, generator, begun[row].shape.command)
         tension, command, q = (np.array(parts) for parts in zip(*(own.shape for own in begun.values()), strict=True))
-        for row, own in begun.items():
-            self.actuation.begin(row, own.draw, own.shape.command)
         self.arms.place(members, q, tension)
         self.step_count[members] = 0
         self._keep(members, tension, command, self.actions.action(command, command), np.zeros_like(command))
@@ -210,10 +211,11 @@ class Episodes:
             self._keep(members, tension[members], applied[members], action[members], change[members])
         self._observe(members)
 
-    def _keep(self, members: Indices, tension: Array, applied: Array, action: Array, change: Array) -> None:
-        """Keep what was applied to the rows `members` (members, n_a), in new arrays."""
-        self.tension, self._applied = _replaced(self.tension, members, tension), _replaced(self._applied, members, applied)
-        self._action, self._action_change = _replaced(self._action, members, action), _replaced(self._action_change, members, change)
+    def _keep(self, members: Indices, *new: Array) -> None:
+        """Keep tension, command, action and its change (members, n_a) of the rows `members`, in new arrays."""
+        before = self.tension, self._applied, self._action, self._action_change
+        parts = (_replaced(old, members, own) for old, own in zip(before, new, strict=True))
+        self.tension, self._applied, self._action, self._action_change = parts
 
     def _observe(self, members: Indices, moved: bool = True) -> None:
         """Compare the arms with their targets, after the rows `members` moved on or were put elsewhere: observation, errors, reward."""
@@ -226,32 +228,34 @@ class Episodes:
             measured = self._sensors.measured(reading, self.step_count, members if moved else members[:0])
             measured_error = np.empty_like(error)
             pose_errors(measured.tip_pose, self.target.tip_pose, measured_error)
-        contact = NO_CONTACT if self._contacts is None else self._contacts.read(members)
-        asked = self._action, self.actuation.command
-        self.observed = Observed(self.arms, measured, measured_error, self.target, *asked, contact, self._rest_values)
+        contact = self._contact(members)
+        self.observed = self._seen(measured, measured_error, contact)
         self._present = self.layout.present(self.observed)
-        if self.task.goal is not None:
-            reach, positions = np.float32(self.goal_bound), (measured.tip_pose[:, :3, 3], self.target_pose[:, :3, 3])
-            achieved, desired = (np.minimum(np.maximum(position.astype(np.float32), -reach), reach) for position in positions)
-            self._goals = achieved, desired  # tip positions (rows, 3) [m] as measured and as wanted, within their space
-            self._reached = self.task.goal.distance(achieved, desired) <= self.threshold
         if self.history is not None:
             self.history.keep(self._present, self.step_count if moved else np.zeros_like(self.step_count), members)
-        tracking = Tracking(self.arms, self.target, error[:, 0], off, self._applied, self._action_change, contact)
+        tracking = Tracking(self.arms, reading, error[:, 0], off[0], off[1], self.target, self._applied, self._action_change, contact)
         self.errors = {error.name: error.value(tracking) for error in self._measures}
         self.diverged = self.arms.outcome.status != OK
         if self.options.tip_speed_limit is not None:
             self.diverged |= norm(reading.tip_twist[:, 3:]) > self.options.tip_speed_limit
-        if self.task.goal is not None:
-            self.reward = self.goal_reward(*self._goals)
-        else:
+        if self.task.goal is None:
             self.terms, self.reward = self._reward_terms.of(self.errors, tracking)
+        else:
+            bound, positions = np.float32(self.goal_bound), (measured.tip_pose[:, :3, 3], self.target_pose[:, :3, 3])
+            achieved, desired = (np.minimum(np.maximum(position.astype(np.float32), -bound), bound) for position in positions)
+            self._goals = achieved, desired  # tip positions (rows, 3) [m] as measured and as wanted, within their space
+            self.reward = self.goal_reward(achieved, desired)
         self.reward[self.diverged] = 0.0
+
+    def _seen(self, measured: Reading | Measured, error: Array, contact: ContactReading) -> Observed:
+        return Observed(self.arms, measured, error, self.target, self._action, self.actuation.command, contact, self._rest_values)
+
+    def _contact(self, members: Indices) -> ContactReading:
+        return NO_CONTACT if self._contacts is None else self._contacts.read(members)
 
     def goal_reward(self, achieved: ArrayLike, desired: ArrayLike) -> Array:
         """Rewards (...) of goals (..., 3) [m]. Raises ValueError for goals of other shapes."""
-        assert self.task.goal is not None
-        return self.task.goal.reward(achieved, desired, "dense" if self.options.reward == "dense" else "sparse", self.threshold)
+        return goal_reward(goal_distance(achieved, desired), self.options.reward == "dense", self.threshold)
 
     def target_at(self, row: int, times: Array) -> TargetSamples:
         """A row's target at times (m,) [s] from the beginning of its episode."""
@@ -285,7 +289,7 @@ class Episodes:
         info["diverged"] = self.diverged
         info["rejected_steps"] = self.arms.outcome.rejected.copy()
         if self.task.goal:
-            info["is_success"] = self._reached.copy()
+            info["is_success"] = goal_distance(*self._goals) <= self.threshold
         return info
 
     def remember(self) -> None:
@@ -304,10 +308,6 @@ class Episodes:
         """The motion of a row, as Simulation has it."""
         motion = Motion(*(getattr(self.arms.rows, name)[row] for name in Motion._fields))
         return state_of(self.arms.model_of(row), motion, float(self.arms.rows.step[row]))
-
-    def contact_forces(self, row: int) -> ContactForces:
-        """Contact of a row with its obstacles now, per obstacle and along the arm. Raises ValueError where the scene has no contact."""
-        return contact_forces(self.arms.model_of(row), self.state(row))
 
     def drawn_numbers(self, row: int) -> dict[str, float]:
         """Numbers of the scene that were drawn for a row's episode, by dotted keys, as `Scene.replace` takes them."""

@@ -41,15 +41,12 @@ class RowRenderer:
     """Remembers where the tips have been and draws rows."""
 
     def __init__(self, episodes: Episodes) -> None:
-        self._episodes, self._renderer = episodes, ArmRenderer(episodes.model)
+        self._episodes = episodes
+        self._renderer: ArmRenderer | None = ArmRenderer(episodes.model)
         self._trails: list[list[Array]] = [[] for _ in range(episodes.size)]
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderer": None}  # a figure cannot be copied
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._renderer = ArmRenderer(self._episodes.model)
 
     def begin(self, members: Iterable[int]) -> None:
         """New episodes of the rows `members`."""
@@ -65,7 +62,8 @@ class RowRenderer:
 
     def frames(self) -> Frames | None:
         """A frame of each row now, (height, width, 3); None where they are seen elsewhere."""
-        return tuple(self._renderer.frame(self._picture(row)) for row in range(self._episodes.size))
+        renderer = self._renderer = self._renderer or ArmRenderer(self._episodes.model)
+        return tuple(renderer.frame(self._picture(row)) for row in range(self._episodes.size))
 
     def close(self) -> None:
         """Nothing is to be shown any more."""

@@ -37,7 +37,8 @@ class RestValues(NamedTuple):
 class Observed:
     """Quantities that observation groups are computed from, rows first; measured quantities carry the sensors' noise.
 
-    Of what is made of others nothing is computed that no group asks for.
+    Made of these: `q` and `q_dot` (rows, n), `tip_pose` (rows, 4, 4) as measured, `tip_twist` (rows, 6) in the tip's frame, and
+    `tendon_length` (rows, n_a) [m] as measured, `target_length` of targets made of tensions, less those at rest without tension.
     """
 
     arms: Arms
@@ -51,43 +52,27 @@ class Observed:
 
     @property
     def q(self) -> Array:
-        """(rows, n)."""
         return self.arms.rows.q
 
     @property
     def q_dot(self) -> Array:
-        """(rows, n)."""
         return self.arms.rows.q_dot
 
     @property
     def tip_pose(self) -> Array:
-        """(rows, 4, 4) measured."""
         return self.measured.tip_pose
 
     @property
     def tip_twist(self) -> Array:
-        """(rows, 6) body twist."""
         return self.arms.reading.tip_twist
 
     @property
     def tendon_length(self) -> Array:
-        """(rows, n_a) [m] measured, less the length at rest without tension."""
         return self.measured.tendon_length - self.rest.tendon_length
 
     @property
     def target_length(self) -> Array:
-        """(rows, n_a) [m] of targets made of tensions, likewise."""
         return self.target.tendon_length[:, 0] - self.rest.tendon_length
-
-
-class Sizes(NamedTuple):
-    """Numbers of coordinates, tendons, sensors, previews and contact sections, on which the sizes of groups depend."""
-
-    coordinates: int
-    tendons: int
-    sensors: int
-    previews: int
-    sections: int
 
 
 class Units(NamedTuple):
@@ -101,16 +86,15 @@ class Units(NamedTuple):
 
 @dataclass(frozen=True)
 class Group:
-    """An observation group: what it is, its size, its values (rows, size), and the units (size) or () that they are divided by.
+    """An observation group: what it is, its values (rows, size), and the units that they are divided by, as many or a part that repeats.
 
     of_shape: it is of targets that are shapes; of_target: of a target that goal-conditioned tasks give as a goal instead; of_contact: of
     obstacles, which the scene then needs; of_arm: measured of the arm, or asked of it, which is what a history keeps.
     """
 
     description: str
-    size: Callable[[Sizes], int]
     values: Callable[[Observed], Array]
-    unit: Callable[[Units, Sizes], Array | float]
+    unit: Callable[[Units], Any] = lambda units: 1.0
     bound: float = CLIP
     of_shape: bool = False
     of_target: bool = False
@@ -118,16 +102,16 @@ class Group:
     of_arm: bool = False
 
 
-def _twist_unit(units: Units, sizes: Sizes) -> Array:
+def _twist_unit(units: Units) -> Array:
     return np.repeat([5.0, 5.0 * units.length], 3)
 
 
-def _error_unit(units: Units, sizes: Sizes) -> Array:
+def _error_unit(units: Units) -> Array:
     return np.repeat([0.5, 0.1 * units.length], 3)
 
 
-def _strain_unit(units: Units, sizes: Sizes) -> Array:
-    return np.tile(np.repeat([1.0 / units.length, 0.1], 3), sizes.sensors)
+def _strain_unit(units: Units) -> Array:
+    return np.repeat([1.0 / units.length, 0.1], 3)
 
 
 def _flat(values: Array) -> Array:
@@ -135,61 +119,38 @@ def _flat(values: Array) -> Array:
 
 
 GROUPS: Mapping[str, Group] = {
-    "coordinates": Group("generalised coordinates q", lambda s: s.coordinates, lambda o: o.q, lambda u, s: u.q, of_arm=True),
-    "rates": Group("their rates", lambda s: s.coordinates, lambda o: o.q_dot, lambda u, s: 10.0 * u.q, of_arm=True),
-    "tip_position": Group("tip position, world frame", lambda s: 3, lambda o: o.tip_pose[:, :3, 3], lambda u, s: u.length, of_arm=True),
-    "tip_rotation": Group(
-        "first two columns of the tip's rotation matrix: continuous, unlike angles and quaternions",
-        lambda s: 6, lambda o: _flat(o.tip_pose[:, :3, :2].swapaxes(1, 2)), lambda u, s: 1.0, of_arm=True,
+    "coordinates": Group("generalised coordinates q", lambda o: o.q, lambda u: u.q, of_arm=True),
+    "rates": Group("their rates", lambda o: o.q_dot, lambda u: 10.0 * u.q, of_arm=True),
+    "tip_position": Group("tip position, world frame", lambda o: o.tip_pose[:, :3, 3], lambda u: u.length, of_arm=True),
+    "tip_rotation": Group(  # continuous, unlike angles and quaternions
+        "first two columns of the tip's rotation matrix", lambda o: _flat(o.tip_pose[:, :3, :2].swapaxes(1, 2)), of_arm=True
     ),
-    "tip_twist": Group("tip twist, angular then linear, tip frame", lambda s: 6, lambda o: o.tip_twist, _twist_unit, of_arm=True),
-    "tendon_lengths": Group(
-        "tendon displacements: lengths less those at rest",
-        lambda s: s.tendons, lambda o: o.tendon_length, lambda u, s: 0.1 * u.length, of_arm=True,
+    "tip_twist": Group("tip twist, angular then linear, tip frame", lambda o: o.tip_twist, _twist_unit, of_arm=True),
+    "tendon_lengths": Group("tendon lengths less those at rest", lambda o: o.tendon_length, lambda u: 0.1 * u.length, of_arm=True),
+    "strain": Group(  # torsion, bending, stretch, shear
+        "strains at the sensors less the stress-free ones", lambda o: _flat(o.measured.strain - o.rest.strain), _strain_unit, of_arm=True
     ),
-    "strain": Group(
-        "strains at the sensors less the stress-free ones: torsion, bending, stretch, shear",
-        lambda s: 6 * s.sensors, lambda o: _flat(o.measured.strain - o.rest.strain), _strain_unit, of_arm=True,
-    ),
-    "strain_rate": Group(
-        "their rates", lambda s: 6 * s.sensors, lambda o: _flat(o.measured.strain_rate), lambda u, s: 10.0 * _strain_unit(u, s), of_arm=True
-    ),
-    "target_error": Group(
-        "SE(3) logarithm from tip to target, angular then linear", lambda s: 6, lambda o: o.error[:, 0], _error_unit, FAR, of_target=True
-    ),
-    "target_twist": Group(
-        "twist of the target, target frame", lambda s: 6, lambda o: o.target.tip_twist[:, 0], _twist_unit, of_target=True
-    ),
-    "preview": Group(
-        "SE(3) logarithms from the tip to the target at each preview time",
-        lambda s: 6 * s.previews, lambda o: _flat(o.error[:, 1:]), lambda u, s: np.tile(_error_unit(u, s), s.previews), FAR, of_target=True,
-    ),
-    "target_coordinates": Group(
-        "coordinates of the target less the arm's",
-        lambda s: s.coordinates, lambda o: o.target.q[:, 0] - o.q, lambda u, s: u.q, of_shape=True,
-    ),
+    "strain_rate": Group("their rates", lambda o: _flat(o.measured.strain_rate), lambda u: 10.0 * _strain_unit(u), of_arm=True),
+    "target_error": Group("SE(3) logarithm from tip to target", lambda o: o.error[:, 0], _error_unit, FAR, of_target=True),
+    "target_twist": Group("twist of the target, target frame", lambda o: o.target.tip_twist[:, 0], _twist_unit, of_target=True),
+    "preview": Group("target_error at each preview time", lambda o: _flat(o.error[:, 1:]), _error_unit, FAR, of_target=True),
+    "target_coordinates": Group("coordinates of the target less the arm's", lambda o: o.target.q[:, 0] - o.q, lambda u: u.q, of_shape=True),
     "coordinate_preview": Group(
-        "the same at each preview time",
-        lambda s: s.coordinates * s.previews, lambda o: _flat(o.target.q[:, 1:] - o.q[:, None]), lambda u, s: np.tile(u.q, s.previews),
-        of_shape=True,
+        "the same at each preview time", lambda o: _flat(o.target.q[:, 1:] - o.q[:, None]), lambda u: u.q, of_shape=True
     ),
-    "wanted_coordinates": Group(
-        "coordinates of the target, now and at each preview time: for policies that do not observe the arm's",
-        lambda s: s.coordinates * (1 + s.previews), lambda o: _flat(o.target.q), lambda u, s: np.tile(u.q, 1 + s.previews), of_shape=True,
+    "wanted_coordinates": Group(  # for policies that do not observe the arm's
+        "coordinates of the target, now and at each preview time", lambda o: _flat(o.target.q), lambda u: u.q, of_shape=True
     ),
     "target_lengths": Group(
-        "tendon lengths of the target less the arm's",
-        lambda s: s.tendons, lambda o: o.target_length - o.tendon_length, lambda u, s: 0.1 * u.length, of_shape=True,
+        "tendon lengths of the target less the arm's", lambda o: o.target_length - o.tendon_length, lambda u: 0.1 * u.length, of_shape=True
     ),
-    "last_action": Group("the last action", lambda s: s.tendons, lambda o: o.action, lambda u, s: 1.0, 1.0, of_arm=True),
-    "command": Group("tensions asked for last", lambda s: s.tendons, lambda o: o.command, lambda u, s: u.tension, 1.0, of_arm=True),
+    "last_action": Group("the last action", lambda o: o.action, bound=1.0, of_arm=True),
+    "command": Group("tensions asked for last", lambda o: o.command, lambda u: u.tension, 1.0, of_arm=True),
     "contact_force": Group(
-        "contact forces on equal sections of the arm, base to tip, world frame",
-        lambda s: 3 * s.sections, lambda o: _flat(o.contact.force), lambda u, s: u.force, FAR, of_contact=True, of_arm=True,
+        "contact forces on sections, base to tip", lambda o: _flat(o.contact.force), lambda u: u.force, FAR, of_contact=True, of_arm=True
     ),
-    "clearance": Group(
-        "clearance of equal sections of the arm, base to tip: least distance from its surface to obstacles, negative inside",
-        lambda s: s.sections, lambda o: o.contact.clearance, lambda u, s: 0.1 * u.length, of_contact=True, of_arm=True,
+    "clearance": Group(  # of its surface, negative inside
+        "least distance of sections from obstacles", lambda o: o.contact.clearance, lambda u: 0.1 * u.length, of_contact=True, of_arm=True
     ),
 }
 """The groups that every task has, by the name that options use."""
@@ -201,44 +162,36 @@ CHANGE = 0.1
 
 
 class Layout:
-    """The chosen groups side by side, and after them those of the arm as they were in the last control periods, less what they are now."""
+    """The chosen groups side by side, and after them those of the arm as they were in the last control periods, less what they are now.
 
-    def __init__(self, groups: Mapping[str, Group], sizes: Sizes, units: Units, history: int = 0) -> None:
-        """`groups` by name, in their order; `history`: control periods that are looked back.
+    `slices` of all groups by name; of what is observed now `scale` and `bound` (m,), factors and bounds of entries, and `kept`, the columns
+    that a history keeps.
+    """
 
-        Attributes made here: `groups`, `slices` of all groups, and of what is observed now `scale` and `bound` (m,), factors and bounds of
-        entries, and `kept`, the columns that a history keeps.
+    def __init__(self, groups: Mapping[str, Group], units: Units, observed: Observed, history: int = 0) -> None:
+        """groups: by name, in their order; observed: of which groups take their sizes; history: control periods that are looked back.
+
+        Raises ValueError where a group's values are not (rows, size).
         """
-        size = {name: group.size(sizes) for name, group in groups.items()}
-        ends = np.cumsum([*size.values()]).tolist()
-        self.slices = {name: slice(end - size[name], end) for name, end in zip(groups, ends, strict=True)}
-        unit = np.concatenate([np.broadcast_to(group.unit(units, sizes), size[name]) for name, group in groups.items()])
-        self.bound = np.repeat([group.bound for group in groups.values()], [*size.values()])
-        self.kept = np.flatnonzero(np.repeat([group.of_arm for group in groups.values()], [*size.values()]))
-        self.groups, self._checked, self.scale = groups, False, 1.0 / unit
+        shapes = {name: np.shape(group.values(observed)) for name, group in groups.items()}
+        for name, shape in shapes.items():
+            if len(shape) != 2 or shape[0] != len(observed.q):
+                raise ValueError(f"the observation group {name!r} should have values of shape ({len(observed.q)}, size), not {shape}")
+        self.groups, size = groups, [shape[1] for shape in shapes.values()]
+        ends = np.cumsum(size).tolist()
+        self.slices = {name: slice(end - own, end) for name, end, own in zip(groups, ends, size, strict=True)}
+        unit = np.concatenate([np.resize(group.unit(units), own) for group, own in zip(groups.values(), size, strict=True)])
+        self.scale, self.bound = 1.0 / unit, np.repeat([group.bound for group in groups.values()], size)
+        self.kept = np.flatnonzero(np.repeat([group.of_arm for group in groups.values()], size))
         if history:
             self.slices[HISTORY] = slice(ends[-1], ends[-1] + history * self.kept.size)
         self._units = np.concatenate([unit, np.tile(CHANGE * unit[self.kept], history)])
-        self._bounds = np.concatenate([self.bound, np.tile(2.0 / CHANGE * self.bound[self.kept], history)])
-
-    @property
-    def space(self) -> Box:
-        """Space of one observation."""
-        high = self._bounds.astype(np.float32)
-        return Box(-high, high, dtype=np.float32)
+        high = np.concatenate([self.bound, np.tile(2.0 / CHANGE * self.bound[self.kept], history)]).astype(np.float32)
+        self.space = Box(-high, high, dtype=np.float32)
 
     def present(self, observed: Observed) -> NDArray[np.float32]:
-        """The groups' observation now, a new array (rows, size of the groups); `kept` (m,) are its columns that a history keeps.
-
-        Raises ValueError at the first call where a group's values are not of the size that it says.
-        """
-        values, parts = np.empty((len(observed.q), self.scale.size)), [group.values(observed) for group in self.groups.values()]
-        if not self._checked:
-            for (name, where), part in zip(self.slices.items(), parts, strict=False):  # the history comes after the groups
-                if np.shape(part) != (allowed := (len(values), where.stop - where.start)):
-                    raise ValueError(f"the observation group {name!r} should have values of shape {allowed}, not {np.shape(part)}")
-            self._checked = True
-        np.concatenate(parts, axis=1, out=values)
+        """The groups' observation now, a new array (rows, size of the groups)."""
+        values = np.concatenate([group.values(observed) for group in self.groups.values()], axis=1)
         present = np.empty(values.shape, dtype=np.float32)
         scale_and_clip(values, self.scale, self.bound, present)
         return present

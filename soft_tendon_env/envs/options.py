@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Seri
 from soft_tendon_env.accuracy.fidelity import at_fidelity, checked_fidelity
 from soft_tendon_env.envs.observation import Group
 from soft_tendon_env.envs.randomization import Randomization
-from soft_tendon_env.envs.rewards import GoalReward, Weight
+from soft_tendon_env.envs.rewards import GoalReward, Weight, weights_of
 from soft_tendon_env.envs.targets import TARGETS, Target
 from soft_tendon_env.envs.targets.set_points import Hold
 from soft_tendon_env.envs.tasks import Task
@@ -21,18 +21,10 @@ from soft_tendon_env.scene.scene import Scene, TensionLimits, extrapolation_colu
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Key, Problem, not_among, shown
 from soft_tendon_env.tools.types import Array, NotNegative, Positive
 
-LEAST_PERIOD = 1e-6
-"""Shortest control period [s]."""
-MOST_SUBSTEPS = 10_000
-"""Integrator steps in a control period."""
+LEAST_PERIOD, MOST_SUBSTEPS = 1e-6, 10_000
+"""Shortest control period [s], and integrator steps in the longest one."""
 MOST_AHEAD = 10_000
 """Control periods by which a preview looks ahead: every row keeps its target for that long."""
-MOST_HISTORY = 1_000
-"""Control periods that are looked back: every row keeps its observations for that long."""
-MOST_SENSORS = 10_000
-MOST_SECTIONS = 1_000
-LEAST_DISTANCE = 1e-9
-"""Smallest threshold [m]; distances are squared in parts of it."""
 GOAL_BOUND = 2.0
 """Largest coordinate of goals in the world frame, in lengths of the rod."""
 SCENES = "should be the name of a shipped scene, the path of a TOML file, a Scene, or a table, such as scene_to_dict gives"
@@ -46,13 +38,13 @@ KINDS: dict[str, tuple[Any, str]] = {
 
 
 def _target_by_name(target: Any) -> Any:
-    if not isinstance(target, str | dict):
-        return target
     settings = {"type": target} if isinstance(target, str) else target
+    if not isinstance(settings, dict):
+        return target
     kind = settings.get("type")
     if not isinstance(kind, str) or kind not in TARGETS:
-        text = f"is {shown(kind)}: {not_among(str(kind), TARGETS)}" if "type" in settings else f"is missing: {not_among('', TARGETS)}"
-        raise ConfigurationError([Problem(("type",), text)])
+        given = f"is {shown(kind)}" if "type" in settings else "is missing"
+        raise ConfigurationError([Problem(("type",), f"{given}: {not_among(str(kind), TARGETS)}")])
     return TARGETS[kind](**settings)
 
 
@@ -113,15 +105,14 @@ class Options(Configuration):
     preview: tuple[Positive, ...] = Field(
         default_factory=lambda given: tuple(max(0.1 * k, k * given.get("control_period", 0.0)) for k in (1, 2))
     )
-    history: int = Field(default=0, ge=0, le=MOST_HISTORY)
+    history: int = Field(default=0, ge=0, le=1_000)  # every row keeps its observations for that long
     sensors: Annotated[
-        Annotated[int, Field(ge=1, le=MOST_SENSORS), Tag("count")]
-        | Annotated[tuple[NotNegative, ...], Field(max_length=MOST_SENSORS), Tag("places")],
+        Annotated[int, Field(ge=1, le=10_000), Tag("count")] | Annotated[tuple[NotNegative, ...], Field(max_length=10_000), Tag("places")],
         Discriminator(lambda value: "count" if isinstance(value, int) else "places"),
     ] = ()
-    contact_sections: int = Field(default=5, ge=1, le=MOST_SECTIONS)
+    contact_sections: int = Field(default=5, ge=1, le=1_000)
     reward: dict[str, Weight] | GoalReward | None = None
-    threshold: Annotated[Positive, Field(ge=LEAST_DISTANCE)] | None = None
+    threshold: Annotated[Positive, Field(ge=1e-9)] | None = None
     randomize: Randomization = Field(default=Randomization())
     tip_speed_limit: Positive | None = None
     on_divergence: Literal["terminate", "truncate", "raise"] = "terminate"
@@ -137,25 +128,14 @@ class Options(Configuration):
     @field_validator("reward", mode="before")
     @classmethod
     def _plain_weights(cls, reward: Any) -> Any:
-        if not isinstance(reward, dict):
-            return reward
-        weights, problems = {}, []
-        for name, value in reward.items():
-            try:
-                weights[name] = Weight(**value) if isinstance(value, dict) else Weight(weight=value)
-            except ConfigurationError as error:
-                problems += [Problem((name, *key), text) for key, text in error.problems]
-        if problems:
-            raise ConfigurationError(problems)
-        return weights
+        return weights_of(reward) if isinstance(reward, dict) else reward
 
 
 class UnknownKeyword(ConfigurationError, TypeError):
     """Keyword argument that environments do not have: a TypeError too, as of any function. TorchRL tries keywords by that."""
 
     def __init__(self, problems: Iterable[Problem] | str, source: str = "environment"):
-        """problems: their text, where Gymnasium raises the error anew."""
-        super().__init__([Problem((), problems)] if isinstance(problems, str) else problems, source)
+        super().__init__([Problem((), problems)] if isinstance(problems, str) else problems, source)  # text: Gymnasium raises it anew
 
 
 def parsed_options(values: Mapping[str, Any], source: str) -> Options:
@@ -172,9 +152,9 @@ def resolved_scene(options: Options) -> Scene:
     """The scene of the options: at their fidelity, with their tension limits, and with as many columns of extrapolation as the least
     damping and the greatest stiffness allow that can be drawn, where the scene leaves them open. Raises ConfigurationError."""
     scene = at_fidelity(given_scene(options.scene), options.fidelity)
-    changes: dict[str, Any] = {}
-    if options.tension_limits is not None:
-        changes = {f"tendons.{i}.tension_limits": options.tension_limits for i in range(len(scene.tendons))}
+    limits, changes = options.tension_limits, dict[str, Any]()
+    if limits is not None:
+        changes = {f"tendons.{i}.tension_limits": limits for i in range(len(scene.tendons))}
     ends: dict[str, float] = {}
     for own in options.randomize.ranges(scene):
         if re.fullmatch(r"segments\..*\.(young_modulus|damping)", own.name):
@@ -227,20 +207,17 @@ def groups_of(options: Options, task: Task, scene: Scene) -> dict[str, Group]:
 
 
 def check_fit(options: Options, task: Task, scene: Scene) -> None:
-    """Raises ConfigurationError where options do not fit the task or the scene: also where times are so short or so long that they would be
-    rounded to something else, or fill the memory."""
+    """Raises ConfigurationError where options do not fit the task or the scene, or times would be rounded to something else."""
     period, step, length = options.control_period, scene.integrator.step, rod_length(scene)
-    if period < LEAST_PERIOD:
-        _fail("control_period", f"is {period:g}: it should be at least {LEAST_PERIOD:g} s")
-    if period > MOST_SUBSTEPS * step:
-        _fail("control_period", f"is {period:g}: it should be at most {MOST_SUBSTEPS} integrator steps of {step:g} s")
+    if not LEAST_PERIOD <= period <= MOST_SUBSTEPS * step:
+        allowed = f"at least {LEAST_PERIOD:g} s, and at most {MOST_SUBSTEPS} integrator steps of {step:g} s"
+        _fail("control_period", f"is {period:g}: it should be {allowed}")
     for i, time in enumerate(options.preview):
         if not 0.5 < time / period <= MOST_AHEAD:
             allowed = f"more than half a control period, {period / 2:g} s, and at most {MOST_AHEAD} of them, {MOST_AHEAD * period:g} s"
             _fail(f"preview[{i}]", f"is {time:g}: it should be {allowed}")
-    for sensor in sensor_places(options, scene):
-        if sensor > length:
-            _fail("sensors", f"names {sensor:g}: it should be at most the rod's length, {length:g}")
+    if (farthest := sensor_places(options, scene).max(initial=0.0)) > length:
+        _fail("sensors", f"names {farthest:g}: it should be at most the rod's length, {length:g}")
     if options.target is not None:
         check_target(options.target, task, scene)
     if options.reward is not None and (task.goal is not None) == isinstance(options.reward, dict):
@@ -268,8 +245,7 @@ def check_start(start: Start, scene: Scene) -> None:
         return
     if len(start) != len(scene.tendons):
         _fail("start", f"has {len(start)} entries: it should have one per tendon, {len(scene.tendons)}")
-    for i, (tension, tendon) in enumerate(zip(start, scene.tendons, strict=True)):
-        least, greatest = tendon.tension_limits
+    for i, (tension, (least, greatest)) in enumerate(zip(start, (own.tension_limits for own in scene.tendons), strict=True)):
         if not least <= tension <= greatest:
             _fail(f"start[{i}]", f"is {tension:g}: it should be within the limits of the tendon, {least:g} to {greatest:g} N")
 

@@ -27,32 +27,24 @@ SHORT = {
     "payload": ("effects.tip_load.mass", "offset"),
 }
 """Short names of numbers of the scene: their keys, and how they are drawn."""
-RANGE = "should be a number, or (least, greatest)"
 
 
-def _as_range(value: object) -> object:
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return value, value
-    if not (isinstance(value, tuple) and len(value) == 2):
-        raise ValueError(RANGE)
-    return value
-
-
-def _ordered(value: tuple[float, float]) -> tuple[float, float]:
-    if value[0] > value[1]:
-        raise ValueError(RANGE)
-    if max(-value[0], value[1]) > GREATEST:
+def _as_range(value: Any) -> Any:
+    ends = value if isinstance(value, tuple) else (value, value)
+    if len(ends) != 2 or not all(type(end) in (int, float) for end in ends) or not ends[0] <= ends[1]:
+        raise ValueError("should be a number, or (least, greatest)")
+    if max(-ends[0], ends[1]) > GREATEST:
         raise ValueError(f"should lie within ±{GREATEST:g}")
-    return value
+    return ends
 
 
-def _not_negative(value: tuple[float, float]) -> tuple[float, float]:
-    if value[0] < 0.0:
+def _not_negative(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] < 0.0:
         raise ValueError("should be at least 0")
-    return value
+    return ends
 
 
-Interval = Annotated[tuple[float, float], BeforeValidator(_as_range), AfterValidator(_ordered)]
+Interval = Annotated[tuple[float, float], BeforeValidator(_as_range)]
 Amount = Annotated[Interval, AfterValidator(_not_negative)]
 
 
@@ -76,18 +68,14 @@ class Randomization(Configuration):
     noise: SensorNoise = Field(default=SensorNoise())
 
     def __init__(self, /, **values: Any):
+        valid = [*type(self).model_fields, *SHORT, *TABLES]
         own = {name: value for name, value in values.items() if name in type(self).model_fields}
         table = {name: value for name, value in values.items() if name not in own}
-        valid = [*type(self).model_fields, *SHORT, *TABLES]
-        problems = [
-            Problem((name,), f"is an unknown key (given {shown(value)}): {not_among(name, valid)}")
-            for name, value in table.items()
-            if name not in SHORT and name.replace("[", ".").split(".")[0] not in TABLES
-        ]
-        if problems:
-            raise ConfigurationError(problems, type(self).__name__)
-        numbers = dotted_ranges(plain({**own.pop("numbers", {}), **table}))
-        super().__init__(**own, numbers=_in_full(numbers))
+        unknown = [name for name in table if name not in SHORT and name.replace("[", ".").split(".")[0] not in TABLES]
+        if unknown:
+            texts = {name: f"is an unknown key (given {shown(table[name])}): {not_among(name, valid)}" for name in unknown}
+            raise ConfigurationError([Problem((name,), text) for name, text in texts.items()], type(self).__name__)
+        super().__init__(**own | {"numbers": _in_full(dotted_ranges(plain({**own.get("numbers", {}), **table})))})
 
     def ranges(self, scene: Scene) -> tuple[Range, ...]:
         """The ranges of numbers of a scene, in the order of their keys. Raises ConfigurationError."""
@@ -126,24 +114,9 @@ def _in_full(numbers: dict[str, Any]) -> dict[str, Any]:
 _NOTHING = [{kind: interval} for kind, value in (("factor", 1.0), ("offset", 0.0)) for interval in (value, [value, value])]
 
 
-class Draw(NamedTuple):
-    """Errors of actuators drawn for one episode."""
-
-    gain: Array  # (n_a,)
-    offset: Array  # (n_a,) [N]
-    latency: float  # [s]
-
-
 def own_stream(generator: np.random.Generator, *purpose: int) -> np.random.Generator:
     """A generator that another one seeds, without moving it on; another one for every purpose."""
     return np.random.default_rng([*deepcopy(generator).integers(2**63, size=4), *purpose])
-
-
-def draw_actuators(randomization: Randomization, tendons: int, generator: np.random.Generator) -> Draw:
-    """Draw the actuators of an episode, always in the same order."""
-    gain = generator.uniform(*randomization.tension_gain, tendons)
-    offset = generator.uniform(*randomization.tension_offset, tendons)
-    return Draw(gain, offset, generator.uniform(*randomization.latency))
 
 
 class Measured(NamedTuple):

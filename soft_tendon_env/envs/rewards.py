@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Discriminator, Field, Tag
+from pydantic import BeforeValidator, Field
 
 from soft_tendon_env.envs.kernels import EFFORT, SMOOTHNESS, TermTable, closeness, reward_terms
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
@@ -23,6 +23,10 @@ HALF = 5.0
 Scale = Annotated[float, Field(gt=0, ge=1e-9)]
 
 
+def _as_tuple(value: Any) -> Any:
+    return value if isinstance(value, tuple | None) else (value,)
+
+
 class Weight(Configuration):
     """Weight of a term, and the error that halves it (in the error's unit; not for effort and smoothness).
 
@@ -31,29 +35,32 @@ class Weight(Configuration):
     """
 
     weight: float = Field(default=1.0, ge=0, le=1e9)
-    scale: (
-        Annotated[
-            Annotated[Scale, Tag("one")] | Annotated[tuple[Scale, ...], Field(min_length=1), Tag("several")],
-            Discriminator(lambda value: "several" if isinstance(value, list | tuple) else "one"),
-        ]
-        | None
-    ) = None
+    scale: Annotated[tuple[Scale, ...], Field(min_length=1), BeforeValidator(_as_tuple)] | None = None
+
+
+def weights_of(table: Mapping[str, Any]) -> dict[str, Weight]:
+    """Weights by term of numbers, and of tables with `weight` and `scale`. Raises ConfigurationError."""
+    weights, problems = dict[str, Weight](), list[Problem]()
+    for name, value in table.items():
+        try:
+            weights[name] = Weight(**value if isinstance(value, dict) else {"weight": value})
+        except ConfigurationError as error:
+            problems += [Problem((name, *key), text) for key, text in error.problems]
+    if problems:
+        raise ConfigurationError(problems)
+    return weights
 
 
 class Term(NamedTuple):
     """A reward term."""
 
-    description: str
-    scale: float  # by default; 0: none
     of: str | int | Callable[[Any], Array]  # name of its error; EFFORT or SMOOTHNESS; or a function of the Tracking, a user's own
+    scale: float = 0.0  # by default; 0: none
     of_length: bool = False  # whether the scale is a share of the rod's length
 
 
-TERMS: Mapping[str, Term] = {
-    "effort": Term("mean square of the tensions as parts of their limits", 0.0, EFFORT),
-    "smoothness": Term("mean square change of the action", 0.0, SMOOTHNESS),
-}
-"""The terms that every task has besides those of its errors, by the name that options use."""
+TERMS: Mapping[str, Term] = {"effort": Term(EFFORT), "smoothness": Term(SMOOTHNESS)}
+"""The terms that every task has besides those of its errors: mean square tension, as a part of the limits, and change of the action."""
 
 CONTACT_TERMS = ("penetration", "contact_force")
 """Terms of errors that there are in scenes with obstacles alone."""
@@ -69,29 +76,24 @@ class Reward:
 
         Raises ConfigurationError for other terms, scales of terms that have none, and unless one has a weight above 0.
         """
+        total = sum(weight.weight for weight in weights.values())
         problems = [Problem(("reward", name), _unknown(name, available)) for name in weights if name not in available]
         own: dict[str, Any] = {name: available[name].of for name in weights if name in available and callable(available[name].of)}
         scaled = [name for name in own if weights[name].scale]
         problems += [Problem(("reward", name, "scale"), "is of a term that has no scale: leave it out") for name in scaled]
-        total = sum(weight.weight for weight in weights.values())
-        if not total > 0.0:
-            problems.append(Problem(("reward",), "should give at least one term a weight above 0"))
+        problems += [] if total > 0.0 else [Problem(("reward",), "should give at least one term a weight above 0")]
         if problems:
             raise ConfigurationError(problems, "environment")
         self._shares, self._own = {name: weight.weight / total for name, weight in weights.items()}, own
-        self._compiled = {name: available[name] for name in weights if name not in own}
-        self._errors = [term.of for term in self._compiled.values() if isinstance(term.of, str)]
-        usual = {name: term.scale * (length if term.of_length else 1.0) for name, term in self._compiled.items()}
-        scales = [np.atleast_1d(weights[name].scale or usual[name]) for name in self._compiled]
-        codes = [self._errors.index(term.of) if isinstance(term.of, str) else term.of for term in self._compiled.values()]
-        self._table = TermTable(
-            of=np.array(codes, dtype=np.int64),
-            first=np.cumsum([0, *map(len, scales)]),
-            scale=np.concatenate([np.empty(0), *scales]),
-            weight=np.array([self._shares[name] for name in self._compiled], dtype=np.float64),
-            strongest=strongest,
-            most_change=np.full(strongest.size, 2.0),
-        )
+        compiled = self._compiled = {name: available[name] for name in weights if name not in own}
+        self._errors = [term.of for term in compiled.values() if isinstance(term.of, str)]
+        codes = [self._errors.index(term.of) if isinstance(term.of, str) else term.of for term in compiled.values()]
+        usual = {name: term.scale * (length if term.of_length else 1.0) for name, term in compiled.items()}
+        scales = [np.atleast_1d(weights[name].scale or usual[name]) for name in compiled]
+        shares = np.array([self._shares[name] for name in compiled], dtype=np.float64)
+        first, scale = np.cumsum([0, *map(len, scales)]), np.concatenate([np.empty(0), *scales])
+        of, most = np.array(codes, dtype=np.int64), np.full(strongest.size, 2.0)
+        self._table = TermTable(of=of, first=first, scale=scale, weight=shares, strongest=strongest, most_change=most)
 
     def of(self, errors: Mapping[str, Array], tracking: Any) -> tuple[dict[str, Array], Array]:
         """Terms (rows,), unweighted, by name, and the reward (rows,), in [0, 1], of errors (rows,) by name and a Tracking; new arrays.
@@ -129,19 +131,16 @@ def _checked(name: str, value: Any, rows: int) -> Array:
     return values
 
 
-class TipGoal:
-    """Positions of the tip (..., 3) [m] as goals."""
+def goal_distance(achieved: ArrayLike, desired: ArrayLike) -> Array:
+    """Distances (...) [m] of goals (..., 3), component by component so that one goal and many give the same bits. Raises ValueError."""
+    shapes = np.shape(achieved), np.shape(desired)
+    if shapes[0] != shapes[1] or shapes[0][-1:] != (3,):
+        raise ValueError(f"achieved_goal and desired_goal should have the same shape (..., 3), not {shapes[0]} and {shapes[1]}")
+    way = np.asarray(achieved, dtype=np.float64) - np.asarray(desired, dtype=np.float64)
+    x, y, z = way[..., 0], way[..., 1], way[..., 2]
+    return np.asarray(np.sqrt(x * x + y * y + z * z))
 
-    def distance(self, achieved: ArrayLike, desired: ArrayLike) -> Array:
-        """Distances (...) [m] of goals (..., 3), component by component so that one goal and many give the same bits. Raises ValueError."""
-        shapes = np.shape(achieved), np.shape(desired)
-        if shapes[0] != shapes[1] or shapes[0][-1:] != (3,):
-            raise ValueError(f"achieved_goal and desired_goal should have the same shape (..., 3), not {shapes[0]} and {shapes[1]}")
-        way = np.asarray(achieved, dtype=np.float64) - np.asarray(desired, dtype=np.float64)
-        x, y, z = way[..., 0], way[..., 1], way[..., 2]
-        return np.asarray(np.sqrt(x * x + y * y + z * z))
 
-    def reward(self, achieved: ArrayLike, desired: ArrayLike, kind: GoalReward, threshold: float) -> Array:
-        """Rewards (...) of goals (..., 3) [m]: "sparse" 1 within the threshold [m], else 0; "dense" the closeness, 1/2 at 5 thresholds."""
-        distance = self.distance(achieved, desired)
-        return (distance <= threshold).astype(np.float64) if kind == "sparse" else closeness(distance, HALF * threshold)
+def goal_reward(distance: Array, dense: bool, threshold: float) -> Array:
+    """Rewards (...) at distances (...) [m]: "sparse" 1 within the threshold [m], else 0; "dense" the closeness, 1/2 at 5 thresholds."""
+    return np.asarray(closeness(distance, HALF * threshold) if dense else distance <= threshold, dtype=np.float64)

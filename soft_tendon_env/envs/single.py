@@ -30,23 +30,32 @@ from soft_tendon_env.tools.configuration import plain
 ONE = np.zeros(1, dtype=np.int64)
 
 
-def warn_of_short_episodes(period: float, steps: int | None) -> None:
-    """Warns where the usual number of steps, which does not follow the control period [s], makes episodes shorter than 5 s."""
-    if steps == MAX_EPISODE_STEPS and steps * period < 5.0:
-        text = f"control_period is {period:g} s: an episode has {steps} steps, {steps * period:g} s, unless max_episode_steps is given"
-        warnings.warn(f"{text}: {round(10.0 / period)} of them last 10 s", stacklevel=3)
-
-
 def refuse_closed(closed: bool, called: str) -> None:
     """Raises ClosedEnvironmentError."""
     if closed:
         raise ClosedEnvironmentError(f"{called} was called after close: make a new environment")
 
 
-class PlainSpec:
-    """An environment whose `spec` goes to JSON, whatever its options were given as: NumPy's numbers and arrays, paths, a Scene."""
+class EpisodesEnv:
+    """What environments with one row of `Episodes` and with many share: `self.episodes`, its spaces and its renderer.
 
+    `spec` goes to JSON, whatever options were given as: NumPy's numbers and arrays, paths, a Scene.
+    """
+
+    task: ClassVar[Task]
     _spec: EnvSpec | None = None
+
+    def _make(self, options: dict[str, Any], rows: int, threads: int | None, steps: int | None, render_mode: str | None) -> None:
+        """Make the episodes, with a warning where the usual number of steps, which does not follow the control period, lasts below 5 s."""
+        self.render_mode = render_mode
+        chosen = parsed_options(options, type(self).__name__)
+        self.episodes, period = Episodes(self.task, chosen, rows, threads), chosen.control_period
+        if steps == MAX_EPISODE_STEPS and steps * period < 5.0:
+            text = f"control_period is {period:g} s: an episode has {steps} steps, {steps * period:g} s, unless max_episode_steps is given"
+            warnings.warn(f"{text}: {round(10.0 / period)} of them last 10 s", stacklevel=4)
+        self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": max(1, round(1.0 / period))}
+        self._on_divergence, self._begun = chosen.on_divergence, False
+        self._renderer = make_renderer(self.episodes, render_mode)
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -60,12 +69,39 @@ class PlainSpec:
             spec = dataclasses.replace(spec, kwargs=plain(named))
         self._spec = spec
 
+    @property
+    def model(self) -> Model:
+        """The model that the environment simulates, before randomisation."""
+        return self.episodes.model
 
-class TendonRodEnv(PlainSpec, gym.Env[Any, Any]):
+    def _spaces(self) -> tuple[Box | Dict, Box]:
+        """Observation and action space of one row."""
+        actions, seen = Box(-1.0, 1.0, (self.model.tendon_count,), np.float32), self.episodes.layout.space
+        if not self.task.goal:
+            return seen, actions
+        reach = np.float32(self.episodes.goal_bound)
+        goal = Box(-reach, reach, (3,), np.float32)
+        return Dict({"observation": seen, "achieved_goal": goal, "desired_goal": goal}), actions
+
+    def _require_begun(self, closed: bool, called: str) -> None:
+        """Raises ClosedEnvironmentError or ResetNeeded."""
+        refuse_closed(closed, called)
+        if not self._begun:
+            raise ResetNeeded(f"{called} was called before reset")
+
+    def _frames(self) -> Frames | None:
+        """Frames of all rows, with a warning where there is no renderer."""
+        if self._renderer is not None:
+            frames: Frames | None = self._renderer.frames()
+            return frames
+        gym.logger.warn("render was called, but the environment was made without a render_mode")
+        return None
+
+
+class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
     """A Gymnasium environment with one arm: one row of `Episodes`, `self.episodes`. Copies and pickles go on from where it is."""
 
     metadata: dict[str, Any] = {"render_modes": [*RENDER_MODES]}
-    task: ClassVar[Task]
 
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
         """`render_mode`: None, "rgb_array", or "human", which opens the Rerun viewer; options: see `Options`.
@@ -73,15 +109,9 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any]):
         Raises ConfigurationError, ValueError for other modes, gymnasium.error.DependencyNotInstalled or gymnasium.error.Error where what a
         mode needs is not there.
         """
-        self.render_mode = render_mode
-        chosen = parsed_options(options, type(self).__name__)
-        self.episodes = Episodes(self.task, chosen, rows=1)
-        warn_of_short_episodes(chosen.control_period, MAX_EPISODE_STEPS)
-        self.metadata = metadata_of(self.episodes)
-        self.observation_space, self.action_space = spaces(self.episodes)
-        self._on_divergence, self._begun, self._closed = chosen.on_divergence, False, False
-        self._most_steps: int | None = None
-        self._renderer = make_renderer(self.episodes, render_mode)
+        self._make(options, 1, None, MAX_EPISODE_STEPS, render_mode)
+        self.observation_space, self.action_space = self._spaces()
+        self._closed, self._most_steps = False, np.inf
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """A new episode; options: see `ResetOptions`. Raises ValueError or TypeError for bad seeds and options, before anything changes."""
@@ -91,32 +121,25 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any]):
         super().reset(seed=seed)
         self._begun = False
         self.episodes.begin(ONE, [self.np_random], beginnings)
-        self._begun, self._most_steps = True, given[0].episode_steps if given else None
+        self._begun, self._most_steps = True, given[0].episode_steps or np.inf if given else np.inf
         if self._renderer is not None:
             self._renderer.begin(ONE)
         return self._observation(), self._info()
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """One control period. Raises ValueError or TypeError for an action of wrong shape or type or with NaN, before anything changes."""
-        refuse_closed(self._closed, "step")
-        if not self._begun:
-            raise ResetNeeded("step was called before reset")
+        self._require_begun(self._closed, "step")
         self.episodes.step(checked_array("action", action, (self.episodes.model.tendon_count,))[None])
         if self._renderer is not None:
             self._renderer.step(ONE)
         info = self._info()
-        terminated, truncated = False, self._most_steps is not None and bool(self.episodes.step_count[0] >= self._most_steps)
+        terminated, truncated = False, bool(self.episodes.step_count[0] >= self._most_steps)
         if info["diverged"]:
             info["cause"] = self.episodes.cause(0)
             if self._on_divergence == "raise":
                 raise SimulationDiverged(self.episodes.state(0), info["cause"], self.episodes.tension[0])
             terminated, truncated = self._on_divergence == "terminate", truncated or self._on_divergence == "truncate"
         return self._observation(), float(self.episodes.reward[0]), terminated, truncated, info
-
-    @property
-    def model(self) -> Model:
-        """The model that the environment simulates, before randomisation."""
-        return self.episodes.model
 
     @property
     def state(self) -> State:
@@ -148,10 +171,8 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any]):
 
         None without a render mode, and with "human": there every reset and step shows itself in the viewer, no faster than in real time.
         """
-        refuse_closed(self._closed, "render")
-        if not self._begun:
-            raise ResetNeeded("render was called before reset")
-        frames = rendered(self._renderer)
+        self._require_begun(self._closed, "render")
+        frames = self._frames()
         return None if frames is None else frames[0]
 
     def close(self) -> None:
@@ -161,52 +182,27 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any]):
         self._closed = True
 
 
-def metadata_of(episodes: Episodes) -> dict[str, Any]:
-    """Metadata of environments: their render modes and pictures per second."""
-    return {"render_modes": [*RENDER_MODES], "render_fps": max(1, round(1.0 / episodes.period))}
-
-
-def rendered(renderer: Any) -> Frames | None:
-    """Frames of a renderer, with a warning where there is none."""
-    if renderer is None:
-        gym.logger.warn("render was called, but the environment was made without a render_mode")
-        return None
-    return renderer.frames()
-
-
-def spaces(episodes: Episodes) -> tuple[Box | Dict, Box]:
-    """Observation and action space of one row."""
-    actions = Box(-1.0, 1.0, (episodes.model.tendon_count,), np.float32)
-    if not episodes.task.goal:
-        return episodes.layout.space, actions
-    reach = np.float32(episodes.goal_bound)
-    goal = Box(-reach, reach, (3,), np.float32)
-    return Dict({"observation": episodes.layout.space, "achieved_goal": goal, "desired_goal": goal}), actions
-
-
-class GoalEnv(TendonRodEnv):
-    """A goal-conditioned environment: rewards of other goals can be asked for, as hindsight experience replay does."""
-
-    def compute_reward(self, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any) -> Any:
-        """Rewards (...) of goals (..., 3) [m]; a float for one. Raises ValueError for goals of other shapes."""
-        reward = self.episodes.goal_reward(achieved_goal, desired_goal)
-        return float(reward) if reward.ndim == 0 else reward
+def compute_reward(self: EpisodesEnv, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any) -> Any:
+    """Rewards (...) of goals (..., 3) [m], as hindsight experience replay asks for; a float for one. Raises ValueError for other shapes."""
+    reward = self.episodes.goal_reward(achieved_goal, desired_goal)
+    return float(reward) if reward.ndim == 0 else reward
 
 
 _CLASSES: dict[str, Any] = {}
 
 
-def class_of(task: Task, suffix: str, bases: tuple[type, type], doc: str) -> Any:
-    """The class `<task><suffix>`, the same at every call: of the first base, or of the second for goal-conditioned tasks."""
-    name, base = f"{task.name}{suffix}", bases[task.goal is not None]
+def class_of(task: Task, suffix: str, base: type, doc: str) -> Any:
+    """The class `<task><suffix>`, the same at every call; one of a goal-conditioned task has `compute_reward`."""
+    name = f"{task.name}{suffix}"
     if name not in _CLASSES or _CLASSES[name].task is not task:
-        _CLASSES[name] = type(name, (base,), {"task": task, "__doc__": doc, "__module__": bases[0].__module__})
+        of_goals = {"compute_reward": compute_reward} if task.goal else {}
+        _CLASSES[name] = type(name, (base,), {"task": task, "__doc__": doc, "__module__": base.__module__, **of_goals})
     return _CLASSES[name]
 
 
 def environment_class(task: Task) -> type[TendonRodEnv]:
     """The class of a task's environments with one arm, `<name>Env`; the same at every call."""
-    made: type[TendonRodEnv] = class_of(task, "Env", (TendonRodEnv, GoalEnv), task.description)
+    made: type[TendonRodEnv] = class_of(task, "Env", TendonRodEnv, task.description)
     return made
 
 

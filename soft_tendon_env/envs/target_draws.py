@@ -16,8 +16,8 @@ from soft_tendon_env.tools.types import Array
 
 MOST_DRAWS = 200
 """How often targets are drawn inside of obstacles before that is an error, and goals that are reached already before they are taken."""
-BANK = 256
-"""Motions in a bank. Agents that learn on as many come as near to motions of their own as those that learn on such."""
+BANK = 64
+"""Motions in a bank, each with as many beginnings as it has control periods: with more, the first resets take longer than 3 ms a row."""
 BANK_SEED = 2**64
 """Seed of the first motion of a bank; the others follow, one apart: beyond all seeds of `reset` that have a purpose."""
 CHECKS = 100
@@ -31,11 +31,9 @@ class TargetDraws:
     which the episode begins. A motion of the bank depends on its number alone, is computed when it is first asked for, and stays.
     """
 
-    def __init__(
-        self, setting: Setting, trajectories: TargetTrajectories, period: float, has_bank: bool, away: float | None = None
-    ) -> None:
+    def __init__(self, setting: Setting, trajectories: TargetTrajectories, period: float, has_bank: bool, away: float = 0.0) -> None:
         """period: of control [s]; has_bank: not where rows have obstacles of their own, of which motions keep clear; away: distance [m]
-        that goals have from where the tip begins."""
+        that goals have from where the tip begins, 0: any."""
         self._setting, self._trajectories, self._period, self._away = setting, trajectories, period, away
         self._has_bank = has_bank and not rests_at_tensions(setting.model if setting.free is None else setting.free.model)
         self._bank: dict[int, Course] = {}
@@ -68,40 +66,30 @@ class TargetDraws:
         if not isinstance(target, Target):
             self._trajectories.begin(row, target)
             return
-        away = None if target.begins_at_rest else self._away
+        away = 0.0 if target.begins_at_rest else self._away
         for _ in range(MOST_DRAWS):
             course, first = self._drawn(target, generator, setting)
             inside = "" if isinstance(course, ShapeCourse) else self.inside(course, setting.model)
-            begins = first if away is None else self._unreached(course, first, target.repeats, tip, away, generator)
-            if not inside and begins is not None:
-                self._trajectories.begin(row, course, begins)
-                return
-        if inside:
-            text = f"lay inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}, at last {inside}"
-            raise ConfigurationError([Problem(("target",), text)], "environment")
-        text = f"a goal was within the threshold, {1e3 * (away or 0.0):.3g} mm, of where the tip begins in {MOST_DRAWS} draws"
-        warnings.warn(f"{text}: the episode begins solved; choose a smaller threshold, or a larger fraction of tensions", stacklevel=2)
+            if not inside and (not away or self._distance(course, first, tip) > away):
+                break
+        else:
+            if inside:
+                text = f"lay inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}, at last {inside}"
+                raise ConfigurationError([Problem(("target",), text)], "environment")
+            text = f"a goal was within the threshold, {1e3 * away:.3g} mm, of where the tip begins in {MOST_DRAWS} draws"
+            warnings.warn(f"{text}: the episode begins solved; choose a smaller threshold, or a larger fraction of tensions", stacklevel=2)
         self._trajectories.begin(row, course, first)
 
     def _drawn(self, target: Target, generator: np.random.Generator, setting: Setting) -> tuple[Course, int]:
         """A course, and the control period of it to begin at."""
         if not self._has_bank or target.repeats is None:
             return target.draw(generator, setting), 0
-        number, first = (int(generator.integers(most)) for most in (BANK, self._periods(target.repeats)))
+        number, first = (int(generator.integers(most)) for most in (BANK, max(round(target.repeats / self._period), 1)))
         if number not in self._bank:
             self._bank[number] = target.draw(np.random.default_rng(BANK_SEED + number), setting)
         return self._bank[number], first
 
-    def _periods(self, time: float) -> int:
-        return max(round(time / self._period), 1)
-
-    def _unreached(
-        self, course: Course, first: int, repeats: float | None, tip: Array, away: float, generator: np.random.Generator
-    ) -> int | None:
-        """Control period at which a drawn course begins with a goal away from the tip: `first`, or of motions that repeat one that is
-        drawn; None: there is none."""
-        periods = first + np.arange(1 if repeats is None else self._periods(repeats))
-        times = self._period * periods.astype(np.float64)
-        goals = self._trajectories.tip_positions(course, times).astype(np.float32)  # as they are observed
-        far = periods[np.linalg.norm(goals - tip, axis=1) > away]
-        return None if not far.size else first if far[0] == first else int(generator.choice(far))
+    def _distance(self, course: Course, first: int, tip: Array) -> float:
+        """Distance [m] from the tip (3,) to where a course begins, as it is observed."""
+        (goal,) = self._trajectories.tip_positions(course, np.array([self._period * first])).astype(np.float32)
+        return float(np.linalg.norm(goal - tip))

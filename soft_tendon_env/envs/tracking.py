@@ -10,62 +10,45 @@ from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.kernels import ContactReading
 from soft_tendon_env.envs.rewards import OWN_TERMS, TERMS, Term
 from soft_tendon_env.envs.targets import TargetSamples
+from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.tools.configuration import shown
 from soft_tendon_env.tools.types import Array
 
 
-class Tracking:
-    """The arm and its target now, rows first, without noise: what tracking errors and reward terms are functions of.
+class Tracking(NamedTuple):
+    """The arm and its target now, rows first, without noise: what tracking errors and reward terms are functions of."""
 
-    Quantities that are not asked for are not computed.
-
-    Attributes:
-        error: (rows, 6) SE(3) logarithm from tip to target.
-        distance, angle: (rows,) [m] and [rad] from tip to target.
-        tip_pose, target_pose: (rows, 4, 4).
-        target_twist: (rows, 6) body twist of the target, angular [rad/s] before linear [m/s].
-        command: (rows, n_a) as applied, tensions [N] or what the scene's effects make tensions of.
-        action_change: (rows, n_a) change of the action, in [-2, 2].
-        contact: with what the arm comes upon, see contacts.py.
-        reading: what is read of the arms, such as `tip_twist` (rows, 6), `tendon_length` (rows, n_a) [m], and at the option's `sensors`
-            `strain` and `strain_rate` (rows, sensors, 6).
-        q: (rows, n) as the scene's material would have for the same shape; target_q: (rows, n), of targets that are shapes.
-        q_dot: (rows, n).
-        backbone, target_backbone: (rows, stations, 3) [m], for tasks that compare shapes.
-    """
-
-    __slots__ = (
-        "_arms", "_target", "error", "distance", "angle", "tip_pose", "target_pose", "command", "action_change", "contact", "reading",
-        "q_dot",
+    arms: Arms
+    reading: (
+        Reading  # what is read of the arms, such as `tip_twist` (rows, 6), `tendon_length` (rows, n_a) [m], and `strain` at the sensors
     )
-
-    def __init__(
-        self, arms: Arms, target: TargetSamples, error: Array, off: Array, command: Array, action_change: Array, contact: ContactReading
-    ) -> None:
-        self._arms, self._target, self.error, self.distance, self.angle = arms, target, error, off[0], off[1]
-        self.tip_pose, self.target_pose = arms.reading.tip_pose, target.tip_pose[:, 0]
-        self.command, self.action_change, self.contact = command, action_change, contact
-        self.reading, self.q_dot = arms.reading, arms.rows.q_dot
+    error: Array  # (rows, 6) SE(3) logarithm from tip to target
+    distance: Array  # (rows,) [m] from tip to target
+    angle: Array  # (rows,) [rad], likewise
+    target: TargetSamples  # (rows, 1 + previews, ..) now and at each preview time, its backbone (rows, 1 + previews, stations, 3) [m]
+    command: Array  # (rows, n_a) as applied, tensions [N] or what the scene's effects make tensions of
+    action_change: Array  # (rows, n_a) change of the action, in [-2, 2]
+    contact: ContactReading  # with what the arm comes upon
 
     @property
-    def q(self) -> Array:
-        return self._arms.shape
+    def tip_pose(self) -> Array:
+        """Poses of the tips (rows, 4, 4)."""
+        return self.reading.tip_pose
+
+    @property
+    def target_pose(self) -> Array:
+        """Target poses (rows, 4, 4)."""
+        return self.target.tip_pose[:, 0]
 
     @property
     def target_twist(self) -> Array:
-        return self._target.tip_twist[:, 0]
+        """Body twists of the target (rows, 6), angular [rad/s] before linear [m/s]."""
+        return self.target.tip_twist[:, 0]
 
     @property
-    def target_q(self) -> Array:
-        return self._target.q[:, 0]
-
-    @property
-    def backbone(self) -> Array:
-        return self._arms.reading.backbone[..., :3, 3]
-
-    @property
-    def target_backbone(self) -> Array:
-        return self._target.backbone[:, 0]
+    def q(self) -> Array:
+        """Coordinates (rows, n) that the scene's material would have for the same shape."""
+        return self.arms.shape
 
 
 @dataclass(frozen=True)
@@ -85,7 +68,7 @@ class TrackingError:
     @property
     def as_term(self) -> Term:
         """The reward term that falls with it: 1/2 at `scale`."""
-        return Term(self.description, self.scale, self.name, self.of_length)
+        return Term(self.name, self.scale, self.of_length)
 
 
 def norm(vectors: Array) -> Array:
@@ -96,11 +79,15 @@ def norm(vectors: Array) -> Array:
 POSITION = TrackingError("position_error", "position", "tip position error [m]", 0.05, lambda t: t.distance, of_length=True)
 ANGLE = TrackingError("angle_error", "angle", "angle between the tip's and the target's frame [rad]", 0.5, lambda t: t.angle)
 BACKBONE = TrackingError(
-    "backbone_error", "backbone", "root mean square distance between backbone and target [m]", 0.05,
-    lambda t: np.sqrt(np.mean(norm(t.target_backbone - t.backbone) ** 2, axis=1)), of_length=True,
+    "backbone_error",
+    "backbone",
+    "root mean square distance between backbone and target [m]",
+    0.05,
+    lambda t: np.sqrt(np.mean(norm(t.target.backbone[:, 0] - t.reading.backbone[..., :3, 3]) ** 2, axis=1)),
+    of_length=True,
 )
 COORDINATES = TrackingError(
-    "coordinate_error", "coordinates", "norm of the coordinates' error, newton for tensions", 10.0, lambda t: norm(t.target_q - t.q)
+    "coordinate_error", "coordinates", "norm of the coordinates' error, newton for tensions", 10.0, lambda t: norm(t.target.q[:, 0] - t.q)
 )
 PENETRATION = TrackingError(
     "penetration", "penetration", "how deep the arm is in obstacles [m]", 0.001, lambda t: t.contact.penetration, of_length=True
@@ -113,9 +100,9 @@ CONTACT_ERRORS = (PENETRATION, CONTACT_FORCE)
 def register_reward_term(function: Callable[[Tracking], Array]) -> Callable[[Tracking], Array]:
     """Function decorator: make a reward term available to every task and to the option `reward`, by the function's name.
 
-    It takes a Tracking and returns values (rows,) between 0 and 1, 1 the best, so that no episode gains by ending early; the first line of
-    its docstring describes it. Registering a function of the same module and name again replaces it, as in a notebook. Raises ValueError
-    for a name that is taken, TypeError for what is no function with a name.
+    It takes a Tracking and returns values (rows,) between 0 and 1, 1 the best, so that no episode gains by ending early. Registering a
+    function of the same module and name again replaces it, as in a notebook. Raises ValueError for a name that is taken, TypeError for
+    what is no function with a name.
     """
     name = getattr(function, "__name__", "")
     if not callable(function) or not name.isidentifier():
@@ -124,7 +111,7 @@ def register_reward_term(function: Callable[[Tracking], Array]) -> Callable[[Tra
     present = getattr(OWN_TERMS.get(name), "of", function)
     if name in taken or (present.__module__, present.__qualname__) != (function.__module__, function.__qualname__):
         raise ValueError(f"the reward term {name!r} is taken: choose another name")
-    OWN_TERMS[name] = Term((function.__doc__ or name).strip().partition("\n")[0], 0.0, function)
+    OWN_TERMS[name] = Term(function)
     return function
 
 
@@ -132,8 +119,8 @@ class ErrorUnit(NamedTuple):
     """Label and unit symbol of an error in plots and pictures, and the factor from SI units to that unit."""
 
     label: str
-    symbol: str  # empty where the error's unit depends on the scene
-    factor: float
+    symbol: str = ""  # empty where the error's unit depends on the scene
+    factor: float = 1.0
 
     @property
     def heading(self) -> str:
@@ -150,15 +137,14 @@ class ErrorUnit(NamedTuple):
         return f"{self.factor * value:.3g} {self.symbol}".rstrip()
 
 
+MILLIMETRES = ("mm", 1e3)
 SYMBOLS = {
-    "position_error": ("mm", 1e3),
-    "backbone_error": ("mm", 1e3),
+    **dict.fromkeys(("position_error", "backbone_error", "penetration"), MILLIMETRES),
     "angle_error": ("deg", 57.29577951308232),
-    "penetration": ("mm", 1e3),
     "contact_force": ("N", 1.0),
 }
 
 
 def error_unit(name: str) -> ErrorUnit:
     """Display unit of an error by its name, such as "position_error"; a name that is not known keeps SI units."""
-    return ErrorUnit(name.replace("_", " "), *SYMBOLS.get(name, ("", 1.0)))
+    return ErrorUnit(name.replace("_", " "), *SYMBOLS.get(name, ()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -13,27 +13,23 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from soft_tendon_env.envs import single
 from soft_tendon_env.envs.arms import Indices
-from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.envs.frames import make_renderer
-from soft_tendon_env.envs.options import parsed_options
 from soft_tendon_env.envs.reset_options import MASK, reset_options
+from soft_tendon_env.envs.single import EpisodesEnv, class_of, refuse_closed
 from soft_tendon_env.envs.starts import Beginning
 from soft_tendon_env.envs.tasks import Task, task_of_class
-from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.model.state import State
 from soft_tendon_env.tools.checks import checked_array, checked_count
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import Array
 
-MODES = {"next_step": AutoresetMode.NEXT_STEP, "same_step": AutoresetMode.SAME_STEP, "disabled": AutoresetMode.DISABLED}
+MODES = {mode.name.lower(): mode for mode in AutoresetMode}
 MOST_ROWS = 100_000
 """A row takes 0.06 to 0.26 MB, see docs/appendix/scaling.md."""
 
 
-class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any]):
+class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
     """Rows of one environment; row i with seed s is the single environment with seed s + i, bit for bit.
 
     Args:
@@ -45,8 +41,6 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any]):
         render_mode: None, "rgb_array", a frame per row, or "human", the first six rows in the Rerun viewer, in real time.
         options: see `Options`.
     """
-
-    task: ClassVar[Task]
 
     def __init__(
         self,
@@ -63,21 +57,16 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any]):
             raise ValueError(f"num_envs should be at most {MOST_ROWS}, not {num_envs}")
         self.max_episode_steps = None if max_episode_steps is None else checked_count("max_episode_steps", max_episode_steps, 1)
         self.autoreset_mode = _checked_mode(autoreset_mode)
-        self.render_mode = render_mode
-        chosen = parsed_options(options, type(self).__name__)
         most_threads = None if threads is None else checked_count("threads", threads, 1)
-        self.episodes = Episodes(self.task, chosen, num_envs, most_threads)
-        single.warn_of_short_episodes(chosen.control_period, self.max_episode_steps)
-        self.metadata = {**single.metadata_of(self.episodes), "autoreset_mode": self.autoreset_mode}
-        self.single_observation_space, self.single_action_space = single.spaces(self.episodes)
+        self._make(options, num_envs, most_threads, self.max_episode_steps, render_mode)
+        self.metadata["autoreset_mode"] = self.autoreset_mode
+        self.single_observation_space, self.single_action_space = self._spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._on_divergence, self._begun = chosen.on_divergence, False
         self._all, self._ended = np.arange(num_envs, dtype=np.int64), np.zeros(num_envs, dtype=bool)
         self._usual_steps = np.inf if self.max_episode_steps is None else self.max_episode_steps
         self._most_steps = np.full(num_envs, self._usual_steps)
         self._generators: dict[int, np.random.Generator] = {}
-        self._renderer = make_renderer(self.episodes, render_mode)
 
     def reset(self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """New episodes: of all rows, or of those that `options={"reset_mask": (rows,) bool}` names.
@@ -87,7 +76,7 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any]):
         seed: an int s seeds row i with s + i; a list names one for each, None to go on with its generator.
         Raises ValueError or TypeError for bad seeds and options, before anything changes.
         """
-        single.refuse_closed(self.closed, "reset")
+        refuse_closed(self.closed, "reset")
         members, seeds, given = self._all, _checked_seeds(seed, self.num_envs), reset_options(options, self.num_envs)
         if options is not None and MASK in options:
             mask = np.asarray(options[MASK])
@@ -116,17 +105,14 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any]):
 
     def step(self, actions: ArrayLike) -> tuple[Any, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """One control period of every row. Raises ValueError or TypeError for bad actions, before anything changes."""
-        single.refuse_closed(self.closed, "step")
-        if not self._begun:
-            raise ResetNeeded("step was called before reset")
+        self._require_begun(self.closed, "step")
         action = checked_array("actions", actions, (self.num_envs, self.episodes.model.tendon_count))
-        fresh = self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else np.zeros(self.num_envs, dtype=bool)
-        if self.autoreset_mode is AutoresetMode.DISABLED and self._ended.any():
-            raise ResetNeeded(f"rows {np.flatnonzero(self._ended).tolist()} have ended: reset them with a reset_mask")
-        stepped, members = ~fresh, self._all
-        if fresh.any():
+        stepped, members = ~self._ended, self._all
+        if self._ended.any():
+            if self.autoreset_mode is AutoresetMode.DISABLED:
+                raise ResetNeeded(f"rows {np.flatnonzero(self._ended).tolist()} have ended: reset them with a reset_mask")
             members = np.flatnonzero(stepped)
-            self._begin(np.flatnonzero(fresh))
+            self._begin(np.flatnonzero(self._ended))
         self.episodes.step(action, members)
         if self._renderer is not None:
             self._renderer.step(members)
@@ -169,11 +155,6 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any]):
         return {**info, **masks}
 
     @property
-    def model(self) -> Model:
-        """The model that the environment simulates, before randomisation."""
-        return self.episodes.model
-
-    @property
     def state(self) -> tuple[State, ...]:
         """Copies of the rows' states. Set, to one for all rows or one per row, None for rows that stay, they are taken whole, see
         `Episodes.put`; TypeError or ValueError leave the environment as it was."""
@@ -195,8 +176,8 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any]):
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A frame (height, width, 3) per row; None without a render mode, and with "human"."""
-        single.refuse_closed(self.closed, "render")
-        return single.rendered(self._renderer)
+        refuse_closed(self.closed, "render")
+        return self._frames()
 
     def close_extras(self, **kwargs: Any) -> None:
         """Stop the threads."""
@@ -206,11 +187,9 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any]):
 
 
 def _checked_mode(mode: str | AutoresetMode) -> AutoresetMode:
-    if isinstance(mode, AutoresetMode):
-        return mode
-    if not isinstance(mode, str) or mode not in MODES:
+    if not isinstance(mode, AutoresetMode) and str(mode) not in MODES:
         raise ConfigurationError([Problem(("autoreset_mode",), f"is {mode!r}: {not_among(str(mode), MODES)}")], "environment")
-    return MODES[mode]
+    return mode if isinstance(mode, AutoresetMode) else MODES[str(mode)]
 
 
 def _checked_seeds(seed: Any, rows: int) -> list[int | None]:
@@ -225,17 +204,9 @@ def _checked_seeds(seed: Any, rows: int) -> list[int | None]:
     return [None if own is None else checked_count(f"seed[{i}]", own, 0) for i, own in enumerate(seed)]
 
 
-class GoalVectorEnv(TendonRodVectorEnv):
-    """A goal-conditioned vector environment."""
-
-    def compute_reward(self, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any) -> Any:
-        """Rewards (...) of goals (..., 3) [m]. Raises ValueError for goals of other shapes."""
-        return self.episodes.goal_reward(achieved_goal, desired_goal)
-
-
 def vector_environment_class(task: Task) -> type[TendonRodVectorEnv]:
     """The class of a task's environments with many arms, `<name>VectorEnv`; the same at every call."""
-    made: type[TendonRodVectorEnv] = single.class_of(task, "VectorEnv", (TendonRodVectorEnv, GoalVectorEnv), f"Rows of `{task.name}Env`.")
+    made: type[TendonRodVectorEnv] = class_of(task, "VectorEnv", TendonRodVectorEnv, f"Rows of `{task.name}Env`.")
     return made
 
 

@@ -179,7 +179,7 @@ def test_groups_that_cannot_be_differentiated_are_refused_by_name(monkeypatch):
         "penetration": lambda observed: observed.contact.penetration[:, None],
         "half": lambda observed: 0.5 * observed.error[:, 0, 3:4],
     }
-    own = {name: Group("of a user's own", lambda sizes: 1, of, lambda units, sizes: 1.0) for name, of in groups.items()}
+    own = {name: Group("of a user's own", of) for name, of in groups.items()}
     monkeypatch.setitem(TASKS["TipPose"].__dict__, "groups", own)
     env = rows_of("TipPose", scene=floor, observation=[*groups])
     env.reset(seed=0)

@@ -115,7 +115,7 @@ def test_an_arm_that_would_begin_inside_of_an_obstacle_is_refused(kind, how):
 def test_an_arm_that_lies_on_something_is_not_inside():
     env = TipPoseEnv(**touching([FLOOR]))
     env.reset(seed=0)
-    assert 0.0 < env.episodes.contact_forces(0).penetration[0] < 1e-3
+    assert 0.0 < contact_forces(env.model, env.state).penetration[0] < 1e-3
 
 
 def posed(x, y, z):

@@ -173,7 +173,8 @@ def test_contact_is_told_by_the_obstacles_of_the_row():
     assert np.ptp(lowest) > 1e-3
     for row in range(3):
         model = build_model(scene_with(vector, row))
-        told, expected = vector.episodes.contact_forces(row), contact_forces(model, vector.episodes.state(row))
+        told = contact_forces(vector.episodes.arms.model_of(row), vector.episodes.state(row))
+        expected = contact_forces(model, vector.episodes.state(row))
         assert expected.force[0, 2] > 1e-3
         np.testing.assert_allclose(told.force, expected.force, rtol=1e-9)
         np.testing.assert_allclose(told.clearance, expected.clearance, rtol=1e-9)
@@ -267,7 +268,7 @@ def test_obstacles_are_drawn_again_where_the_arm_would_begin():
     env = ReachEnv(scene=scene, fidelity="fast", randomize={"effects": {"contact.obstacles.0.position.1": [-0.05, 0.05]}})
     for seed in range(5):
         env.reset(seed=seed)
-        assert env.episodes.contact_forces(0).penetration[0] < 1e-3
+        assert contact_forces(env.episodes.arms.model_of(0), env.state).penetration[0] < 1e-3
     near_the_base = {"contact.obstacles.0.position": [0.02, [0.0, 0.001], 0.0]}
     env = ReachEnv(scene=scene, fidelity="fast", randomize={"effects": near_the_base})
     with pytest.raises(ConfigurationError, match="can make arms that begin inside of an obstacle"):

@@ -42,7 +42,7 @@ def test_groups_are_what_they_say(arm):
     episodes = env.episodes
     model, rows, L = episodes.model, episodes.arms.rows, episodes.model.length
     q, q_dot = rows.q[0].copy(), rows.q_dot[0].copy()
-    terms, rest = model.terms(q, q_dot), episodes.starts.q
+    terms, rest = model.terms(q, q_dot), episodes.starts.rest.q
     wanted = episodes.target
     target, ahead, target_q = wanted.tip_pose[0, 0], wanted.tip_pose[0, 1], wanted.q[0]
     unit = units(model)

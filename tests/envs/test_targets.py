@@ -10,7 +10,6 @@ import pytest
 from scipy.linalg import logm
 
 from soft_tendon_env.envs import ReachEnv, ShapeEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv
-from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.target_draws import BANK
 from soft_tendon_env.envs.targets import statics
 from soft_tendon_env.envs.targets.motions import Circle, CircleCourse, ClosedSpline, Rise
@@ -333,7 +332,8 @@ class Snapping:
         return SimpleNamespace(q=q, force=force, residual=float(np.abs(force).max()))
 
     def linearised(self, q, part):
-        return SimpleNamespace(compliance=1.0 / np.atleast_2d(3.0 * q**2 - 3.0), stiff=3.0 * q[0] ** 2 - 3.0)
+        stiff = 3.0 * q[0] ** 2 - 3.0
+        return SimpleNamespace(at=self.at(q, part), compliance=np.array([[1.0 / stiff]]), stiff=stiff)
 
     def stability(self, here):
         return SimpleNamespace(stable=here.stiff > 0.0, least=here.stiff, has_potential=True)
@@ -405,12 +405,8 @@ def test_motions_under_loads_come_from_a_bank_whatever_was_drawn_before(same):
 def test_a_material_that_cannot_rest_is_refused():
     """Nothing begins in mid-air: the softest arm with the greatest payload is tried when the environment is made, each drawn at reset."""
     hanging = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
-    with pytest.raises(ConfigurationError, match=r"environment: randomize can make arms that \[0, 0, 0\] N, .* cannot hold: stiffness"):
+    with pytest.raises(ConfigurationError, match=r"randomize can make arms that \[0, 0, 0\] N, .* cannot hold: .*young_modulus"):
         TipPoseEnv(scene=hanging, randomize={"stiffness": [1e-6, 1.0], "payload": [0.0, 10.0]})
-    env = TipPoseEnv(scene="three_tendon", tension_limits=[4.0, 5.0], randomize={"stiffness": [0.9, 1.1]})
-    env.episodes.starts._options = Options(scene="three_tendon", randomize={"stiffness": 0.001})
-    with pytest.raises(ConfigurationError, match=r"randomize can make arms that \[4, 4, 4\] N.*stiffness 0\.001"):
-        env.reset(seed=0)
 
 
 @pytest.mark.parametrize("kind", ["loaded", "explicit", "pulled"])

@@ -17,9 +17,8 @@ from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.contacts import ObstacleFreeSpace
 from soft_tendon_env.mechanics.types import Implicit
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.statics import rests_at_tensions
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.configuration import Configuration, shown
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, shown
 from soft_tendon_env.tools.types import Array
 
 FARTHEST = 1e6
@@ -36,7 +35,6 @@ class Setting(NamedTuple):
     tension: Array  # (n_a,) [N] nearest to zero within them
     rest: Array  # (n,) coordinates in which that tension holds the arm
     response: Array  # (n_a, n) that makes tensions the coordinates in which they hold the unloaded arm, to first order
-    is_exact: bool  # whether that is so for all tensions, and no load comes to them: (34), without effects
     model: Model  # whose equilibria targets are: that of the arms, among the obstacles of the row where these are drawn
     free: ObstacleFreeSpace | None = None  # where drawn motions stay, if there are obstacles and the arm does not rest against one
 
@@ -49,7 +47,7 @@ def make_setting(arms: Arms, limits: Array, tension: Array, rest: Array) -> Sett
     else:
         unloaded = model.terms(np.zeros(model.coordinate_count), np.zeros(model.coordinate_count))
         response = np.asarray(np.linalg.solve(unloaded.stiffness, unloaded.actuation).T, dtype=np.float64)
-    return Setting(arms, limits, tension, rest, response, rests_at_tensions(model), model)
+    return Setting(arms, limits, tension, rest, response, model)
 
 
 class TargetSamples(NamedTuple):
@@ -81,48 +79,32 @@ class ShapeCourse(ABC):
 Course = PoseCourse | ShapeCourse
 
 
-class Tensions(ABC):
-    """Tensions as a function of time.
-
-    knots: times (k,) [s] between which the motion is smooth, from its beginning at 0 to its end or, if `is_closed`, to where it repeats.
-    """
-
-    knots: Array
-    is_closed = False
-
-    def within(self, times: Array) -> Array:
-        """The times (m,) between the first and the last knot at which the motion is what it is at `times`."""
-        end = self.knots[-1]
-        return np.mod(times, end) if self.is_closed else np.clip(times, 0.0, end)
-
-    @abstractmethod
-    def __call__(self, times: Array) -> tuple[Array, Array]:
-        """Tensions [N] and their rates [N/s] at times (m,) [s], (m, n_a) each."""
-
-
 class Target(Configuration):
-    """Base of the targets' configurations. A class has a field `type: Literal["name"] = "name"`, the name that options use."""
+    """Base of the targets' configurations. A class has a field `type: Literal["name"] = "name"`, the name that options use.
+
+    Attributes that a class may have otherwise:
+        is_random: whether episodes differ in it; one that does not is drawn once for all of them.
+        gives_shapes: whether its course is a ShapeCourse, which tasks that compare shapes need.
+        repeats: time [s] after which a drawn course repeats; None: it does not.
+        begins_at_rest: whether its courses begin where the arm rests, so that no other draw would begin elsewhere.
+    """
 
     type: str
 
     @property
     def is_random(self) -> bool:
-        """Whether episodes differ in it; one that does not is drawn once for all of them."""
         return False
 
     @property
     def gives_shapes(self) -> bool:
-        """Whether its course is a ShapeCourse, which tasks that compare shapes need."""
         return False
 
     @property
     def repeats(self) -> float | None:
-        """Time [s] after which a drawn course repeats; None: it does not."""
         return None
 
     @property
     def begins_at_rest(self) -> bool:
-        """Whether its courses begin where the arm rests, so that no other draw would begin elsewhere."""
         return False
 
     def check(self, scene: Scene) -> None:
@@ -145,19 +127,29 @@ Fraction = Annotated[float | tuple[float, float], BeforeValidator(_fraction)]
 
 
 class DrawnShapes(Target):
-    """Base of targets that are shapes at rest under random tensions within `fraction` of their limits."""
+    """Base of targets that are shapes at rest, under a given `tension` (n_a) [N] or random ones within `fraction` of their limits."""
 
     fraction: Fraction = 0.25
 
     @property
+    def given_tension(self) -> tuple[float, ...] | None:
+        """The tensions that are given."""
+        return getattr(self, "tension", None)
+
+    @property
     def is_random(self) -> bool:
-        """True: tensions are drawn."""
-        return True
+        return self.given_tension is None
 
     @property
     def gives_shapes(self) -> bool:
-        """True: it is made of tensions."""
         return True
+
+    def check(self, scene: Scene) -> None:
+        """Raises ConfigurationError unless there is a tension per tendon, if they are given."""
+        given, tendons = self.given_tension, len(scene.tendons)
+        if given is not None and len(given) != tendons:
+            text = f"has {len(given)} entries: it should have one per tendon, {tendons}"
+            raise ConfigurationError([Problem(("target", "tension"), text)], "environment")
 
 
 Class = TypeVar("Class", bound=type[Target])

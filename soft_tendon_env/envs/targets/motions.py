@@ -14,12 +14,10 @@ from soft_tendon_env.envs.targets import (
     Setting,
     Target,
     TargetSamples,
-    Tensions,
     pose_samples,
     register_target,
 )
-from soft_tendon_env.envs.targets.statics import check_tension, drawn_course, given_course
-from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.envs.targets.statics import Tensions, shape_course
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array, Positive
 
@@ -82,25 +80,12 @@ class Ramp(DrawnShapes):
     tension: tuple[float, ...] | None = None
 
     @property
-    def is_random(self) -> bool:
-        """Whether tensions are drawn."""
-        return self.tension is None
-
-    @property
     def begins_at_rest(self) -> bool:
-        """True."""
         return True
-
-    def check(self, scene: Scene) -> None:
-        """Raises ConfigurationError unless there is a tension per tendon."""
-        check_tension(self.tension, scene)
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         """The motion of one episode. Raises ConfigurationError where the arm cannot hold the tensions, or those on the way."""
-        start = setting.tension
-        if self.tension is not None:
-            return given_course(self.tension, setting, lambda end: Rise(start, end, self.duration))
-        return drawn_course(1, self.fraction, generator, setting, lambda points: Rise(start, points[0], self.duration))
+        return shape_course(self, generator, setting, lambda points: Rise(setting.tension, points[0], self.duration))
 
 
 class Rise(Tensions):
@@ -135,12 +120,11 @@ class Random(DrawnShapes):
 
     @property
     def repeats(self) -> float:
-        """The period [s]."""
         return self.period
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         count = round(self.period / self.knot_period)
-        return drawn_course(count, self.fraction, generator, setting, lambda points: ClosedSpline(points, self.period))
+        return shape_course(self, generator, setting, lambda points: ClosedSpline(points, self.period), count)
 
 
 class ClosedSpline(Tensions):

@@ -10,23 +10,20 @@ from soft_tendon_env.envs.targets import (
     Course,
     Distance,
     DrawnShapes,
-    Fraction,
     PoseCourse,
     Setting,
     ShapeCourse,
-    Target,
     TargetSamples,
     pose_samples,
     register_target,
 )
-from soft_tendon_env.envs.targets.statics import Constant, check_tension, drawn_set_point, given_course
-from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.envs.targets.statics import set_point
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.types import Array, Positive
 
 
 @register_target
-class Hold(Target):
+class Hold(DrawnShapes):
     """One pose to reach and hold: the pose at which `tension` (n_a) [N] holds the arm, a given `pose` (4 x 4), for Reach a given
     `position` (3) [m] alone, or by default a pose from random tensions within `fraction` of their limits."""
 
@@ -34,7 +31,6 @@ class Hold(Target):
     tension: tuple[float, ...] | None = None
     pose: tuple[tuple[float, float, float, float], ...] | None = Field(default=None, min_length=4, max_length=4)
     position: tuple[Distance, Distance, Distance] | None = None
-    fraction: Fraction = 0.25
 
     @field_validator("pose", mode="before")
     @classmethod
@@ -66,25 +62,15 @@ class Hold(Target):
 
     @property
     def is_random(self) -> bool:
-        """Whether a pose is drawn."""
         return self.tension is None and self.gives_shapes
 
     @property
     def gives_shapes(self) -> bool:
-        """Whether it is made of tensions."""
         return self.pose is None and self.position is None
-
-    def check(self, scene: Scene) -> None:
-        """Raises ConfigurationError unless there is a tension per tendon."""
-        check_tension(self.tension, scene)
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         """The motion of one episode. Raises ConfigurationError where the arm cannot hold the tensions."""
-        if self.given is not None:
-            return FixedPose(self.given)
-        if self.tension is not None:
-            return given_course(self.tension, setting, Constant)
-        return drawn_set_point(self.fraction, generator, setting)
+        return set_point(self, generator, setting) if self.given is None else FixedPose(self.given)
 
 
 class FixedPose(PoseCourse):
@@ -107,13 +93,11 @@ class OutOfReach(DrawnShapes):
 
     @property
     def gives_shapes(self) -> bool:
-        """False: no shape has its pose."""
-        return False
+        return False  # no shape has its pose
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         """The pose of one episode. Raises ConfigurationError where the arm can hold none of the shapes."""
-        held = drawn_set_point(self.fraction, generator, setting)
-        pose = setting.model.tip_pose(held.coordinates(np.zeros(1))[0][0])
+        pose = setting.model.tip_pose(set_point(self, generator, setting).coordinates(np.zeros(1))[0][0])
         pose[:3, 3] *= self.beyond * setting.model.length / np.linalg.norm(pose[:3, 3])
         return FixedPose(pose)
 
@@ -131,7 +115,7 @@ class Steps(DrawnShapes):
     count: int = Field(default=5, ge=2, le=MOST_STEPS)
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        held = [drawn_set_point(self.fraction, generator, setting).coordinates(np.zeros(1))[0][0] for _ in range(self.count)]
+        held = [set_point(self, generator, setting).coordinates(np.zeros(1))[0][0] for _ in range(self.count)]
         return Stepped(np.array(held), self.duration)
 
 

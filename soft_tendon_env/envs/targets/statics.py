@@ -4,18 +4,17 @@ Tensions are pushed through the statics, so that the arm can hold every one of t
 drawn ones are halved.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 
-from soft_tendon_env.envs.targets import Setting, ShapeCourse, Tensions
+from soft_tendon_env.envs.targets import DrawnShapes, Setting, ShapeCourse
 from soft_tendon_env.mechanics.workspace import Workspace
 from soft_tendon_env.model.equilibrium_residual import Balance
-from soft_tendon_env.model.load_continuation import SOFT
 from soft_tendon_env.model.statics import rests_at_tensions, static_equilibrium
 from soft_tendon_env.model.tension_limits import warn_beyond_limits
-from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_array, shown_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.types import Array
@@ -27,8 +26,9 @@ MARGIN = 1.03
 PER_KNOT = 4
 """Places per knot of the tensions at which a motion is looked at. The spline through four equilibria moves the tip of a loaded arm by up to
 1e-4 of its length off those between, through two by up to 2e-3."""
-NEAR = 0.2
-"""Angle [rad] from where an equilibrium is expected within which it is taken; else tensions change by half as much at a time."""
+NEAR, CLOSE = 0.2, 0.01
+"""Angles [rad] from where an equilibrium is expected: within which it is taken, else tensions change by half as much at a time; and within
+which the stiffness there says whether it is stable."""
 RESIDUAL = 1e-9
 """Residual [rad], see Equilibrium, up to which forces count as balanced."""
 SAME = 1e-6
@@ -36,8 +36,6 @@ SAME = 1e-6
 SHORTER = 8
 """How often changes of tensions are halved before the arm is said to jump."""
 MOST_CORRECTIONS = 20
-STALE = 0.1
-"""Contraction of Newton's method above which its stiffness is computed anew."""
 EXTRAPOLATIONS: dict[int, list[float]] = {1: [1.0], 2: [-1.0, 2.0], 3: [1.0, -3.0, 3.0]}
 """Weights of the last values in the next one: of order 0, 1 and 2."""
 JUMPS = "the arm jumps from one shape to another near there"
@@ -50,11 +48,30 @@ class NoEquilibrium(ArithmeticError):
         super().__init__(f"{shown_numbers(tension)} N: {reason}")
 
 
-class Constant(Tensions):
-    """Tensions that stay: `value` (n_a,)."""
+class Tensions(ABC):
+    """Tensions as a function of time.
 
-    def __init__(self, value: Array) -> None:
-        self.value, self.knots = value, np.zeros(1)
+    knots: times (k,) [s] between which the motion is smooth, from its beginning at 0 to its end or, if `is_closed`, to where it repeats.
+    """
+
+    knots: Array
+    is_closed = False
+
+    def within(self, times: Array) -> Array:
+        """The times (m,) between the first and the last knot at which the motion is what it is at `times`."""
+        end = self.knots[-1]
+        return np.mod(times, end) if self.is_closed else np.clip(times, 0.0, end)
+
+    @abstractmethod
+    def __call__(self, times: Array) -> tuple[Array, Array]:
+        """Tensions [N] and their rates [N/s] at times (m,) [s], (m, n_a) each."""
+
+
+class Constant(Tensions):
+    """Tensions that stay: the first of points (1, n_a)."""
+
+    def __init__(self, points: Array) -> None:
+        self.value, self.knots = points[0], np.zeros(1)
 
     def __call__(self, times: Array) -> tuple[Array, Array]:
         return np.tile(self.value, (times.size, 1)), np.zeros((times.size, self.value.size))
@@ -65,40 +82,23 @@ def nearest_to_zero(limits: Array) -> Array:
     return np.clip(0.0, limits[:, 0], limits[:, 1])
 
 
-def check_tension(tension: tuple[float, ...] | None, scene: Scene) -> None:
-    """Raises ConfigurationError unless a target's `tension`, if it is given, has an entry per tendon of the scene."""
-    if tension is not None and len(tension) != len(scene.tendons):
-        text = f"has {len(tension)} entries: it should have one per tendon, {len(scene.tendons)}"
-        raise ConfigurationError([Problem(("target", "tension"), text)], "environment")
-
-
-def given_course(tension: tuple[float, ...], setting: Setting, motion: Callable[[Array], Tensions]) -> "StaticCourse":
-    """The course of a motion that given tensions make. Beyond their limits they are taken as they are, with a TensionLimitWarning."""
-    end = checked_array("target.tension", tension, (setting.arms.model.tendon_count,))
-    warn_beyond_limits(setting.limits.tolist(), end)
-    try:
-        return StaticCourse(setting, motion(end))
-    except NoEquilibrium as error:
-        reason = static_equilibrium(setting.model, end).reason
-        why = f"{shown_numbers(end)} N: {reason}" if reason else str(error)
-        text = f"is {shown(tension)}: it should be tensions that the arm can hold, not {why}"
-        raise ConfigurationError([Problem(("target", "tension"), text)], "environment") from error
-
-
-def drawn_course(
-    count: int, fraction: float | tuple[float, float], generator: np.random.Generator, setting: Setting, motion: Callable[[Array], Tensions]
+def shape_course(
+    target: DrawnShapes, generator: np.random.Generator, setting: Setting, motion: Callable[[Array], Tensions], count: int = 1
 ) -> "StaticCourse":
-    """The course of a motion that drawn tensions (count, n_a) make, clear of obstacles.
+    """The course of a motion that tensions (count, n_a) make, given ones or drawn ones clear of obstacles.
 
-    They are uniform within a fraction of their limits around those nearest to zero, drawn from a range if it is one, and halved towards
-    these until the arm holds them: one draw, so that whatever is drawn next is the same for every arm. Raises ConfigurationError.
+    Given ones are taken as they are, beyond their limits with a TensionLimitWarning. Drawn ones are uniform within a fraction of their
+    limits around those nearest to zero, drawn from a range if it is one, and halved towards these until the arm holds them: one draw, so
+    that whatever is drawn next is the same for every arm. Raises ConfigurationError where the arm holds none.
     """
-    middle = setting.tension
+    if target.given_tension is not None:
+        return _given_course(target.given_tension, setting, motion)
+    middle, fraction = setting.tension, target.fraction
     share = generator.uniform(*fraction) if isinstance(fraction, tuple) else fraction
     reach = share * (setting.limits - middle[:, None])
     offset = generator.uniform(reach[:, 0], reach[:, 1], (count, middle.size))
     if setting.free is not None:
-        setting = setting._replace(model=setting.free.model, is_exact=rests_at_tensions(setting.free.model))
+        setting = setting._replace(model=setting.free.model)
     for halvings in range(HALVINGS + 1):
         try:
             course = StaticCourse(setting, motion(middle + 0.5**halvings * offset), MARGIN)
@@ -111,9 +111,21 @@ def drawn_course(
     raise ConfigurationError([Problem(("target", "fraction"), text)], "environment")
 
 
-def drawn_set_point(fraction: float | tuple[float, float], generator: np.random.Generator, setting: Setting) -> "StaticCourse":
-    """The course of one shape at rest under random tensions within a fraction of their limits. Raises ConfigurationError."""
-    return drawn_course(1, fraction, generator, setting, lambda points: Constant(points[0]))
+def _given_course(tension: tuple[float, ...], setting: Setting, motion: Callable[[Array], Tensions]) -> "StaticCourse":
+    end = checked_array("target.tension", tension, (setting.arms.model.tendon_count,))
+    warn_beyond_limits(setting.limits.tolist(), end)
+    try:
+        return StaticCourse(setting, motion(end[None]))
+    except NoEquilibrium as error:
+        reason = static_equilibrium(setting.model, end).reason
+        why = f"{shown_numbers(end)} N: {reason}" if reason else str(error)
+        text = f"is {shown(tension)}: it should be tensions that the arm can hold, not {why}"
+        raise ConfigurationError([Problem(("target", "tension"), text)], "environment") from error
+
+
+def set_point(target: DrawnShapes, generator: np.random.Generator, setting: Setting) -> "StaticCourse":
+    """The course of one shape at rest under given or drawn tensions. Raises ConfigurationError."""
+    return shape_course(target, generator, setting, Constant)
 
 
 def _still(value: Array, times: Array, order: int = 0) -> Array:
@@ -131,7 +143,7 @@ class StaticCourse(ShapeCourse):
     def __init__(self, setting: Setting, tension: Tensions, margin: float = 1.0) -> None:
         """margin: part of the coordinates that should have a strain too, above 1 for drawn ones. Raises NoEquilibrium."""
         self.tension, self._response = tension, setting.response
-        self._added = None if setting.is_exact else self._loaded(setting)
+        self._added = None if rests_at_tensions(setting.model) else self._loaded(setting)
         pulls = margin > 1.0 and setting.limits.min() >= 0.0  # so that there is a strain, and one alone, between knots too
         places = tension.knots if pulls else self.places
         if not (firm := setting.arms.are_firm(margin * self.coordinates(places)[0])).all():
@@ -177,8 +189,6 @@ class EquilibriumPath:
         """work: of the setting's model."""
         self.q, self.tension, self._response = setting.rest, setting.tension, setting.response
         self._balance = Balance(setting.model, setting.tension, work)
-        self._compliance: Array
-        self._linearise()
 
     def follow(self, tension: Array) -> Array:
         """Coordinates (m, n) at rest under tensions (m, n_a), one after the other. Raises NoEquilibrium, also where tensions that come back
@@ -190,51 +200,37 @@ class EquilibriumPath:
             self.move(u, response + np.dot(EXTRAPOLATIONS[len(added)], added) if added else None)
             added = [*added[-2:], self.q - response]
             q[i] = self.q
-            if i % 2 == 0 or self._is_soft:  # a stretch without stability may be short
-                self._linearise()
         if (tension[-1] == tension[0]).all() and not self._balance.angle(q[-1] - q[0]) <= SAME:
             raise NoEquilibrium(tension[0], JUMPS)
         return q
 
     def move(self, tension: Array, expected: Array | None = None, shorter: int = SHORTER) -> None:
         """Go on to the equilibrium under other tensions (n_a,), expected at coordinates (n,). Raises NoEquilibrium."""
-        guess = self.q + (tension - self.tension) @ self._response if expected is None else expected
-        q = self._corrected(tension, guess)
+        q = self._corrected(tension, self.q + (tension - self.tension) @ self._response if expected is None else expected)
         if q is not None:
             self.q, self.tension = q, tension
         elif shorter:
-            self._linearise()
             self.move(0.5 * (self.tension + tension), None, shorter - 1)
             self.move(tension, None, shorter - 1)
         else:
             raise NoEquilibrium(tension, self._balance.obstacle or JUMPS)
 
     def _corrected(self, tension: Array, guess: Array) -> Array | None:
-        """The equilibrium (n,) near a guess (n,) to which Newton's method leads, with a stiffness that is kept while it will do."""
-        balance, q, last = self._balance, guess, np.inf
+        """The equilibrium (n,) near a guess (n,) to which Newton's method leads with the stiffness there. Raises NoEquilibrium where the
+        arm would not stay."""
+        balance = self._balance
         balance.tension, balance.obstacle = tension, ""
+        here = balance.linearised(guess, 1.0)
+        at = None if here is None else here.at
         for _ in range(MOST_CORRECTIONS):
-            at = balance.at(q, 1.0)
-            if at is None:
+            if here is None or at is None or not (off := balance.angle(at.q - guess)) <= NEAR:
                 return None
-            if at.residual <= RESIDUAL:
-                return q if balance.angle(q - guess) <= NEAR else None
-            size = balance.angle(change := self._compliance @ at.force)
-            if size > STALE * last:
-                if (here := balance.linearised(q, 1.0)) is None:
-                    return None
-                self._compliance = here.compliance
-                size = balance.angle(change := self._compliance @ at.force)
-            if not size <= NEAR:
+            if at.residual > RESIDUAL:
+                at = balance.at(at.q + here.compliance @ at.force, 1.0)
+            elif balance.stability(here).stable:
+                return at.q
+            elif off > CLOSE:
                 return None
-            q, last = q + change, size
+            else:
+                raise NoEquilibrium(tension, "the arm is no longer stable there")
         return None
-
-    def _linearise(self) -> None:
-        """Compute the stiffness where the arm is. Raises NoEquilibrium where it would not stay there."""
-        self._balance.tension = self.tension
-        here = self._balance.linearised(self.q, 1.0)
-        stability = None if here is None else self._balance.stability(here)
-        if here is None or stability is None or not stability.stable:
-            raise NoEquilibrium(self.tension, "the arm is no longer stable there")
-        self._compliance, self._is_soft = here.compliance, stability.least < SOFT or not stability.has_potential

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from soft_tendon_env.envs.observation import GROUPS, HISTORY, Group
-from soft_tendon_env.envs.rewards import OWN_TERMS, TERMS, Term, TipGoal
+from soft_tendon_env.envs.rewards import OWN_TERMS, TERMS, Term
 from soft_tendon_env.envs.targets import TARGETS
 from soft_tendon_env.envs.tracking import Tracking, TrackingError, register_reward_term
 from soft_tendon_env.registration import MAX_EPISODE_STEPS, register_environment
@@ -39,7 +39,7 @@ class Task:
         reference: groups that give a controller its reference, where it observes the coordinates.
         measured_reference: groups that give a controller its reference, where a state estimator finds the coordinates.
         shapes: whether it compares whole shapes, and so needs a target that gives shapes.
-        goal: for goal-conditioned tasks, what their goals are and how they are rewarded.
+        goal: for goal-conditioned tasks, what their goals (3,) [m] are.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Task:
     reference: tuple[str, ...] = ()
     measured_reference: tuple[str, ...] = ()
     shapes: bool = False
-    goal: TipGoal | None = None
+    goal: str | None = None
 
     @property
     def terms(self) -> dict[str, Term]:
@@ -93,9 +93,8 @@ def register_task(task: Task, max_episode_steps: int = MAX_EPISODE_STEPS) -> Tas
         f"not call a group {HISTORY!r}, which is what the option of that name adds": HISTORY not in task.groups,
         "have the observation 'full', the default": "full" in task.observations,
     }
-    for rule, holds in rules.items():
-        if not holds:
-            raise ValueError(f"the task {task.name} should {rule}")
+    if broken := [rule for rule, holds in rules.items() if not holds]:
+        raise ValueError(f"the task {task.name} should {broken[0]}")
     named: dict[str, tuple[Iterable[str], Mapping[str, object]]] = {
         "target": ([task.target], TARGETS),
         **{f"observations[{choice!r}]": (groups, task.observable) for choice, groups in task.observations.items()},

@@ -1,6 +1,5 @@
 """Reaching: bring the tip to a point; goal-conditioned, for hindsight experience replay."""
 
-from soft_tendon_env.envs.rewards import TipGoal
 from soft_tendon_env.envs.tasks import TIP, Task, register_task
 from soft_tendon_env.envs.tracking import POSITION
 
@@ -33,6 +32,6 @@ again; a goal that is given stays. Reaching it does not end the episode; `info["
             "measurable": (*TIP, "tendon_lengths", "strain", "last_action"),
         },
         errors=(POSITION,),
-        goal=TipGoal(),
+        goal="tip position",
     )
 )
