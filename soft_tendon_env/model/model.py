@@ -64,10 +64,7 @@ class Model:
         return made
 
     def with_numbers(self, changes: Mapping[str, float]) -> Model:
-        """Model `with_scene` of other numbers, `{"segments.*.young_modulus": 1.1e6}`, see scene.parameters.
-
-        Raises TypeError or ConfigurationError.
-        """
+        """Model `with_scene` of other numbers, `{"segments.*.young_modulus": 1.1e6}`. Raises TypeError or ConfigurationError."""
         scene_parameters(self.scene, changes)
         made = self.with_scene(scene_with_numbers(self.scene, changes))
         if misfit := self.misfit(made):
@@ -246,9 +243,8 @@ class Model:
 
     def coordinate_scale(self) -> Array:
         """Unit of each coordinate (n,): the amplitude that stores as much energy as bending the arm by 1 rad."""
-        n = self.coordinate_count
-        stiffness = np.diag(self.terms(np.zeros(n), np.zeros(n)).stiffness)
-        return np.asarray(np.sqrt(self.bending_energy / stiffness))
+        still = np.zeros(self.coordinate_count)
+        return np.asarray(np.sqrt(self.bending_energy / np.diag(self.terms(still, still).stiffness)))
 
     def arc_lengths(self, name: str, value: ArrayLike) -> Array:
         """Arc lengths (m,) [m] along the rod, checked. Raises TypeError or ValueError naming `name`."""
@@ -326,9 +322,7 @@ def model_on(scene: Scene, intervals: int) -> Model:
 def least_eigenvalue(matrix: Array) -> float:
     """The least eigenvalue of a matrix scaled to a unit diagonal."""
     scale = np.sqrt(np.diag(matrix))
-    if not scale.min() > 0.0:
-        return 0.0
-    return float(np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0])
+    return float(np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0]) if scale.min() > 0.0 else 0.0
 
 
 def _too_large(q: Array) -> StrainLimitError:
