@@ -37,7 +37,7 @@ def refuse_closed(closed: bool, called: str) -> None:
 
 
 class EpisodesEnv:
-    """What environments with one row of `Episodes` and with many share: `self.episodes`, its spaces and its renderer.
+    """Base of environments with one row of `Episodes` and with many: `self.episodes`, its spaces and its renderer.
 
     `spec` goes to JSON, whatever options were given as: NumPy's numbers and arrays, paths, a Scene.
     """
