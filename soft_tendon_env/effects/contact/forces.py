@@ -140,7 +140,7 @@ def contact_wrench(contact, nodes):
 
 @kernel(inline=True)
 def add_touch(nodes, i, ends, sample, touch):
-    """What a contact adds to both nodes of an interval."""
+    """Adds the wrenches of a contact to both nodes of its interval."""
     nodes.touched[0], t = 1.0, sample.t
     add_to_node(nodes, i, ends.R_b, (sample.h_b, sample.reach_b, t, t if i > 0 else 1.0), sample.radius, touch)
     if i > 0 and t < 1.0:

@@ -25,7 +25,7 @@ from soft_tendon_env.tools.types import LEAST, Frequency, Length, NotNegative, N
 
 MOST_SIZES = 4
 NUMBERS = 2**20
-"""Of shapes: the first are those of `OF_PACKAGE`, the others come from names."""
+"""Numbers of shapes: the first are those of `OF_PACKAGE`, the others come from names."""
 
 
 class Geometry(NamedTuple):
@@ -133,7 +133,7 @@ class Obstacle(Configuration):
     friction: NotNegative | None = Field(None, description="coefficient of friction mu [-]; by default that of the table")
 
     def geometry(self) -> Geometry:
-        """What the kernels and pictures need of the shape."""
+        """Sizes, thickness and solids of the shape, for kernels and pictures."""
         raise NotImplementedError(f"{type(self).__name__} needs a method geometry()")
 
     @property
