@@ -18,13 +18,15 @@ MADE = json.loads((HERE / "golden.json").read_text())
 IS_HERE = MADE["machine"] == machine() and all(MADE["versions"][name] == versions()[name] for name in ("numpy", "scipy", "numba"))
 TOLERANCE = 1e-8 if IS_HERE else 1e-5
 """Largest difference as a share of an array's largest number; other processors and libraries round differently, and motions grow that."""
+REWRITTEN = {"gradients": 1e-8}
+"""Of parts whose way of computing has changed since."""
 
 
 @pytest.mark.parametrize("part", golden_numbers.PARTS)
 def test_numbers_are_those_of_before(part):
     with np.load(HERE / "golden.npz") as kept:
         wanted = {name.partition("/")[2]: kept[name] for name in kept.files if name.startswith(f"{part}/")}
-    found = golden_numbers.PARTS[part]()
+    found, tolerance = golden_numbers.PARTS[part](), max(TOLERANCE, REWRITTEN.get(part, 0.0))
     assert found.keys() == wanted.keys()
     for name, array in wanted.items():
-        np.testing.assert_allclose(found[name], array, rtol=0.0, atol=TOLERANCE * max(1e-6, np.abs(array).max()), err_msg=name)
+        np.testing.assert_allclose(found[name], array, rtol=0.0, atol=tolerance * max(1e-6, np.abs(array).max()), err_msg=name)

@@ -88,7 +88,9 @@ def filter_adjoint(effects, start, times, begins, state, command, memory):
     after begin_filter() from the internal state `start`."""
     path, tendons, own, found = effects.transmission, command.size, filter_state(effects, state), memory.slope
     before, after = queue_of(filter_state(effects, start), tendons), queue_of(filter_state(effects, memory.state), tendons)
-    waiting, arrived = queue_of(own, tendons), source_at(path, before, times, begins, has_arrived_by(times[1]))
+    waiting, arrived = queue_of(own, tendons), 1  # which nothing changes without a delay
+    if path.delay > 0.0:
+        arrived = source_at(path, before, times, begins, has_arrived_by(times[1]))
     for i in range(tendons):
         for number in range(len(found)):
             of_means = memory.force[0, i] * memory.mean[0, number, i] + memory.force[1, i] * memory.mean[1, number, i]

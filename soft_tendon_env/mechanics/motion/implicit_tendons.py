@@ -20,8 +20,8 @@ SAME = 1e-6  # of the stiction speed, what rates may be off
 
 @kernel
 def answer_tendons(balance, forces, h, scratch):
-    """What a unit of each of the forces (n_a, n) changes over a substep of length h: rates, held.answer, and how fast tendons are pulled
-    in, held.give; and how fast they are at its end so far, held.rate."""
+    """Changes by a unit of each of the forces (n_a, n) over a substep of length h: of rates, held.answer, and of how fast tendons are
+    pulled in, held.give; and how fast they are at its end so far, held.rate."""
     held, n = scratch.held, scratch.delta.size
     for j in range(len(forces)):
         for a in range(n):

@@ -131,7 +131,7 @@ def first_step(balance, h, plan):
 
 @kernel
 def further_step(h, plan):
-    """The same after a further step, of the length of the first one."""
+    """Coordinates and rates after a further step, of the length of the first one."""
     n, inputs = plan.forces.shape
     solved, moved, rates, ahead = plan.solved, plan.moved, plan.rates, plan.ahead
     for i in range(n):
