@@ -1,10 +1,11 @@
 """Effects: what acts on the arm besides its tendons, and the table by which a scene names them.
 
 An effect is one file, in this package or a user's own: its configuration class under `@register_effect("name")`, its parameters, a
-NamedTuple of numbers and arrays, and the kernels that it needs, see mechanics/effects.py. It is then the optional table
+`Struct` of numbers and arrays, and the kernels that it needs, see mechanics/effects.py. It is then the optional table
 `[effects.name]` of every scene. A scene without that table neither compiles nor calls it. `examples/own_effect.py` is one from outside.
 """
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar
@@ -12,7 +13,8 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar
 import numpy as np
 from pydantic import ConfigDict
 
-from soft_tendon_env.mechanics.effects import DIRECT, EffectTable, has_kernel, make_table
+from soft_tendon_env.mechanics.algebra.structs import Struct
+from soft_tendon_env.mechanics.effects import DIRECT, EffectTable, kernels_of
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, odd_keys, shown
 from soft_tendon_env.tools.types import Array as Array
 
@@ -79,8 +81,24 @@ class DeadLoads(NamedTuple):
         return any(component != 0.0 for vector in self for component in vector)
 
 
-class NoParameters(NamedTuple):
+class NoParameters(Struct):
     """Parameters of an effect that no kernel reads."""
+
+
+class TimeWarning(UserWarning):
+    """An effect depends on time without limiting the length of integrator steps."""
+
+
+def check_kernels(name: str, kind: type[Struct]) -> None:
+    """Raises TypeError where no kernel is registered for parameters of this class; warns of one that reads the time, but lets steps be as
+    long as they like."""
+    kernels = kernels_of(kind)
+    if not kernels:
+        raise TypeError(f"the effect {name!r} has no kernel for its parameters: decorate one with @adds_wrench({kind.__name__})")
+    read = {word for own in kernels.values() for word in getattr(own, "py_func", own).__code__.co_names}
+    if "limit" not in kernels and "time" in read and "time" not in kind.names():
+        text = "reads the time, but no kernel of it is decorated with @limits_step: steps may pass over its changes"
+        warnings.warn(f"the effect with parameters {kind.__name__} {text}", TimeWarning, stacklevel=2)
 
 
 class Solid(NamedTuple):
@@ -112,7 +130,7 @@ class Effect(Configuration):
         return True
 
     def parameters(self, rod: Discretisation) -> Any:
-        """The parameters that the kernels read: an instance of the effect's own NamedTuple class, see mechanics/effects.py."""
+        """The parameters that the kernels read: an instance of the effect's own `Struct` class, see mechanics/effects.py."""
         if self.is_actuation:
             return NoParameters()
         raise NotImplementedError(f"{type(self).__name__} needs a method parameters(rod)")
@@ -250,14 +268,13 @@ class Effects(Configuration):
         effects = self.acting()
         parameters = {name: effect.parameters(rod) for name, effect in effects.items()}
         for name, own in parameters.items():
-            if not has_kernel(type(own)) and not effects[name].is_actuation:
-                kind = type(own).__name__
-                raise TypeError(f"the effect {name!r} has no kernel for its parameters: decorate one with @adds_wrench({kind})")
+            if not effects[name].is_actuation:
+                check_kernels(name, type(own))
         numbers: dict[str, Any] = {}
         states = [effect.state(rod) for effect in effects.values()]
         for i, effect in enumerate(effects.values()):
             numbers.update(effect.transmission(rod), **({"filter": i} if effect.is_actuation and states[i].size else {}))
-        return make_table(list(parameters.values()), states, DIRECT.replaced(**numbers))
+        return EffectTable(list(parameters.values()), states, DIRECT.replaced(**numbers))
 
     def added_inertia(self, rod: Discretisation) -> Array:
         """Screw inertia (nodes, 6) that the effects add to the slices of the rod."""

@@ -1,6 +1,6 @@
 """A wrench at the tip, and a payload fixed to it."""
 
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -9,6 +9,7 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, DeadLoads, Discretisation, Effect, random_vector, register_effect, size
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import rotate_back
+from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import adds_wrench
 from soft_tendon_env.mechanics.terms.kinematics import tip_pose_of
 from soft_tendon_env.tools.types import NotNegative, Triple
@@ -56,7 +57,7 @@ class TipLoad(Effect):
         return alike and all(most >= needed for most, needed in zip(*sizes, strict=True))
 
 
-class TipLoadParameters(NamedTuple):
+class TipLoadParameters(Struct):
     """The wrench and its frame; the payload is part of the rod's inertia."""
 
     force: Triple

@@ -12,7 +12,6 @@ likes.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -20,7 +19,7 @@ from pydantic import Field
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
-from soft_tendon_env.mechanics.effect_parameters import Vector
+from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import adds_stress
 from soft_tendon_env.mechanics.types import point_field
 from soft_tendon_env.tools.configuration import Configuration
@@ -47,7 +46,7 @@ class ViscoelasticMemory(Effect):
         time = np.array([branch.relaxation_time for branch in self.branches])
         lasting = np.where(rod.step > SHORT * time, np.exp(-0.5 * rod.step / time), 1.0)  # substeps are shorter than steps
         spring, damper = lasting * self.moduli, (1.0 - lasting) * time * self.moduli
-        return MemoryParameters(Vector(self.moduli), Vector(time), Vector(spring), Vector(damper))
+        return MemoryParameters(self.moduli, time, spring, damper)
 
     @property
     def moduli(self) -> Array:
@@ -71,13 +70,13 @@ class ViscoelasticMemory(Effect):
         return all(time in own and own[time] >= modulus for time, modulus in needed.items())
 
 
-class MemoryParameters(NamedTuple):
+class MemoryParameters(Struct):
     """The branches."""
 
-    modulus: Vector  # (branches) [-]
-    time: Vector  # (branches) [s]
-    spring: Vector  # (branches) [-], what the implicit step takes for stiffness
-    damper: Vector  # (branches) [s], and for damping
+    modulus: Array  # (branches) [-]
+    time: Array  # (branches) [s]
+    spring: Array  # (branches) [-], what the implicit step takes for stiffness
+    damper: Array  # (branches) [s], and for damping
 
 
 @kernel

@@ -35,7 +35,17 @@ class Tracking:
     """
 
     __slots__ = (
-        "_arms", "_target", "error", "distance", "angle", "tip_pose", "target_pose", "command", "action_change", "contact", "reading",
+        "_arms",
+        "_target",
+        "error",
+        "distance",
+        "angle",
+        "tip_pose",
+        "target_pose",
+        "command",
+        "action_change",
+        "contact",
+        "reading",
         "q_dot",
     )
 
@@ -96,8 +106,12 @@ def norm(vectors: Array) -> Array:
 POSITION = TrackingError("position_error", "position", "tip position error [m]", 0.05, lambda t: t.distance, of_length=True)
 ANGLE = TrackingError("angle_error", "angle", "angle between the tip's and the target's frame [rad]", 0.5, lambda t: t.angle)
 BACKBONE = TrackingError(
-    "backbone_error", "backbone", "root mean square distance between backbone and target [m]", 0.05,
-    lambda t: np.sqrt(np.mean(norm(t.target_backbone - t.backbone) ** 2, axis=1)), of_length=True,
+    "backbone_error",
+    "backbone",
+    "root mean square distance between backbone and target [m]",
+    0.05,
+    lambda t: np.sqrt(np.mean(norm(t.target_backbone - t.backbone) ** 2, axis=1)),
+    of_length=True,
 )
 COORDINATES = TrackingError(
     "coordinate_error", "coordinates", "norm of the coordinates' error, newton for tensions", 10.0, lambda t: norm(t.target_q - t.q)

@@ -12,7 +12,6 @@ Psi C^1/2 with C = Sigma^-1 the scaled section stiffness (H = L D L^T), Phi the 
 [Phi_a Phi_p] the columns with G = sum Y^T Y, M D G the mass, damping and stiffness matrices.
 """
 
-
 import numpy as np
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned, aligned_zeros

@@ -1,4 +1,5 @@
 """Scene files in TOML: load by the name of a shipped scene or by path, save."""
+
 import os
 from pathlib import Path
 from typing import Any

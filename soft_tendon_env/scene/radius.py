@@ -2,6 +2,7 @@
 
 To add a profile, write its class here and name it in `Radius` with its type as the tag.
 """
+
 from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal

@@ -3,6 +3,7 @@
 Offset and slope come from the same function, so that they cannot disagree (a taper's slope is part of d').
 To add a routing, write its class here and name it in `Routing`.
 """
+
 from abc import abstractmethod
 from typing import Annotated, Literal
 
@@ -154,6 +155,4 @@ class TableRouting(TendonRouting):
         return 2 * float(np.diff(self.arc_length).min())
 
 
-Routing = Annotated[
-    StraightRouting | ConvergingRouting | SurfaceRouting | HelixRouting | TableRouting, Field(discriminator="type")
-]
+Routing = Annotated[StraightRouting | ConvergingRouting | SurfaceRouting | HelixRouting | TableRouting, Field(discriminator="type")]

@@ -3,6 +3,7 @@
 SI units throughout. Only sources are stored; what follows from them is computed by the functions at the end of this file.
 Every class raises `ConfigurationError` for unknown keys, wrong types and wrong ranges.
 """
+
 import re
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Self

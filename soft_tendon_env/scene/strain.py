@@ -1,4 +1,5 @@
 """Strain parametrisations of the rod: statics-based (implicit) and explicit polynomial bases, and which of the six strains exist."""
+
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 

@@ -3,6 +3,7 @@
 A configuration is a frozen pydantic model. Unknown keys, wrong types and wrong ranges are found by pydantic; this
 module only translates its report into a `ConfigurationError` that names the file, the dotted key, the value and what is allowed.
 """
+
 import difflib
 import os
 import re

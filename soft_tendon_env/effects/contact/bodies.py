@@ -10,19 +10,19 @@ from soft_tendon_env.effects.contact import columns as at
 from soft_tendon_env.effects.contact.obstacle import Obstacle
 from soft_tendon_env.effects.contact.shapes import Box, Capsule, Cylinder, Plane, Sphere
 from soft_tendon_env.mechanics.algebra.lie import dot, minus, plus, rotate_back, times
-from soft_tendon_env.mechanics.effect_parameters import Matrix
-from soft_tendon_env.tools.types import Triple
+from soft_tendon_env.mechanics.algebra.structs import Struct
+from soft_tendon_env.tools.types import Array, Triple
 
 CUTS, SAME = 64, 1e-3
 """Most places at which the way of a sample is looked at, and the share of that within which it comes up to what is allowed."""
 
 
-class ContactParameters(NamedTuple):
+class ContactParameters(Struct):
     """The numbers of samples and obstacles; intervals in order from base to tip, the empty ones at the end without samples."""
 
-    intervals: Matrix  # (nodes, 4): length h [m], first sample, one past the last, largest radius [m]
-    samples: Matrix  # (samples, 10): see columns.py
-    obstacles: Matrix  # (obstacles, 29)
+    intervals: Array  # (nodes, 4): length h [m], first sample, one past the last, largest radius [m]
+    samples: Array  # (samples, 10): see columns.py
+    obstacles: Array  # (obstacles, 29)
     stiction_speed: float  # [m/s]
 
 

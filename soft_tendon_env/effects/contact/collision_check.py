@@ -32,12 +32,13 @@ class SweptBody(NamedTuple):
 
 
 @kernel
-def limit_step(contact, nodes, longest):
-    """Steps are short beside the periods of obstacles that swing."""
+def limit_contact(contact, nodes, longest):
+    """Steps are short beside the periods of obstacles that swing, and end where something is met."""
     for j in range(contact.obstacles.shape[0]):
         amplitude = triple(contact.obstacles, j, at.AMPLITUDE)
         if dot(amplitude, amplitude) > 0.0:
             allow_turning(contact.obstacles[j, at.RATE], longest)
+    check_collisions(contact, nodes, longest)
 
 
 @kernel
@@ -90,12 +91,12 @@ def check_sample(m, swept, nodes, longest, flags):
 
 
 @kernel(refcount=True)
-def check_collisions(contact, before, nodes, longest, flags):
+def check_collisions(contact, nodes, longest):
     """The next step ends where something is met; the last one was too long if a sample went through something on its way, or came to be
     so deep in it at once that it stores more than a share of the arm's energy."""
-    energy = landing_energy(nodes, contact.intervals)
+    energy, before, flags = landing_energy(nodes, contact.intervals), nodes.before_step, nodes.contact
     for j in range(contact.obstacles.shape[0]):
-        body_before, body = body_at(contact, j, before.time), body_at(contact, j, nodes.time)
+        body_before, body = body_at(contact, j, before.time[0]), body_at(contact, j, nodes.time)
         for i in range(contact.intervals.shape[0]):
             swept = SweptBody(body_before, body, ends_of(before, i), ends_of(nodes, i), energy)
             if not is_far(swept, contact, nodes, longest):

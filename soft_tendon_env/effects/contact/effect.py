@@ -9,13 +9,12 @@ from pydantic import Field
 
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, Solid, register_effect
 from soft_tendon_env.effects.contact.bodies import SHAPES_OF, ContactParameters, read_distances
-from soft_tendon_env.effects.contact.collision_check import check_collisions, limit_step
+from soft_tendon_env.effects.contact.collision_check import limit_contact
 from soft_tendon_env.effects.contact.forces import contact_wrench, read_contacts
 from soft_tendon_env.effects.contact.obstacle import AnyObstacle, Obstacle
 from soft_tendon_env.effects.contact.samples import make_samples
 from soft_tendon_env.effects.nodes import nodes_with
-from soft_tendon_env.mechanics.effect_parameters import Matrix
-from soft_tendon_env.mechanics.effects import adds_wrench, limits_step, sweeps_motion
+from soft_tendon_env.mechanics.effects import adds_wrench, limits_step
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.types import NotNegative, Positive
 
@@ -27,11 +26,11 @@ def parameters_class(*own: type[Obstacle]) -> type[ContactParameters]:
     name = "_".join(["ContactParameters", *(shape.__name__ for shape in own)])
     if own:
         module = own[0].__module__  # so that machine code for it is not kept: the shape's file may change
-        kind = cast(type[ContactParameters], type(name, (ContactParameters,), {"__module__": module, "__slots__": ()}))
+        kind = cast(type[ContactParameters], type(name, (ContactParameters,), {"__module__": module}))
         setattr(sys.modules[module], name, kind)  # where pickle looks
         SHAPES_OF[kind] = (*SHAPES_OF[ContactParameters], *own)
-    for hook, function in ((adds_wrench, contact_wrench), (limits_step, limit_step), (sweeps_motion, check_collisions)):
-        hook(kind)(function)
+    adds_wrench(kind)(contact_wrench)
+    limits_step(kind)(limit_contact)
     return kind
 
 
@@ -59,7 +58,7 @@ class Contact(Effect):
         own = {type(obstacle) for obstacle in self.obstacles} - {*SHAPES_OF[ContactParameters]}
         kind = parameters_class(*sorted(own, key=lambda shape: shape.__name__))
         rows = [obstacle.row(SHAPES_OF[kind].index(type(obstacle)), self.friction, self.dissipation) for obstacle in self.obstacles]
-        return kind(Matrix(intervals), Matrix(samples), Matrix(np.array(rows)), self.stiction_speed)
+        return kind(intervals, samples, np.array(rows), self.stiction_speed)
 
     def sample_places(self, rod: Discretisation) -> Array:
         """Arc lengths (samples,) [m] at which contact is looked for."""

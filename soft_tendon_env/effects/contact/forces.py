@@ -141,7 +141,7 @@ def contact_wrench(contact, nodes):
         j, i, m = pairs[pair, 0], pairs[pair, 1], pairs[pair, 2]
         ends, t = ends_of(nodes, i), samples[m, at.T]
         touch = touch_of(body_at(contact, j, nodes.time), ends, m, nodes)
-        nodes.touched[0] = 1.0
+        nodes.contact.touched[0] = 1.0
         behind = samples[m, at.H_B], samples[m, at.REACH_B], t, t if i > 0 else 1.0
         add_to_node(nodes, i, ends.R_b, behind, samples[m, at.RADIUS], touch)
         if i > 0 and t < 1.0:

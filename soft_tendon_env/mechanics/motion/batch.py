@@ -62,9 +62,13 @@ def make_reading(arm: Arm, places: Places, rows: int) -> Reading:
     """A Reading of zeros and identities."""
     sensors, n_a = places.sensor.size, arm.tendons.size
     return Reading(
-        tip_pose=identities(rows), tip_twist=np.zeros((rows, 6)), backbone=identities(rows, places.station.size),
-        tendon_length=np.zeros((rows, n_a)), tension=np.zeros((rows, n_a)),
-        strain=np.zeros((rows, sensors, 6)), strain_rate=np.zeros((rows, sensors, 6)),
+        tip_pose=identities(rows),
+        tip_twist=np.zeros((rows, 6)),
+        backbone=identities(rows, places.station.size),
+        tendon_length=np.zeros((rows, n_a)),
+        tension=np.zeros((rows, n_a)),
+        strain=np.zeros((rows, sensors, 6)),
+        strain_rate=np.zeros((rows, sensors, 6)),
     )
 
 

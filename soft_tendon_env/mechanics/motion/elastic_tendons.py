@@ -5,7 +5,6 @@ v' = v + dv + h A^-1 B (T' - T): implicit Euler of a force that is monotone, sta
 problem of the tendons alone (D. E. Stewart and J. C. Trinkle 1996). B of the forces has what friction leaves.
 """
 
-
 from soft_tendon_env.compiler.compilation import phase
 from soft_tendon_env.mechanics.algebra.bounded import solve_bounded
 from soft_tendon_env.mechanics.algebra.linear import copy, product, solve_again

@@ -155,7 +155,6 @@ def combined_columns(Phi, q_dot, xi_dot):
         store(xi_dot, m, total)
 
 
-
 @kernel(inline=True)
 def mass_matrix(rod, strain, work):
     """Mass matrix M = int J^T M J dX (40a), of the body Jacobians at the nodes, into work.M."""
