@@ -89,7 +89,7 @@ def refuse_obstacles(scene: Scene) -> None:
     """Raises ConfigurationError that names what the arm comes upon in places only: where it touches is not smooth, so that reference
     motions take long to converge, if they do, and errors on some motions say little of others."""
     for name, effect in scene.effects.chosen().items():
-        if effect.is_encountered:
+        if effect.is_contact:
             text = "cannot be calibrated: no error on some motions holds for others where the arm touches something"
             advice = "take a preset (fast, standard, fine), or calibrate the arm without this table"
             raise ConfigurationError([Problem(("effects", name), f"{text}; {advice}")])

@@ -34,7 +34,10 @@ def run(arguments: Sequence[str]) -> None:
 def describe_effect(name: str, effect: type[Effect]) -> str:
     """Text about an effect: docstrings of its module and its class, and a line per parameter."""
     module = inspect.cleandoc(sys.modules[effect.__module__].__doc__ or "").partition("\n\n")[0]
-    parameters = [f"  {key}: {type_name(field.annotation)}{_default(field)}" for key, field in effect.model_fields.items()]
+    parameters = [
+        f"  {key}: {type_name(field.annotation)}{_default(field)}: {field.description or ''}".rstrip(": ")
+        for key, field in effect.model_fields.items()
+    ]
     return "\n".join([f"[effects.{name}]", module, "", inspect.cleandoc(effect.__doc__ or ""), "", *parameters])
 
 

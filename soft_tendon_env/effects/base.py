@@ -113,14 +113,13 @@ class Effect(Configuration):
     """Base of the effects' configurations: what a scene's table says, checked.
 
     Attributes:
-        is_encountered: whether the arm comes upon it in places only, as upon obstacles: passive fields are made without it. Environments
-            then observe and reward contact with it, and begin and aim clear of it, by `bodies`, `distances` and `sample_places`.
+        is_contact: whether the arm comes upon it in places only, as upon obstacles: passive fields are made without it.
         is_actuation: whether it lies between commands and tensions, as numbers of the `transmission`: what is told of the arm under given
             tensions is without it.
         command_unit: unit of the commands that it takes; "N": the tension that comes of them at rest.
     """
 
-    is_encountered: ClassVar[bool] = False
+    is_contact: ClassVar[bool] = False
     is_actuation: ClassVar[bool] = False
     command_unit: ClassVar[str] = "N"
 
@@ -168,27 +167,13 @@ class Effect(Configuration):
         """Solids that show the effect at a time [s], always as many, in the same order: none unless a class says so."""
         return ()
 
-    def sample_places(self, rod: Discretisation) -> Array:
-        """Arc lengths (samples,) [m] at which the arm is compared with it, where it is encountered: the tip and the middles of the slices,
-        unless a class says otherwise."""
-        ends = np.concatenate([[0.0], rod.node[rod.node < rod.length], [rod.length]])
-        return np.append(0.5 * (ends[1:] + ends[:-1]), rod.length)
-
-    def bodies(self) -> tuple[tuple[str, bool], ...]:
-        """Key within its table, as messages name it, and whether it moves, of every body that is encountered."""
-        return ()
-
-    def distances(self, positions: Array, time: float = 0.0) -> Array:
-        """Signed distances (bodies, m) [m] from the surfaces of its bodies to positions (m, 3) [m] at a time [s], negative inside."""
-        return np.empty((0, len(positions)))
-
-    def varied(self, random: np.random.Generator) -> Self:
+    def sample_smaller(self, random: np.random.Generator) -> Self:
         """This effect at a random size up to its own and in a random direction, for what is to hold under all of those; unless a class
         says how, itself."""
         return self
 
-    def covers(self, other: Self) -> bool:
-        """Whether `varied` reaches another effect of the class: what was made under the one holds under the other."""
+    def includes(self, other: Self) -> bool:
+        """Whether `sample_smaller` reaches another effect of the class: what was made under the one holds under the other."""
         return self == other
 
 
@@ -297,7 +282,7 @@ class Effects(Configuration):
 
     def everywhere(self) -> "Effects":
         """Effects that act on the arm, and that it does not come upon in places only."""
-        return self._those(lambda effect: not (effect.is_encountered or effect.is_actuation))
+        return self._those(lambda effect: not (effect.is_contact or effect.is_actuation))
 
     @property
     def command_unit(self) -> str:
@@ -336,14 +321,14 @@ class Effects(Configuration):
         """Solids that show all effects at a time [s]."""
         return tuple(solid for effect in self.chosen().values() for solid in effect.solids(time))
 
-    def varied(self, random: np.random.Generator) -> "Effects":
+    def sample_smaller(self, random: np.random.Generator) -> "Effects":
         """Each effect at a random size up to its own and in a random direction, as far as it varies."""
-        return Effects(**{name: effect.varied(random) for name, effect in self.chosen().items()})
+        return Effects(**{name: effect.sample_smaller(random) for name, effect in self.chosen().items()})
 
-    def covers(self, other: "Effects") -> bool:
-        """Whether `varied` reaches all of the other effects."""
+    def includes(self, other: "Effects") -> bool:
+        """Whether `sample_smaller` reaches all of the other effects."""
         own = self.chosen()
-        return all(name in own and own[name].covers(effect) for name, effect in other.everywhere().chosen().items())
+        return all(name in own and own[name].includes(effect) for name, effect in other.everywhere().chosen().items())
 
     def __getattr__(self, name: str) -> Any:
         """The effect of this name, None where the scene has none."""

@@ -102,11 +102,11 @@ class Disturbance(Effect):
             raise ValueError("a disturbance that changes in time, follows the rod or has a moment has no potential energy")
         return -sum(float(weights(arm.rod, own) @ (arm.pose[:, :3, 3] @ np.array(own.force))) for own in self.loads)
 
-    def varied(self, random: np.random.Generator) -> "Disturbance":
+    def sample_smaller(self, random: np.random.Generator) -> "Disturbance":
         drawn = [{"force": random_vector(random, own.force), "moment": random_vector(random, own.moment)} for own in self.loads]
         return Disturbance(loads=tuple(own.model_copy(update=update) for own, update in zip(self.loads, drawn, strict=True)))
 
-    def covers(self, other: "Disturbance") -> bool:
+    def includes(self, other: "Disturbance") -> bool:
         def alike(own: Load, needed: Load) -> bool:
             here, there = ((load.at, load.along, load.frame, load.signal) for load in (own, needed))
             return here == there and size(own.force) >= size(needed.force) and size(own.moment) >= size(needed.moment)

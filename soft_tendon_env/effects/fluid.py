@@ -61,10 +61,10 @@ class Fluid(Effect):
             raise ValueError("a fluid that streams has no potential energy")
         return float(self.displaced_mass(arm.rod)[:, 0] @ (arm.pose[:, :3, 3] @ np.array(_gravity(arm.rod))))
 
-    def varied(self, random: np.random.Generator) -> "Fluid":
+    def sample_smaller(self, random: np.random.Generator) -> "Fluid":
         return self.model_copy(update={"density": (1.0 - random.random()) * self.density, "current": random_vector(random, self.current)})
 
-    def covers(self, other: "Fluid") -> bool:
+    def includes(self, other: "Fluid") -> bool:
         sizes = ((own.density, size(own.current), own.normal_drag, own.tangential_drag, own.added_mass) for own in (self, other))
         return all(most >= needed for most, needed in zip(*sizes, strict=True))
 

@@ -29,10 +29,10 @@ class Gravity(Effect):
     def dead_loads(self) -> DeadLoads:
         return DeadLoads(acceleration=self.acceleration)
 
-    def varied(self, random: np.random.Generator) -> "Gravity":
+    def sample_smaller(self, random: np.random.Generator) -> "Gravity":
         return Gravity(acceleration=random_vector(random, self.acceleration))
 
-    def covers(self, other: "Gravity") -> bool:
+    def includes(self, other: "Gravity") -> bool:
         return size(self.acceleration) >= size(other.acceleration)
 
 

@@ -45,13 +45,13 @@ class TipLoad(Effect):
         follows = self.frame == "tip" and (any(self.force) or any(self.moment))
         return None if follows else DeadLoads(force=self.force, moment=self.moment)
 
-    def varied(self, random: np.random.Generator) -> "TipLoad":
+    def sample_smaller(self, random: np.random.Generator) -> "TipLoad":
         part, (x, y, z) = random.random(), self.inertia
         payload = {"mass": part * self.mass, "inertia": (part * x, part * y, part * z)}
         wrench = {"force": random_vector(random, self.force), "moment": random_vector(random, self.moment)}
         return self.model_copy(update={**payload, **wrench})
 
-    def covers(self, other: "TipLoad") -> bool:
+    def includes(self, other: "TipLoad") -> bool:
         sizes = ((own.mass, size(own.inertia), size(own.force), size(own.moment)) for own in (self, other))
         alike = self.frame == other.frame or not (any(other.force) or any(other.moment))
         return alike and all(most >= needed for most, needed in zip(*sizes, strict=True))

@@ -29,18 +29,17 @@ SHORT = 0.25  # of a relaxation time, up to which a time step meets a spring alo
 
 
 class Branch(Configuration):
-    """A Maxwell branch: `modulus` [-], its share of the static moduli, alike for all strains; `relaxation_time` [s]."""
+    """A Maxwell branch, alike for all strains."""
 
-    modulus: Positive
-    relaxation_time: Positive
+    modulus: Positive = Field(description="its share of the static moduli [-]")
+    relaxation_time: Positive = Field(description="relaxation time [s]")
 
 
 @register_effect("viscoelastic_memory")
 class ViscoelasticMemory(Effect):
-    """`[effects.viscoelastic_memory]`. `branches`: one or more tables with `modulus` [-], a share of the static moduli, and
-    `relaxation_time` [s]."""
+    """`[effects.viscoelastic_memory]` with `[[effects.viscoelastic_memory.branches]]`."""
 
-    branches: tuple[Branch, ...] = Field(min_length=1)
+    branches: tuple[Branch, ...] = Field(min_length=1, description="one or more tables, see `Branch`")
 
     def parameters(self, rod: Discretisation) -> "MemoryParameters":
         time = np.array([branch.relaxation_time for branch in self.branches])
@@ -60,12 +59,12 @@ class ViscoelasticMemory(Effect):
         strain, stiffness = (point_field(field.reshape(-1, 2, 6)) for field in (arm.strain, arm.weight[:, None] * arm.stiffness))
         return 0.5 * float(self.moduli @ ((strain - arm.state.reshape(-1, strain.size)) ** 2 @ stiffness))
 
-    def varied(self, random: np.random.Generator) -> "ViscoelasticMemory":
+    def sample_smaller(self, random: np.random.Generator) -> "ViscoelasticMemory":
         part = 1.0 - random.random()
         branches = ({"modulus": part * own.modulus, "relaxation_time": own.relaxation_time} for own in self.branches)
         return ViscoelasticMemory(branches=tuple(Branch(**branch) for branch in branches))
 
-    def covers(self, other: "ViscoelasticMemory") -> bool:
+    def includes(self, other: "ViscoelasticMemory") -> bool:
         own, needed = ({branch.relaxation_time: branch.modulus for branch in memory.branches} for memory in (self, other))
         return all(time in own and own[time] >= modulus for time, modulus in needed.items())
 

@@ -47,7 +47,7 @@ class PassiveFields:
         tension_limits: (n_a, 2) [N], within which tensions were drawn.
         borders: arc lengths [m] between the polynomials, (pieces + 1,).
         coefficients: (fields, pieces, 6, orders), moments [N m] and forces [N] of unit energy: int F^T Sigma^-1 F dX = 1.
-        effects: the loads, none or those up to whose size they were drawn, see Effects.varied.
+        effects: the loads, none or those up to whose size they were drawn, see Effects.sample_smaller.
         singular_values: (fields,), as shares of the first.
         errors: largest tip distance [m] from full physics on motions that the fields were not made from: by kind of motion, for each of
             the numbers of fields in "fields".
@@ -91,7 +91,7 @@ class PassiveFields:
         """Difference between the scene and that which they were made for, in words; empty where they fit."""
         if other := self._other_material(scene) or self._other_limits(scene):
             return other
-        if not self.effects.covers(scene.effects):
+        if not self.effects.includes(scene.effects):
             made, wanted = (effects.model_dump(mode="json", exclude_none=True) for effects in (self.effects, scene.effects))
             return f"{shown(made) if made else 'no loads'}, not {shown(wanted)}"
         return ""
@@ -188,7 +188,7 @@ def find_fields(scene: Scene, digest: str | None = None) -> PassiveFields | None
 
 def _excess(fields: PassiveFields, scene: Scene) -> tuple[bool, bool, int]:
     """Order of preference: those that fit first, then those of the same loads, then those of the fewest."""
-    return bool(fields.misfit(scene)), not scene.effects.covers(fields.effects), len(fields.effects.chosen())
+    return bool(fields.misfit(scene)), not scene.effects.includes(fields.effects), len(fields.effects.chosen())
 
 
 def fields_of(scene: Scene) -> PassiveFields:

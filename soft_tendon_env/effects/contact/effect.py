@@ -42,7 +42,7 @@ class Contact(Effect):
     1 - 2/3 c v where c v is small, with c the `dissipation`.
     """
 
-    is_encountered: ClassVar[bool] = True
+    is_contact: ClassVar[bool] = True
 
     obstacles: tuple[AnyObstacle, ...] = Field(min_length=1, description="what the arm may touch")
     friction: NotNegative = Field(0.0, description="coefficient of friction mu [-] of obstacles without their own")

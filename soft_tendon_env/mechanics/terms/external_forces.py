@@ -171,6 +171,8 @@ def differ_wrench(arm, i, work):
         if wanted & IMPLICIT_POSE:
             displace(work.beside_pose, k, way)
             wrench_beside(arm, i, work, work.beside_wrench)
+            if k < 3:
+                turn_back(work.beside_wrench, k, way)
             add_differences(k, way, work, work.node_stiffness)
             copy(work.pose, work.beside_pose)
         if wanted & IMPLICIT_TWIST:
@@ -187,6 +189,16 @@ def wrench_beside(arm, i, work, wrench):
     wrench[:] = 0.0
     nodes = nodes_beside(arm, work, work.beside_pose, work.beside_twist, wrench)
     call(arm.effects.wrench[i], arm.effects.parameters[i], (nodes,))
+
+
+@kernel
+def turn_back(wrench, k, way):
+    """Wrenches (nodes x 6) in frames that are turned by a small angle about the k-th axis, in those before: a dead load is not stiff."""
+    for at in range(0, wrench.size, 3 * LANES):
+        y, z = at + (k + 1) % 3 * LANES, at + (k + 2) % 3 * LANES
+        before = load(wrench, y)
+        store(wrench, y, before - way * load(wrench, z))
+        store(wrench, z, load(wrench, z) + way * before)
 
 
 @kernel
