@@ -9,7 +9,7 @@ poses and twists, or of strains.
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -133,8 +133,9 @@ EXPLICIT, IMPLICIT_TWIST, IMPLICIT_POSE = 0, 1, 2
 """Bits of what a wrench is differentiated by for the implicit step."""
 
 _ROW = np.zeros(1)
+_NODES = Nodes(1, 0.0, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, make_before_step(1), make_contact_flags())
 HOOKS: dict[str, tuple[Any, ...]] = {
-    "wrench": (_NODES := Nodes(1, 0.0, *[_ROW] * 8, make_before_step(1), make_contact_flags()),),
+    "wrench": (_NODES,),
     "stress": (Points(1, 0.0, 0.0, *[_ROW] * 9),),
     "base": (Base(0.0, *[_ROW] * 3),),
     "limit": (_NODES, _ROW),
@@ -280,11 +281,12 @@ def _address_of_kernel(hook: str, own: Struct) -> int:
     function = _KERNELS.get((hook, type(own)))
     if function is None:
         return 0
-    return _address(hook, function, type(own) if config.DISABLE_JIT else numba.typeof(own))
+    kind: Hashable = type(own) if config.DISABLE_JIT else numba.typeof(own)
+    return _address(hook, function, kind)
 
 
 @functools.cache
-def _address(hook: str, function: Any, kind: Any) -> int:
+def _address(hook: str, function: Any, kind: Hashable) -> int:
     """The address of a kernel for parameters of a type, where it stays."""
     if config.DISABLE_JIT:
         _FUNCTIONS.append(function)
