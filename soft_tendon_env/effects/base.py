@@ -5,7 +5,6 @@ An effect is one file, in this package or a user's own: its configuration class 
 `[effects.name]` of every scene. A scene without that table neither compiles nor calls it. `examples/own_effect.py` is one from outside.
 """
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar
@@ -13,8 +12,9 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar
 import numpy as np
 from pydantic import ConfigDict
 
+from soft_tendon_env.effects.kernel_checks import check_kernels
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.effects import DIRECT, EffectTable, kernels_of
+from soft_tendon_env.mechanics.effects import DIRECT, EffectTable
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, odd_keys, shown
 from soft_tendon_env.tools.types import Array as Array
 
@@ -83,22 +83,6 @@ class DeadLoads(NamedTuple):
 
 class NoParameters(Struct):
     """Parameters of an effect that no kernel reads."""
-
-
-class TimeWarning(UserWarning):
-    """An effect depends on time without limiting the length of integrator steps."""
-
-
-def check_kernels(name: str, kind: type[Struct]) -> None:
-    """Raises TypeError where no kernel is registered for parameters of this class; warns of one that reads the time, but lets steps be as
-    long as they like."""
-    kernels = kernels_of(kind)
-    if not kernels:
-        raise TypeError(f"the effect {name!r} has no kernel for its parameters: decorate one with @adds_wrench({kind.__name__})")
-    read = {word for own in kernels.values() for word in getattr(own, "py_func", own).__code__.co_names}
-    if "limit" not in kernels and "time" in read and "time" not in kind.names():
-        text = "reads the time, but no kernel of it is decorated with @limits_step: steps may pass over its changes"
-        warnings.warn(f"the effect with parameters {kind.__name__} {text}", TimeWarning, stacklevel=2)
 
 
 class Solid(NamedTuple):
