@@ -59,7 +59,8 @@ def main() -> None:
 def loaded(name: str) -> Scene:
     """The scene under loads that its fields were not made from, within those that they were made for."""
     most = read_fields(SHIPPED / f"{name}_loaded.fields.json").effects
-    return ste.load_scene(name).replace({"effects": most.varied(np.random.default_rng(7)).model_dump(mode="json", exclude_none=True)})
+    smaller = most.sample_smaller(np.random.default_rng(7))
+    return ste.load_scene(name).replace({"effects": smaller.model_dump(mode="json", exclude_none=True)})
 
 
 def strains(scene: Scene) -> Iterator[tuple[str, dict]]:

@@ -1,14 +1,12 @@
 """An effect of your own: viscous drag in proportion to mass, on an arm that is bent and let go. `python examples/own_effect.py`"""
 
-from typing import NamedTuple
-
 import numpy as np
 
 import soft_tendon_env as ste
-from soft_tendon_env.effects import Effect, adds_wrench, kernel, register_effect
+from soft_tendon_env.effects import Effect, Struct, adds_wrench, kernel, register_effect
 
 
-class DragParameters(NamedTuple):
+class DragParameters(Struct):
     rate: float
 
 

@@ -84,7 +84,7 @@ def calibrated(scene: Scene, tolerance: float) -> Scene:
 def refuse_obstacles(scene: Scene) -> None:
     """Raises ConfigurationError that names obstacles: where an arm touches is not smooth, and reference motions hardly converge."""
     for name, effect in scene.effects.chosen().items():
-        if effect.is_encountered:
+        if effect.is_contact:
             text = "cannot be calibrated: no error on some motions holds for others where the arm touches something; take a preset"
             raise ConfigurationError([Problem(("effects", name), f"{text}, or calibrate the arm without this table")])
 

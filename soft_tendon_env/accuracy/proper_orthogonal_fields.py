@@ -105,7 +105,7 @@ def resolving_level(scene: Scene) -> Level:
 
 
 def _loads(scene: Scene, kind: Motion, run: int) -> dict[str, object]:
-    effects = scene.effects if run % 2 == 0 else scene.effects.varied(np.random.default_rng([run, MOTIONS.index(kind)]))
+    effects = scene.effects if run % 2 == 0 else scene.effects.sample_smaller(np.random.default_rng([run, MOTIONS.index(kind)]))
     return dict(effects.model_dump(mode="json", exclude_none=True))
 
 

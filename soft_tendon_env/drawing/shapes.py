@@ -31,7 +31,7 @@ def base_poses(model: Model, times: Array, effects: Effects | None = None) -> Ar
         return poses
     if effects is not None:
         scene = model.scene.model_copy(update={"effects": effects})
-        table = table.replaced(values=effects_outside(scene).table(discretisation(scene, model.grid)).values)
+        table = effects_outside(scene).table(discretisation(scene, model.grid))
     arm, work = model.arm.replaced(effects=table), make_workspace(model.arm)
     for pose, time in zip(poses, times, strict=True):
         work.clock[0] = time

@@ -6,20 +6,19 @@ import pkgutil
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import EFFECTS, Configured, Discretisation, Effect, Effects, Solid, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.effect_parameters import Matrix, Vector
+from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import (
     adds_stress,
     adds_wrench,
     allow_turning,
     limits_step,
     moves_base,
-    sweeps_motion,
 )
 
 for _module in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_module.name}")
 
 __all__ = [
-    "EFFECTS", "LANES", "Configured", "Discretisation", "Effect", "Effects", "Matrix", "Solid", "Vector", "adds_stress", "adds_wrench",
-    "allow_turning", "limits_step", "kernel", "moves_base", "register_effect", "sweeps_motion",
+    "EFFECTS", "LANES", "Configured", "Discretisation", "Effect", "Effects", "Solid", "Struct", "adds_stress", "adds_wrench",
+    "allow_turning", "limits_step", "kernel", "moves_base", "register_effect",
 ]  # fmt: skip

@@ -26,14 +26,13 @@ MOST_WAITING = 10_000  # commands
 
 @register_effect("actuators")
 class Actuators(Effect):
-    """`[effects.actuators]`. `time_constant` [s] of the lag, `delay` [s], `rate_limit` [N/s], or with elastic tendons [m/s]; none of them
-    by default."""
+    """`[effects.actuators]`."""
 
     is_actuation: ClassVar[bool] = True
 
-    time_constant: NotNegative = 0.0
-    rate_limit: Positive | None = None
-    delay: Annotated[float, Field(ge=0, le=100)] = 0.0
+    time_constant: NotNegative = Field(0.0, description="time constant of the lag [s]")
+    rate_limit: Positive | None = Field(None, description="greatest rate [N/s], with elastic tendons [m/s]")
+    delay: Annotated[float, Field(ge=0, le=100)] = Field(0.0, description="dead time [s]")
 
     def transmission(self, rod: Discretisation) -> dict[str, Any]:
         if self.delay > MOST_WAITING * rod.step:

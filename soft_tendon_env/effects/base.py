@@ -1,7 +1,7 @@
 """Effects: what acts on the arm besides its tendons, and the table by which a scene names them.
 
 An effect is one file, in this package or a user's own: its configuration class under `@register_effect("name")`, its parameters, a
-NamedTuple of numbers and arrays, and the kernels that it needs, see mechanics/effects.py. It is then the optional table
+`Struct` of numbers and arrays, and the kernels that it needs, see mechanics/effects.py. It is then the optional table
 `[effects.name]` of every scene. A scene without that table neither compiles nor calls it. `examples/own_effect.py` is one from outside.
 """
 
@@ -12,7 +12,9 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar
 import numpy as np
 from pydantic import ConfigDict
 
-from soft_tendon_env.mechanics.effects import DIRECT, EffectTable, has_kernel, make_table
+from soft_tendon_env.effects.kernel_checks import check_kernels
+from soft_tendon_env.mechanics.algebra.structs import Struct
+from soft_tendon_env.mechanics.effects import DIRECT, EffectTable
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, odd_keys, shown
 from soft_tendon_env.tools.types import Array as Array
 
@@ -79,7 +81,7 @@ class DeadLoads(NamedTuple):
         return any(component != 0.0 for vector in self for component in vector)
 
 
-class NoParameters(NamedTuple):
+class NoParameters(Struct):
     """Parameters of an effect that no kernel reads."""
 
 
@@ -95,14 +97,13 @@ class Effect(Configuration):
     """Base of the effects' configurations: what a scene's table says, checked.
 
     Attributes:
-        is_encountered: whether the arm comes upon it in places only, as upon obstacles: passive fields are made without it. Environments
-            then observe and reward contact with it, and begin and aim clear of it, by `bodies`, `distances` and `sample_places`.
+        is_contact: whether the arm comes upon it in places only, as upon obstacles: passive fields are made without it.
         is_actuation: whether it lies between commands and tensions, as numbers of the `transmission`: what is told of the arm under given
             tensions is without it.
         command_unit: unit of the commands that it takes; "N": the tension that comes of them at rest.
     """
 
-    is_encountered: ClassVar[bool] = False
+    is_contact: ClassVar[bool] = False
     is_actuation: ClassVar[bool] = False
     command_unit: ClassVar[str] = "N"
 
@@ -112,7 +113,7 @@ class Effect(Configuration):
         return True
 
     def parameters(self, rod: Discretisation) -> Any:
-        """The parameters that the kernels read: an instance of the effect's own NamedTuple class, see mechanics/effects.py."""
+        """The parameters that the kernels read: an instance of the effect's own `Struct` class, see mechanics/effects.py."""
         if self.is_actuation:
             return NoParameters()
         raise NotImplementedError(f"{type(self).__name__} needs a method parameters(rod)")
@@ -150,27 +151,13 @@ class Effect(Configuration):
         """Solids that show the effect at a time [s], always as many, in the same order: none unless a class says so."""
         return ()
 
-    def sample_places(self, rod: Discretisation) -> Array:
-        """Arc lengths (samples,) [m] at which the arm is compared with it, where it is encountered: the tip and the middles of the slices,
-        unless a class says otherwise."""
-        ends = np.concatenate([[0.0], rod.node[rod.node < rod.length], [rod.length]])
-        return np.append(0.5 * (ends[1:] + ends[:-1]), rod.length)
-
-    def bodies(self) -> tuple[tuple[str, bool], ...]:
-        """Key within its table, as messages name it, and whether it moves, of every body that is encountered."""
-        return ()
-
-    def distances(self, positions: Array, time: float = 0.0) -> Array:
-        """Signed distances (bodies, m) [m] from the surfaces of its bodies to positions (m, 3) [m] at a time [s], negative inside."""
-        return np.empty((0, len(positions)))
-
-    def varied(self, random: np.random.Generator) -> Self:
+    def sample_smaller(self, random: np.random.Generator) -> Self:
         """This effect at a random size up to its own and in a random direction, for what is to hold under all of those; unless a class
         says how, itself."""
         return self
 
-    def covers(self, other: Self) -> bool:
-        """Whether `varied` reaches another effect of the class: what was made under the one holds under the other."""
+    def includes(self, other: Self) -> bool:
+        """Whether `sample_smaller` reaches another effect of the class: what was made under the one holds under the other."""
         return self == other
 
 
@@ -250,14 +237,13 @@ class Effects(Configuration):
         effects = self.acting()
         parameters = {name: effect.parameters(rod) for name, effect in effects.items()}
         for name, own in parameters.items():
-            if not has_kernel(type(own)) and not effects[name].is_actuation:
-                kind = type(own).__name__
-                raise TypeError(f"the effect {name!r} has no kernel for its parameters: decorate one with @adds_wrench({kind})")
+            if not effects[name].is_actuation:
+                check_kernels(name, type(own))
         numbers: dict[str, Any] = {}
         states = [effect.state(rod) for effect in effects.values()]
         for i, effect in enumerate(effects.values()):
             numbers.update(effect.transmission(rod), **({"filter": i} if effect.is_actuation and states[i].size else {}))
-        return make_table(list(parameters.values()), states, DIRECT.replaced(**numbers))
+        return EffectTable(list(parameters.values()), states, DIRECT.replaced(**numbers))
 
     def added_inertia(self, rod: Discretisation) -> Array:
         """Screw inertia (nodes, 6) that the effects add to the slices of the rod."""
@@ -280,7 +266,7 @@ class Effects(Configuration):
 
     def everywhere(self) -> "Effects":
         """Effects that act on the arm, and that it does not come upon in places only."""
-        return self._those(lambda effect: not (effect.is_encountered or effect.is_actuation))
+        return self._those(lambda effect: not (effect.is_contact or effect.is_actuation))
 
     @property
     def command_unit(self) -> str:
@@ -319,14 +305,14 @@ class Effects(Configuration):
         """Solids that show all effects at a time [s]."""
         return tuple(solid for effect in self.chosen().values() for solid in effect.solids(time))
 
-    def varied(self, random: np.random.Generator) -> "Effects":
+    def sample_smaller(self, random: np.random.Generator) -> "Effects":
         """Each effect at a random size up to its own and in a random direction, as far as it varies."""
-        return Effects(**{name: effect.varied(random) for name, effect in self.chosen().items()})
+        return Effects(**{name: effect.sample_smaller(random) for name, effect in self.chosen().items()})
 
-    def covers(self, other: "Effects") -> bool:
-        """Whether `varied` reaches all of the other effects."""
+    def includes(self, other: "Effects") -> bool:
+        """Whether `sample_smaller` reaches all of the other effects."""
         own = self.chosen()
-        return all(name in own and own[name].covers(effect) for name, effect in other.everywhere().chosen().items())
+        return all(name in own and own[name].includes(effect) for name, effect in other.everywhere().chosen().items())
 
     def __getattr__(self, name: str) -> Any:
         """The effect of this name, None where the scene has none."""

@@ -6,7 +6,7 @@ order in the distance of the nodes. What falls to the base does no work.
 """
 
 import math
-from typing import Annotated, Literal, NamedTuple, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -15,8 +15,8 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, random_vector, register_effect, size
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
 from soft_tendon_env.mechanics.algebra.lie import rotate_back, times, twist_sum
+from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
-from soft_tendon_env.mechanics.effect_parameters import Matrix
 from soft_tendon_env.mechanics.effects import adds_wrench, allow_turning, limits_step
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
 from soft_tendon_env.mechanics.types import node_field
@@ -95,20 +95,18 @@ class Disturbance(Effect):
                 key = ("effects", "disturbance", "loads", i, "at" if own.along is None else "along")
                 raise ConfigurationError([Problem(key, f"ends at {end:g} m: the rod has {rod.length:g} m")])
         rows = [[*own.signal.numbers, float(own.frame == "body"), *own.moment, *own.force] for own in self.loads]
-        return DisturbanceParameters(
-            Matrix(np.array(rows)), Matrix(np.array([node_field(weights(rod, own)[:, None]) for own in self.loads]))
-        )
+        return DisturbanceParameters(np.array(rows), np.array([node_field(weights(rod, own)[:, None]) for own in self.loads]))
 
     def potential_energy(self, arm: Configured) -> float:
         if any(own.signal.type != "constant" or own.frame == "body" or any(own.moment) for own in self.loads):
             raise ValueError("a disturbance that changes in time, follows the rod or has a moment has no potential energy")
         return -sum(float(weights(arm.rod, own) @ (arm.pose[:, :3, 3] @ np.array(own.force))) for own in self.loads)
 
-    def varied(self, random: np.random.Generator) -> "Disturbance":
+    def sample_smaller(self, random: np.random.Generator) -> "Disturbance":
         drawn = [{"force": random_vector(random, own.force), "moment": random_vector(random, own.moment)} for own in self.loads]
         return Disturbance(loads=tuple(own.model_copy(update=update) for own, update in zip(self.loads, drawn, strict=True)))
 
-    def covers(self, other: "Disturbance") -> bool:
+    def includes(self, other: "Disturbance") -> bool:
         def alike(own: Load, needed: Load) -> bool:
             here, there = ((load.at, load.along, load.frame, load.signal) for load in (own, needed))
             return here == there and size(own.force) >= size(needed.force) and size(own.moment) >= size(needed.moment)
@@ -137,11 +135,11 @@ def weights(rod: Discretisation, own: Load) -> Array:
     return found[1:]
 
 
-class DisturbanceParameters(NamedTuple):
+class DisturbanceParameters(Struct):
     """The loads, and their weights at the nodes."""
 
-    loads: Matrix  # loads x 10: signal (3), frame, moment, force
-    weight: Matrix  # loads x nodes
+    loads: Array  # loads x 10: signal (3), frame, moment, force
+    weight: Array  # loads x nodes
 
 
 @kernel

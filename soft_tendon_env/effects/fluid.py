@@ -15,8 +15,6 @@ Left out: a payload's volume and drag, pressure drag on the tip's face, viscous 
 pressure (internal forces are effective tensions). The whole rod is under the surface, however it moves.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from pydantic import Field
 
@@ -24,8 +22,8 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, random_vector, register_effect, size
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, sqrt, store
 from soft_tendon_env.mechanics.algebra.lie import minus, plus, rotate_back, times, twist_sum
+from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
-from soft_tendon_env.mechanics.effect_parameters import Vector
 from soft_tendon_env.mechanics.effects import adds_wrench
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
 from soft_tendon_env.mechanics.types import node_field
@@ -48,7 +46,7 @@ class Fluid(Effect):
         pressure = 0.5 * self.density * rod.over_nodes(lambda arc_length: 2.0 * rod.radius(arc_length)[:, None])
         displaced = self.displaced_mass(rod)
         slices = displaced, self.added_mass * displaced, self.normal_drag * pressure, np.pi * self.tangential_drag * pressure
-        fluid, added, normal, tangential = (Vector(node_field(values)) for values in slices)
+        fluid, added, normal, tangential = (node_field(values) for values in slices)
         return FluidParameters(fluid, added, normal, tangential, self.current, _gravity(rod))
 
     def displaced_mass(self, rod: Discretisation) -> Array:
@@ -63,10 +61,10 @@ class Fluid(Effect):
             raise ValueError("a fluid that streams has no potential energy")
         return float(self.displaced_mass(arm.rod)[:, 0] @ (arm.pose[:, :3, 3] @ np.array(_gravity(arm.rod))))
 
-    def varied(self, random: np.random.Generator) -> "Fluid":
+    def sample_smaller(self, random: np.random.Generator) -> "Fluid":
         return self.model_copy(update={"density": (1.0 - random.random()) * self.density, "current": random_vector(random, self.current)})
 
-    def covers(self, other: "Fluid") -> bool:
+    def includes(self, other: "Fluid") -> bool:
         sizes = ((own.density, size(own.current), own.normal_drag, own.tangential_drag, own.added_mass) for own in (self, other))
         return all(most >= needed for most, needed in zip(*sizes, strict=True))
 
@@ -76,13 +74,13 @@ def _gravity(rod: Discretisation) -> Triple:
     return (0.0, 0.0, 0.0) if rod.effects.gravity is None else rod.effects.gravity.acceleration
 
 
-class FluidParameters(NamedTuple):
+class FluidParameters(Struct):
     """Coefficients of the fluid's forces on the slice of every node."""
 
-    displaced: Vector  # nodes [kg], mass of the displaced fluid
-    added: Vector  # nodes [kg], added mass along the normals
-    normal: Vector  # nodes [kg/m], drag per squared speed
-    tangential: Vector  # nodes [kg/m]
+    displaced: Array  # nodes [kg], mass of the displaced fluid
+    added: Array  # nodes [kg], added mass along the normals
+    normal: Array  # nodes [kg/m], drag per squared speed
+    tangential: Array  # nodes [kg/m]
     current: Triple  # [m/s], world frame
     gravity: Triple  # [m/s^2], world frame
 

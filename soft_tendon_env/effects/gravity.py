@@ -1,7 +1,5 @@
 """Uniform gravity: the force rho A dX g on every slice of the rod, and m g on a tip mass."""
 
-from typing import NamedTuple
-
 import numpy as np
 from pydantic import Field
 
@@ -9,6 +7,7 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Configured, DeadLoads, Discretisation, Effect, random_vector, register_effect, size
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
 from soft_tendon_env.mechanics.algebra.lie import plus, rotate_back, times
+from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, store3
 from soft_tendon_env.mechanics.effects import adds_wrench
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
@@ -30,14 +29,14 @@ class Gravity(Effect):
     def dead_loads(self) -> DeadLoads:
         return DeadLoads(acceleration=self.acceleration)
 
-    def varied(self, random: np.random.Generator) -> "Gravity":
+    def sample_smaller(self, random: np.random.Generator) -> "Gravity":
         return Gravity(acceleration=random_vector(random, self.acceleration))
 
-    def covers(self, other: "Gravity") -> bool:
+    def includes(self, other: "Gravity") -> bool:
         return size(self.acceleration) >= size(other.acceleration)
 
 
-class GravityParameters(NamedTuple):
+class GravityParameters(Struct):
     """The acceleration [m/s^2] in the world frame."""
 
     acceleration: Triple

@@ -1,13 +1,14 @@
 """Moving base: the arm on a vehicle, a shaker or another robot, as a prescribed motion of the base's frame."""
 
 import math
-from typing import NamedTuple, Self
+from typing import Self
 
 from pydantic import Field, model_validator
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Configured, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, exp_se3, minus, plus, times
+from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import Base, allow_turning, limits_step, moves_base
 from soft_tendon_env.tools.types import Frequency, Number, Triple, Turning
 
@@ -46,7 +47,7 @@ class MovingBase(Effect):
         raise ValueError("an arm on a moving base has no potential energy: the base does work on it")
 
 
-class MovingBaseParameters(NamedTuple):
+class MovingBaseParameters(Struct):
     """The motion, with a unit axis and the angular frequency [rad/s]."""
 
     velocity: Triple

@@ -5,7 +5,7 @@ strain (Duffing's; for stretch the next term of an expansion as of R. W. Ogden, 
 by strain, with the linear law for small ones. Its energy per length is 1/2 Sigma_i e_i^2 (1 + (e_i / e0_i)^2 / 2).
 """
 
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Configured, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
+from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import adds_stress
 from soft_tendon_env.tools.types import Positive
 
@@ -45,15 +46,15 @@ class NonlinearElasticity(Effect):
     def potential_energy(self, arm: Configured) -> float:
         return 0.25 * float(arm.weight @ (arm.stiffness * arm.strain**4) @ np.array(self.rate))
 
-    def varied(self, random: np.random.Generator) -> "NonlinearElasticity":
+    def sample_smaller(self, random: np.random.Generator) -> "NonlinearElasticity":
         softer = (1.0 - random.random()) ** -0.5  # the added stress falls with the square of e0
         return NonlinearElasticity(**{name: softer * strain for name, strain in self.model_dump(exclude_none=True).items()})
 
-    def covers(self, other: "NonlinearElasticity") -> bool:
+    def includes(self, other: "NonlinearElasticity") -> bool:
         return all(most >= needed for most, needed in zip(self.rate, other.rate, strict=True))
 
 
-class NonlinearElasticityParameters(NamedTuple):
+class NonlinearElasticityParameters(Struct):
     """1 / e0^2 of the six strains."""
 
     rate: tuple[float, float, float, float, float, float]

@@ -14,7 +14,7 @@ throw or tear the arm. Springs stiffer than the arm are the rule: their tensions
 from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import field_validator
+from pydantic import Field, field_validator
 
 from soft_tendon_env.effects.base import Array, Discretisation, Effect, register_effect
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
@@ -23,16 +23,16 @@ from soft_tendon_env.tools.types import Number, Positive
 
 @register_effect("tendon_elasticity")
 class TendonElasticity(Effect):
-    """`[effects.tendon_elasticity]`. `stiffness` [N/m] of the tendons, one for all or one each; `displacement_limits` (least, greatest)
-    [m] of the actuators, which environments scale actions to; `strength` [N] of the actuators, one for all or one each, by default the
-    greatest of a tendon's `tension_limits`."""
+    """`[effects.tendon_elasticity]`. Environments scale actions to `displacement_limits`."""
 
     is_actuation: ClassVar[bool] = True
     command_unit: ClassVar[str] = "m"
 
-    stiffness: Positive | tuple[Positive, ...]
-    displacement_limits: tuple[Number, Number]
-    strength: Positive | tuple[Positive, ...] | None = None
+    stiffness: Positive | tuple[Positive, ...] = Field(description="stiffness of the tendons [N/m], one for all or one each")
+    displacement_limits: tuple[Number, Number] = Field(description="least and greatest displacement of the actuators [m]")
+    strength: Positive | tuple[Positive, ...] | None = Field(
+        None, description="strength of the actuators [N], one for all or one each; by default the greatest of `tension_limits`"
+    )
 
     @field_validator("displacement_limits")
     @classmethod

@@ -29,12 +29,12 @@ STEEPEST = 100.0  # mu phi along the stress-free arm
 
 @register_effect("tendon_friction")
 class TendonFriction(Effect):
-    """`[effects.tendon_friction]`. `coefficient` mu [-]; `stiction_speed` v_s [m/s], 0.1 mm/s by default."""
+    """`[effects.tendon_friction]`."""
 
     is_actuation: ClassVar[bool] = True
 
-    coefficient: Annotated[float, Field(ge=0, le=10)]
-    stiction_speed: Positive = 1e-4
+    coefficient: Annotated[float, Field(ge=0, le=10)] = Field(description="coefficient of friction mu [-]")
+    stiction_speed: Positive = Field(1e-4, description="speed v_s [m/s] below which friction falls")
 
     def transmission(self, rod: Discretisation) -> dict[str, Any]:
         i = int(np.argmax(rod.tendon_turn))

@@ -1,6 +1,6 @@
 """A wrench at the tip, and a payload fixed to it."""
 
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -9,6 +9,7 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, DeadLoads, Discretisation, Effect, random_vector, register_effect, size
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import rotate_back
+from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import adds_wrench
 from soft_tendon_env.mechanics.terms.kinematics import tip_pose_of
 from soft_tendon_env.tools.types import NotNegative, Triple
@@ -44,19 +45,19 @@ class TipLoad(Effect):
         follows = self.frame == "tip" and (any(self.force) or any(self.moment))
         return None if follows else DeadLoads(force=self.force, moment=self.moment)
 
-    def varied(self, random: np.random.Generator) -> "TipLoad":
+    def sample_smaller(self, random: np.random.Generator) -> "TipLoad":
         part, (x, y, z) = random.random(), self.inertia
         payload = {"mass": part * self.mass, "inertia": (part * x, part * y, part * z)}
         wrench = {"force": random_vector(random, self.force), "moment": random_vector(random, self.moment)}
         return self.model_copy(update={**payload, **wrench})
 
-    def covers(self, other: "TipLoad") -> bool:
+    def includes(self, other: "TipLoad") -> bool:
         sizes = ((own.mass, size(own.inertia), size(own.force), size(own.moment)) for own in (self, other))
         alike = self.frame == other.frame or not (any(other.force) or any(other.moment))
         return alike and all(most >= needed for most, needed in zip(*sizes, strict=True))
 
 
-class TipLoadParameters(NamedTuple):
+class TipLoadParameters(Struct):
     """The wrench and its frame; the payload is part of the rod's inertia."""
 
     force: Triple

@@ -12,7 +12,6 @@ likes.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -20,7 +19,7 @@ from pydantic import Field
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
-from soft_tendon_env.mechanics.effect_parameters import Vector
+from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import adds_stress
 from soft_tendon_env.mechanics.types import point_field
 from soft_tendon_env.tools.configuration import Configuration
@@ -30,24 +29,23 @@ SHORT = 0.25  # of a relaxation time, up to which a time step meets a spring alo
 
 
 class Branch(Configuration):
-    """A Maxwell branch: `modulus` [-], its share of the static moduli, alike for all strains; `relaxation_time` [s]."""
+    """A Maxwell branch, alike for all strains."""
 
-    modulus: Positive
-    relaxation_time: Positive
+    modulus: Positive = Field(description="its share of the static moduli [-]")
+    relaxation_time: Positive = Field(description="relaxation time [s]")
 
 
 @register_effect("viscoelastic_memory")
 class ViscoelasticMemory(Effect):
-    """`[effects.viscoelastic_memory]`. `branches`: one or more tables with `modulus` [-], a share of the static moduli, and
-    `relaxation_time` [s]."""
+    """`[effects.viscoelastic_memory]` with `[[effects.viscoelastic_memory.branches]]`."""
 
-    branches: tuple[Branch, ...] = Field(min_length=1)
+    branches: tuple[Branch, ...] = Field(min_length=1, description="one or more tables, see `Branch`")
 
     def parameters(self, rod: Discretisation) -> "MemoryParameters":
         time = np.array([branch.relaxation_time for branch in self.branches])
         lasting = np.where(rod.step > SHORT * time, np.exp(-0.5 * rod.step / time), 1.0)  # substeps are shorter than steps
         spring, damper = lasting * self.moduli, (1.0 - lasting) * time * self.moduli
-        return MemoryParameters(Vector(self.moduli), Vector(time), Vector(spring), Vector(damper))
+        return MemoryParameters(self.moduli, time, spring, damper)
 
     @property
     def moduli(self) -> Array:
@@ -61,23 +59,23 @@ class ViscoelasticMemory(Effect):
         strain, stiffness = (point_field(field.reshape(-1, 2, 6)) for field in (arm.strain, arm.weight[:, None] * arm.stiffness))
         return 0.5 * float(self.moduli @ ((strain - arm.state.reshape(-1, strain.size)) ** 2 @ stiffness))
 
-    def varied(self, random: np.random.Generator) -> "ViscoelasticMemory":
+    def sample_smaller(self, random: np.random.Generator) -> "ViscoelasticMemory":
         part = 1.0 - random.random()
         branches = ({"modulus": part * own.modulus, "relaxation_time": own.relaxation_time} for own in self.branches)
         return ViscoelasticMemory(branches=tuple(Branch(**branch) for branch in branches))
 
-    def covers(self, other: "ViscoelasticMemory") -> bool:
+    def includes(self, other: "ViscoelasticMemory") -> bool:
         own, needed = ({branch.relaxation_time: branch.modulus for branch in memory.branches} for memory in (self, other))
         return all(time in own and own[time] >= modulus for time, modulus in needed.items())
 
 
-class MemoryParameters(NamedTuple):
+class MemoryParameters(Struct):
     """The branches."""
 
-    modulus: Vector  # (branches) [-]
-    time: Vector  # (branches) [s]
-    spring: Vector  # (branches) [-], what the implicit step takes for stiffness
-    damper: Vector  # (branches) [s], and for damping
+    modulus: Array  # (branches) [-]
+    time: Array  # (branches) [s]
+    spring: Array  # (branches) [-], what the implicit step takes for stiffness
+    damper: Array  # (branches) [s], and for damping
 
 
 @kernel

@@ -19,7 +19,24 @@ ShapeEnv, ShapeVectorEnv = environment_class(SHAPE), vector_environment_class(SH
 ReachEnv, ReachVectorEnv = environment_class(REACH), vector_environment_class(REACH)
 
 __all__ = [
-    "IDS", "TARGETS", "TASKS", "Options", "ReachEnv", "ReachVectorEnv", "ResetOptions", "ShapeEnv", "ShapeVectorEnv", "Target", "Task",
-    "TendonRodEnv", "TendonRodVectorEnv", "TipPoseEnv", "TipPoseVectorEnv", "environment_class", "register_reward_term", "register_target",
-    "register_task", "vector_environment_class",
+    "IDS",
+    "TARGETS",
+    "TASKS",
+    "Options",
+    "ReachEnv",
+    "ReachVectorEnv",
+    "ResetOptions",
+    "ShapeEnv",
+    "ShapeVectorEnv",
+    "Target",
+    "Task",
+    "TendonRodEnv",
+    "TendonRodVectorEnv",
+    "TipPoseEnv",
+    "TipPoseVectorEnv",
+    "environment_class",
+    "register_reward_term",
+    "register_target",
+    "register_task",
+    "vector_environment_class",
 ]

@@ -4,17 +4,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba.extending import overload
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.contact.forces import read_contacts
-from soft_tendon_env.effects.nodes import nodes_with
 from soft_tendon_env.mechanics.algebra.lie import dot
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
-from soft_tendon_env.mechanics.effect_parameters import parameters_at
 from soft_tendon_env.mechanics.motion.batch import place_nodes
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
-from soft_tendon_env.mechanics.terms.external_forces import values_of
+from soft_tendon_env.mechanics.terms.external_forces import nodes_of
 from soft_tendon_env.mechanics.types import FloatVector, IntVector
 
 EFFORT, SMOOTHNESS = -1, -2
@@ -118,17 +115,6 @@ class ContactReading(NamedTuple):
     load: np.ndarray  # (rows,) [N] sum of the sizes of all contact forces
 
 
-def own_parameters(like, values):
-    """Parameters of the class of `like` whose numbers are these."""
-    return parameters_at(type(like), values)
-
-
-@overload(own_parameters)
-def _own_parameters_overload(like, values):
-    kind = like.instance_class
-    return lambda like, values: parameters_at(kind, values)
-
-
 @kernel(refcount=True)
 def read_contact_rows(like, number, rows, members, section, work, reading):
     """Contact of the rows named in `members` into `reading`; like: arm and parameters as theirs, of the effect of that number; section
@@ -136,10 +122,10 @@ def read_contact_rows(like, number, rows, members, section, work, reading):
     for row in members:
         own = struct_at(like[0], rows.arm, row)
         place_nodes(own, rows, row, work)
-        contact = own_parameters(like[1], values_of(own.effects, number))
+        contact = struct_at(like[1], own.effects.parameters, number)
         obstacles, samples = contact.obstacles.shape[0], contact.samples.shape[0]
         gap, position, force = np.empty((obstacles, samples)), np.empty((samples, 3)), np.empty((obstacles, samples, 3))
-        read_contacts(contact, nodes_with(work.pose, work.eta, work.base, rows.clock[row, 0]), gap, position, force)
+        read_contacts(contact, nodes_of(own, work), gap, position, force)
         reading.force[row] = 0.0
         reading.clearance[row] = math.inf
         reading.penetration[row], reading.load[row] = 0.0, 0.0

@@ -1,7 +1,7 @@
 """Generated blocks of documents: what a command writes between two lines of a page, and the stamp that says which code made it.
 
-    <!-- made {"command": ..., "commit": ..., "code": ..., ...} -->
-    <small>Made by `soft-tendon ...` at commit ..., on ...</small>
+<!-- made {"command": ..., "commit": ..., "code": ..., ...} -->
+<small>Made by `soft-tendon ...` at commit ..., on ...</small>
 """
 
 import hashlib

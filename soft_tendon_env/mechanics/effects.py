@@ -1,15 +1,16 @@
 """Effects as the kernels see them: what an effect reads and adds to, its own kernels, their addresses, and how they are called.
 
-The kernels of an effect are compiled by themselves and called through their addresses, which stand in a table of numbers: the mechanics
-are compiled once, whatever effects an arm has, and an effect that no scene names is not compiled at all.
+The kernels of an effect are compiled by themselves and called through their addresses, which stand in a table with those of their
+parameters: the mechanics are compiled once, whatever effects an arm has, and an effect that no scene names is not compiled at all.
 
-The parameters of an effect are a NamedTuple class of its own, see effect_parameters.py; its kernels get them as an instance of the class.
+The parameters of an effect are a `Struct` of its own, see algebra/structs.py. An effect is a pure function of them, of the time, and of
+poses and twists, or of strains.
 """
 
 import functools
 import math
-import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numba
@@ -18,12 +19,37 @@ from numba import config, types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload
 
-from soft_tendon_env.compiler.compilation import OPTIONS, Kernel, address_of, emit_call_at, is_of_package, kernel
-from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.effect_parameters import flat, parameters_at
+from soft_tendon_env.compiler.compilation import address_of, emit_call_at, kernel
+from soft_tendon_env.mechanics.algebra.structs import Struct, StructType, struct_at
 
 TURN = 2.0 * math.pi / 16.0
 """Angle [rad] by which what is periodic may go on within one integrator step."""
+
+
+class BeforeStep(Struct):
+    """Poses before the step that was just taken."""
+
+    time: np.ndarray  # (1) [s]
+    pose: np.ndarray  # as in Nodes
+    base: np.ndarray
+
+
+def make_before_step(nodes: int) -> BeforeStep:
+    """Zeroed BeforeStep for so many nodes."""
+    return BeforeStep(time=np.zeros(1), pose=np.zeros(12 * nodes), base=np.zeros(24))
+
+
+class ContactFlags(Struct):
+    """What contact tells of a step, 1 or 0."""
+
+    touched: np.ndarray  # (1) the arm touched something within the step
+    tunnelled: np.ndarray  # (1) the arm went through something on its way: the step is tried again at half of its length
+    active: np.ndarray  # (1) it touches something or is about to: the next step is as short as its error calls for, with fixed steps too
+
+
+def make_contact_flags() -> ContactFlags:
+    """Flags of zeros."""
+    return ContactFlags(touched=np.zeros(1), tunnelled=np.zeros(1), active=np.zeros(1))
 
 
 class Nodes(NamedTuple):
@@ -31,7 +57,6 @@ class Nodes(NamedTuple):
 
     packs: int
     time: float  # [s]
-    state: np.ndarray  # the effect's own internal state
     mass: np.ndarray  # nodes [kg], of the rod and its payload
     inertia: np.ndarray  # nodes x 6, screw inertia about the slice's axes [kg m^2, kg], with what effects add
     pose: np.ndarray  # nodes x 12, R rows, r
@@ -40,27 +65,8 @@ class Nodes(NamedTuple):
     wrench: np.ndarray  # nodes x 6, body frame, of the whole slice
     stiffness: np.ndarray  # nodes x 21, -d wrench / d displacement, symmetric, its lower triangle by rows: where it is stiff
     damping: np.ndarray  # nodes x 21, -d wrench / d twist: where that is large
-    touched: np.ndarray  # (1) set to 1 by an effect under `sweeps_motion` where the arm touches what it came upon
-
-
-class ContactFlags(Struct):
-    """Result of a continuous collision check of a step: flags, 1 or 0."""
-
-    tunnelled: np.ndarray  # (1) the arm went through something on its way: the step is tried again at half of its length
-    active: np.ndarray  # (1) it touches something or is about to: the next step is as short as its error calls for, with fixed steps too
-
-
-def make_contact_flags() -> ContactFlags:
-    """Flags of zeros."""
-    return ContactFlags(tunnelled=np.zeros(1), active=np.zeros(1))
-
-
-class Before(NamedTuple):
-    """Poses of the nodes and of the base before a step."""
-
-    time: float  # [s]
-    pose: np.ndarray  # as in Nodes
-    base: np.ndarray
+    before_step: BeforeStep  # for a continuous collision check between two poses, under `limits_step`
+    contact: ContactFlags
 
 
 class Points(NamedTuple):
@@ -123,22 +129,30 @@ DIRECT = Transmission(
 """Commands that are tensions at once."""
 
 
+EXPLICIT, IMPLICIT_TWIST, IMPLICIT_POSE = 0, 1, 2
+"""Bits of what a wrench is differentiated by for the implicit step."""
+
 _ROW = np.zeros(1)
-_NODES = Nodes(1, 0.0, *(_ROW for _ in Nodes._fields[2:]))
-_POINTS = Points(1, 0.0, 0.0, *(_ROW for _ in Points._fields[3:]))
+_NODES = Nodes(1, 0.0, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, make_before_step(1), make_contact_flags())
 HOOKS: dict[str, tuple[Any, ...]] = {
     "wrench": (_NODES,),
-    "stress": (_POINTS,),
-    "base": (Base(0.0, _ROW, _ROW, _ROW),),
+    "stress": (Points(1, 0.0, 0.0, *[_ROW] * 9),),
+    "base": (Base(0.0, *[_ROW] * 3),),
     "limit": (_NODES, _ROW),
-    "sweep": (Before(0.0, _ROW, _ROW), _NODES, _ROW, make_contact_flags()),
 }
-"""Kinds of kernels that an effect can have, with examples of their arguments but for the parameters, and of the fields of `EffectTable`: a
-wrench at the nodes, stress at the points, motion of the base, the longest step that it allows, what the arm meets on its way."""
+"""Kinds of kernels that an effect can have, as fields of `EffectTable`, with examples of their arguments after the parameters: a wrench at
+the nodes, stress at the points, motion of the base, the longest step that it allows."""
+
+_KERNELS: dict[tuple[str, type], Any] = {}
+_IMPLICIT: dict[type, int] = {}
+_FUNCTIONS: list[Callable[..., None]] = []
+"""Kernels by their addresses less 1, where nothing is compiled."""
+
+Decorator = Callable[[Any], Any]
 
 
 class EffectTable(Struct):
-    """The effects of an arm: addresses of their kernels for every hook, 0 where there is none, and their numbers.
+    """The effects of an arm: addresses of their kernels for every hook, 0 where there is none, and of their parameters.
 
     The same type whatever the effects. Addresses hold within a process: a copy that is unpickled in another one gets its own.
     """
@@ -148,12 +162,34 @@ class EffectTable(Struct):
     stress: np.ndarray
     base: np.ndarray
     limit: np.ndarray
-    sweep: np.ndarray
+    implicit: np.ndarray  # (count) int64, IMPLICIT_TWIST + IMPLICIT_POSE
+    parameters: np.ndarray  # (count) int64
     transmission: Transmission
-    first_value: np.ndarray  # (count + 1) int64, where in `values` the parameters of each begin
     first_state: np.ndarray  # (count + 1) int64
-    values: np.ndarray  # parameters of all effects
     state: np.ndarray  # internal states of all effects, in the unloaded arm that has always been at rest
+
+    def __init__(self, structs: Sequence[Struct], states: Sequence[np.ndarray], transmission: Transmission = DIRECT) -> None:
+        """The table of effects with these parameters and internal states, in their order; compiles their kernels when needed. Those whose
+        parameters no kernel reads act by the transmission alone."""
+        self.__dict__["_structs"] = tuple(structs)  # which their addresses do not keep
+        super().__init__(
+            count=len(structs),
+            **{hook: _words(_address_of_kernel(hook, own) for own in structs) for hook in HOOKS},
+            implicit=_words(_IMPLICIT.get(type(own), EXPLICIT) for own in structs),
+            parameters=_words(own.address for own in structs),
+            transmission=transmission,
+            first_state=np.cumsum([0, *(part.size for part in states)]),
+            state=np.concatenate([np.zeros(0), *states]),
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        states = [self.state[first:last].copy() for first, last in pairwise(self.first_state)]
+        return EffectTable, (self.structs, states, self.transmission)
+
+    @property
+    def structs(self) -> tuple[Struct, ...]:
+        """The parameters of every effect."""
+        return tuple(self.__dict__["_structs"])
 
     def __len__(self) -> int:
         return self.count
@@ -174,30 +210,23 @@ class EffectTable(Struct):
         """True if a stress depends on the strain before."""
         return self.state.size > self.filter_size
 
-    def __getstate__(self) -> dict[str, Any]:
-        kinds = {hook: [_KINDS.get(int(address)) for address in getattr(self, hook)] for hook in HOOKS}
-        return {**super().__getstate__(), **kinds}
 
-    def __setstate__(self, fields: dict[str, Any]) -> None:
-        own = {hook: [0 if kind is None else _address(hook, kind) for kind in fields[hook]] for hook in HOOKS}
-        super().__setstate__({**fields, **{hook: np.array(row, dtype=np.int64) for hook, row in own.items()}})
+def _words(values: Any) -> np.ndarray:
+    return np.array([*values], dtype=np.int64)
 
 
-_KERNELS: dict[tuple[str, type], Any] = {}
-_ADDRESSES: dict[tuple[str, type], tuple[Any, int, Any]] = {}  # with the kernel that is there, and what keeps it there
-_KINDS: dict[int, type] = {}
-_FUNCTIONS: dict[int, Callable[..., None]] = {}  # by address, where nothing is compiled
+def adds_wrench(kind: type, implicit: Sequence[str] = ()) -> Decorator:
+    """Decorator: the kernel (parameters, nodes) of an effect with parameters of this class. It adds to `nodes.wrench`, see `Nodes`.
 
-Decorator = Callable[[Any], Any]
-
-
-class TimeWarning(UserWarning):
-    """An effect depends on time without limiting the length of integrator steps."""
-
-
-def adds_wrench(kind: type) -> Decorator:
-    """Decorator: the kernel (parameters, nodes) of an effect with parameters of this class. It adds to `nodes.wrench`, and where the wrench
-    is stiff or damps, to `nodes.stiffness` and `nodes.damping`, see `Nodes`."""
+    A wrench that is stiff or damps fast belongs to the implicit step. Either `implicit` names what it depends on so, "pose", "twist" or
+    both, and the step takes its derivatives at every node by differences; or the kernel adds them to `nodes.stiffness` and
+    `nodes.damping` itself. Raises ValueError for another name.
+    """
+    bits = {"twist": IMPLICIT_TWIST, "pose": IMPLICIT_POSE}
+    for name in implicit:
+        if name not in bits:
+            raise ValueError(f"implicit is {implicit!r}: it should name pose, twist or both, as in implicit=('twist',)")
+    _IMPLICIT[kind] = sum(bits[name] for name in set(implicit))
     return _registers("wrench", kind)
 
 
@@ -215,19 +244,24 @@ def moves_base(kind: type) -> Decorator:
 
 
 def limits_step(kind: type) -> Decorator:
-    """Decorator: the kernel (parameters, nodes, longest) of an effect that changes in time faster than an arm does by itself. It lowers
-    `longest` (1,) [s], the longest integrator step that may begin in this configuration. Steps with and without error control keep to it.
+    """Decorator: the kernel (parameters, nodes, longest) of an effect that changes in time faster than an arm does by itself, or begins at
+    once. It lowers `longest` (1,) [s], the longest integrator step that may begin in this configuration, with fixed steps too.
 
-    What is periodic calls `allow_turning`; what begins or ends, as a pulse, allows a step up to there.
+    What is periodic calls `allow_turning`; what begins or ends, as a pulse, allows a step up to there. Contact checks for collisions
+    between `nodes.before_step` and the poses of now, and sets `nodes.contact`.
     """
     return _registers("limit", kind)
 
 
-def sweeps_motion(kind: type) -> Decorator:
-    """Decorator: the kernel (parameters, before, nodes, longest, flags) of an effect that is stiff and begins at once, as contact: a
-    continuous collision check between the poses before and after a step, see `Before`. It sets `flags`, see `ContactFlags`, and lowers
-    `longest` (1,) [s], which begins with the longest step of all, so that the next step ends where a contact begins."""
-    return _registers("sweep", kind)
+def _registers(hook: str, kind: type) -> Decorator:
+    if not (isinstance(kind, type) and issubclass(kind, Struct)):
+        raise TypeError(f"parameters of an effect should be a class derived from soft_tendon_env.effects.Struct, not {kind!r}")
+
+    def register(function: Any) -> Any:
+        _KERNELS[hook, kind] = function
+        return function
+
+    return register
 
 
 @kernel
@@ -237,104 +271,52 @@ def allow_turning(rate, longest):
         longest[0] = min(longest[0], TURN / abs(rate))
 
 
-def _registers(hook: str, kind: type) -> Decorator:
-    def register(function: Any) -> Any:
-        _KERNELS[hook, kind] = function
-        return function
-
-    return register
+def kernels_of(kind: type) -> dict[str, Any]:
+    """The kernels for parameters of this class, by hook."""
+    return {hook: function for hook in HOOKS if (function := _KERNELS.get((hook, kind))) is not None}
 
 
-def kinds_of(table: EffectTable) -> list[type]:
-    """The classes of the parameters of a table's effects, in their order."""
-    return [_KINDS.get(max(int(getattr(table, hook)[i]) for hook in HOOKS), object) for i in range(len(table))]
-
-
-def has_kernel(kind: type) -> bool:
-    """True if any kernel is registered for parameters of this class."""
-    return any((hook, kind) in _KERNELS for hook in HOOKS)
-
-
-def make_table(parameters: list[Any], states: list[np.ndarray], transmission: Transmission = DIRECT) -> EffectTable:
-    """The table of effects with these parameters and internal states, in their order, and a transmission; compiles their kernels when
-    needed. Those whose parameters no kernel reads, as an empty tuple, act by the transmission alone."""
-    kernels = {hook: np.array([_address(hook, type(own)) for own in parameters], dtype=np.int64) for hook in HOOKS}
-    for own in parameters:
-        _tell_of_unlimited_steps(type(own))
-    values = [flat(own) for own in parameters]
-    return EffectTable(
-        count=len(parameters),
-        first_value=np.cumsum([0, *(part.size for part in values)]),
-        first_state=np.cumsum([0, *(part.size for part in states)]),
-        values=np.concatenate([np.zeros(0), *values]),
-        state=np.concatenate([np.zeros(0), *states]),
-        transmission=transmission,
-        **kernels,
-    )
-
-
-def _address(hook: str, kind: type) -> int:
-    """The address of the kernel for parameters of this class, 0 where there is none; compiles it when needed."""
-    function = _KERNELS.get((hook, kind))
+def _address_of_kernel(hook: str, own: Struct) -> int:
+    """The address of the kernel for these parameters, 0 where there is none; compiles it when needed."""
+    function = _KERNELS.get((hook, type(own)))
     if function is None:
         return 0
-    known, address, _ = _ADDRESSES.get((hook, kind), (None, 0, None))
-    if known is not function:
-        address, kept = _entry(hook, kind, function)
-        _ADDRESSES[hook, kind] = function, address, kept
-        _KINDS[address] = kind
-    return address
-
-
-def _tell_of_unlimited_steps(kind: type) -> None:
-    """Warns of an effect whose kernels read the time and which lets steps be as long as they like."""
-    loads = [_KERNELS[hook, kind] for hook in ("wrench", "stress", "base") if (hook, kind) in _KERNELS]
-    own_name = "time" in kind._fields  # type: ignore[attr-defined]  # of a parameter, which is read too
-    if not own_name and ("limit", kind) not in _KERNELS and any(_reads_time(load) for load in loads):
-        text = "reads the time, but no kernel of it is decorated with @limits_step: steps may pass over its changes"
-        warnings.warn(f"the effect with parameters {kind.__name__} {text}", TimeWarning, stacklevel=2)
+    kind: Hashable = type(own) if config.DISABLE_JIT else numba.typeof(own)
+    return _address(hook, function, kind)
 
 
 @functools.cache
-def _reads_time(function: Any) -> bool:
-    """True if a kernel, or one that it calls by name, reads an attribute `time`."""
-    own = getattr(function, "py_func", function)
-    called = (own.__globals__.get(name) for name in own.__code__.co_names)
-    return "time" in own.__code__.co_names or any(_reads_time(other) for other in called if hasattr(other, "py_func"))
-
-
-def _entry(hook: str, kind: type, function: Any) -> tuple[int, Any]:
-    """Address of what reads the parameters of a class and calls a kernel with them, and what keeps it there."""
-
-    def enter(values: np.ndarray, arguments: tuple[Any, ...]) -> None:
-        function(parameters_at(kind, values), *arguments)
-
+def _address(hook: str, function: Any, kind: Hashable) -> int:
+    """The address of a kernel for parameters of a type, where it stays."""
     if config.DISABLE_JIT:
-        address = len(_FUNCTIONS) + 1
-        _FUNCTIONS[address] = enter
-        return address, enter
-    entry = Kernel(enter, OPTIONS, keep=is_of_package(function) and is_of_package(kind))
-    return address_of(entry.compiled((numba.typeof(_ROW), numba.typeof(HOOKS[hook])))), entry
+        _FUNCTIONS.append(function)
+        return len(_FUNCTIONS)
+    kinds = (kind, *map(numba.typeof, HOOKS[hook]))
+    if hasattr(function, "kernel"):
+        return address_of(function.kernel.compiled(kinds))
+    function.compile(kinds)
+    return address_of(function.overloads[kinds])
 
 
-def call(address, arguments):
-    """Call the kernel at an address with a tuple of arguments, the row of parameters first."""
-    values, *given = arguments
-    _FUNCTIONS[address](values, tuple(given))
+def call(address, parameters, arguments):
+    """Call the kernel at an address with the parameters at another one and a tuple of further arguments."""
+    _FUNCTIONS[address - 1](struct_at(None, [parameters], 0), *arguments)
+
+
+_PARAMETERS = StructType(Struct, ())
+"""Numba's type of parameters, of which a call passes the address alone."""
 
 
 @intrinsic
-def _call(typingctx, address, arguments):
+def _call(typingctx, address, parameters, arguments):
     def emit(context, builder, signature, given):
-        values_type, *types_given = signature.args[1].types
-        kinds = (values_type, types.Tuple(types_given))
-        values, *arguments_given = cgutils.unpack_tuple(builder, given[1])
-        packed = context.make_tuple(builder, kinds[1], arguments_given)
-        return emit_call_at(context, builder, given[0], types.none, kinds, [values, packed])
+        kinds = (_PARAMETERS, *signature.args[2].types)
+        own = builder.inttoptr(given[1], context.get_value_type(_PARAMETERS))
+        return emit_call_at(context, builder, given[0], types.none, kinds, [own, *cgutils.unpack_tuple(builder, given[2])])
 
-    return types.none(address, arguments), emit
+    return types.none(address, parameters, arguments), emit
 
 
 @overload(call)
-def _call_overload(address, arguments):
-    return lambda address, arguments: _call(address, arguments)
+def _call_overload(address, parameters, arguments):
+    return lambda address, parameters, arguments: _call(address, parameters, arguments)

@@ -6,6 +6,7 @@ import numpy as np
 
 from soft_tendon_env.mechanics.algebra.lanes import LINE, aligned, aligned_zeros
 from soft_tendon_env.mechanics.algebra.structs import Struct
+from soft_tendon_env.mechanics.effects import BeforeStep, ContactFlags, make_before_step, make_contact_flags
 from soft_tendon_env.mechanics.types import Arm, Explicit, FloatVector, Loaded
 
 PER_LINE = LINE // 8  # numbers of a cache line
@@ -76,7 +77,12 @@ class Workspace(Struct):
     before: FloatVector  # points x 6, the strain to which they belong; empty where no effect remembers it
     since: FloatVector  # (1) time since then [s]
     clock: FloatVector  # (1) time [s]
-    touched: FloatVector  # (1) set to 1 where the arm touches what it came upon, see effects.Nodes
+    before_step: BeforeStep
+    contact: ContactFlags
+    beside_pose: FloatVector  # nodes x 12, where effects are differentiated
+    beside_twist: FloatVector  # nodes x 6
+    beside_wrench: FloatVector  # nodes x 6
+    here_wrench: FloatVector  # nodes x 6, that of one effect
     loaded: FloatVector  # coordinate x nodes x 6, node stiffness times J
     extra: np.ndarray  # (n, n) share of the effects in D or G
     unit: FloatVector  # points x 6, ones
@@ -104,7 +110,7 @@ def make_workspace(arm: Arm) -> Workspace:
     strain, n, n_a, nodes = arm.strain, arm.strain.size, arm.tendons.size, arm.rod.length.size
     points = 2 * nodes
     arrays = zeros_of(
-        ((1,), "clock since touched u_is_command"),
+        ((1,), "clock since u_is_command"),
         ((n_a,), "tau tau_dot tension shortening pull_rate grip"),
         ((n,), "bias drive load"),
         ((n, n), "M D G extra"),
@@ -113,8 +119,8 @@ def make_workspace(arm: Arm) -> Workspace:
         ((points * 21,), "factor"),
         ((n_a * points * 4,), "tangent"),
         ((n * points * 6,), "Y"),
-        ((nodes * 6,), "eta eta_bias wrench"),
-        ((nodes * 12,), "relative start pose"),
+        ((nodes * 6,), "eta eta_bias wrench beside_twist beside_wrench here_wrench"),
+        ((nodes * 12,), "relative start pose beside_pose"),
         ((nodes * 21,), "node_stiffness node_damping"),
         ((n * nodes * 6,), "J loaded"),
         (((n + 2) * 6,), "carry"),
@@ -124,6 +130,8 @@ def make_workspace(arm: Arm) -> Workspace:
         Phi=strain.field if isinstance(strain, Explicit) else aligned_zeros(n * points * 6),
         base=np.concatenate([np.eye(3).ravel(), np.zeros(15)]),
         state=arm.effects.state.copy(),
+        before_step=make_before_step(nodes),
+        contact=make_contact_flags(),
         unit=aligned(np.ones(points * 6)),
         share=aligned(np.ones(n_a * points)),
         slip=aligned_zeros(n_a * points),

@@ -155,5 +155,5 @@ def _twists(pose: Array, slopes: Array) -> Array:
 def _units(model: Model) -> tuple[Array, Array, float]:
     """Units of coordinates and rates (2 n,), and of commands (n_a,), the largest that there may be; factor of steps for the scene."""
     limits, scale = np.array([tendon.tension_limits for tendon in model.scene.tendons]), model.coordinate_scale()
-    factor = TOUCHING if any(effect.is_encountered for effect in model.scene.effects.chosen().values()) else 1.0
+    factor = TOUCHING if any(effect.is_contact for effect in model.scene.effects.chosen().values()) else 1.0
     return np.concatenate([scale, RATE * scale]), np.abs(model.scene.effects.command_limits(limits)).max(axis=1), factor

@@ -80,7 +80,8 @@ class Model:
             return f"which effects act, from {', '.join(own) or 'none'} to {', '.join(their) or 'none'}"
         if not np.array_equal(ours.first_state, theirs.first_state[: len(own) + 1]) or theirs.state.size > ours.state.size:
             return "the number of internal states of the effects"
-        return "" if np.array_equal(ours.first_value, theirs.first_value[: len(own) + 1]) else "the places of an effect along the arm"
+        sizes = [[np.shape(field) for struct in table.structs[: len(own)] for field in struct] for table in (ours, theirs)]
+        return "" if sizes[0] == sizes[1] else "the places of an effect along the arm"
 
     @property
     def coordinate_count(self) -> int:

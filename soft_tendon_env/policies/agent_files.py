@@ -22,15 +22,27 @@ AGENT = "agent"
 """Name of the best agent that ships for a task, as agents.toml in the folder of them all has it."""
 SHIPPED = (AGENT, "ppo", "sac", "dagger", "apg")
 """Names of agents that ship: all but "agent" are those of their algorithms."""
-SHIPPED_NAMES = f'{", ".join(SHIPPED[:-1])} or {SHIPPED[-1]}, which ship'
+SHIPPED_NAMES = f"{', '.join(SHIPPED[:-1])} or {SHIPPED[-1]}, which ship"
 """These names in words."""
 ARM = ("scene", "fidelity", "control_period", "tension_limits")
 """Options that define the arm."""
 INTERFACE = ("observation", "preview", "history", "sensors", "contact_sections", "action", "tension_rate")
 """Options that say what a policy observes and how its actions are read."""
 OF_TRAINING = (
-    "steps", "seconds", "seed", "threads", "learning_rate", "hindsight", "evaluation", "checkpoint_every", "checkpoint_seconds",
-    "record", "evaluated", "seconds_learned", "engine", "runners",
+    "steps",
+    "seconds",
+    "seed",
+    "threads",
+    "learning_rate",
+    "hindsight",
+    "evaluation",
+    "checkpoint_every",
+    "checkpoint_seconds",
+    "record",
+    "evaluated",
+    "seconds_learned",
+    "engine",
+    "runners",
 )
 """Keys of config.json that say how an agent was trained, and nothing of how it acts."""
 TARGETS_OF_TRAINING = ("bank", "pool")

@@ -176,9 +176,7 @@ def _others(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> list[rrb.Vi
     return [*views, rrb.TextLogView(origin="/episodes", name="episodes"), *scenes]
 
 
-def _plot(
-    origin: str, name: str, axis: rrb.TimeAxis | None, legend: rrb.PlotLegend, values: tuple[float, float] | None = None
-) -> rrb.View:
+def _plot(origin: str, name: str, axis: rrb.TimeAxis | None, legend: rrb.PlotLegend, values: tuple[float, float] | None = None) -> rrb.View:
     """A plot of the numbers at an origin; `values`: the least and the greatest that it opens with, None: all."""
     vertical = None if values is None else rrb.ScalarAxis(range=values)
     return rrb.TimeSeriesView(origin=origin, name=name, axis_x=axis, axis_y=vertical, plot_legend=legend)

@@ -47,7 +47,7 @@ class PassiveFields:
         tension_limits: (n_a, 2) [N], within which tensions were drawn.
         borders: arc lengths [m] between the polynomials, (pieces + 1,).
         coefficients: (fields, pieces, 6, orders), moments [N m] and forces [N] of unit energy: int F^T Sigma^-1 F dX = 1.
-        effects: the loads, none or those up to whose size they were drawn, see Effects.varied.
+        effects: the loads, none or those up to whose size they were drawn, see Effects.sample_smaller.
         singular_values: (fields,), as shares of the first.
         errors: largest tip distance [m] from full physics on motions that the fields were not made from: by kind of motion, for each of
             the numbers of fields in "fields".
@@ -97,7 +97,7 @@ class PassiveFields:
             (least, greatest), more = tendon.tension_limits, (ALIKE - 1.0) * (high - low)
             if least < low - more or greatest > high + more:
                 return f"{low:g} to {high:g} N at tendon {i}, not {least:g} to {greatest:g} N"
-        if not self.effects.covers(scene.effects):
+        if not self.effects.includes(scene.effects):
             made, wanted = (effects.model_dump(mode="json", exclude_none=True) for effects in (self.effects, scene.effects))
             return f"{shown(made) if made else 'no loads'}, not {shown(wanted)}"
         return ""
@@ -175,7 +175,7 @@ def find_fields(scene: Scene, digest: str | None = None) -> PassiveFields | None
     known = [fields for fields in everything if digest in (None, fields.digest) and fields.fits(scene)]
 
     def excess(fields: PassiveFields) -> tuple[bool, bool, int]:
-        return bool(fields.misfit(scene)), not scene.effects.covers(fields.effects), len(fields.effects.chosen())
+        return bool(fields.misfit(scene)), not scene.effects.includes(fields.effects), len(fields.effects.chosen())
 
     return min(known, key=excess, default=None)
 

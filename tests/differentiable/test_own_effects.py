@@ -1,18 +1,16 @@
 """Gradients through a user's own effects, functions of time, pose and twist without derivatives by hand, beside differences."""
 
-from typing import NamedTuple
-
 import numpy as np
 import pytest
 
 from soft_tendon_env.differentiable import gradient_accuracy
-from soft_tendon_env.effects import Effect, adds_wrench, kernel, register_effect
+from soft_tendon_env.effects import Effect, Struct, adds_wrench, kernel, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 
 LEAST, GREATEST = np.zeros(3), np.full(3, 10.0)
 
 
-class Strength(NamedTuple):
+class Strength(Struct):
     value: float
 
 

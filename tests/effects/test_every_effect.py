@@ -162,8 +162,8 @@ def test_configuration_survives_a_round_trip_and_covers_its_variations(name, bui
     assert Scene(**table) == scene
     rng = np.random.default_rng(0)
     for _ in range(20):
-        varied = scene.effects.varied(rng)
-        assert scene.effects.covers(varied)
+        varied = scene.effects.sample_smaller(rng)
+        assert scene.effects.includes(varied)
     build_model(scene.replace({"effects": scene_to_dict(scene.replace({"effects": varied.model_dump(exclude_none=True)}))["effects"]}))
 
 

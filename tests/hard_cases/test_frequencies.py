@@ -2,16 +2,15 @@
 
 import math
 import warnings
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.fidelity import at_fidelity
-from soft_tendon_env.effects import LANES, Effect, adds_wrench, allow_turning, kernel, limits_step, register_effect
+from soft_tendon_env.effects import LANES, Effect, Struct, adds_wrench, allow_turning, kernel, limits_step, register_effect
 from soft_tendon_env.effects.base import EFFECTS
-from soft_tendon_env.mechanics.effects import TimeWarning
+from soft_tendon_env.effects.kernel_checks import TimeWarning
 from soft_tendon_env.model.step_control import CommandWarning
 
 DURATION, SAMPLES = 0.21, 0.014  # [s]
@@ -93,11 +92,11 @@ def test_actuators_that_arrive_within_a_step(fidelity, measured):
     assert max(shares) < 0.05, shares
 
 
-class Shaking(NamedTuple):
+class Shaking(Struct):
     frequency: float  # [Hz]
 
 
-class ShakingUnlimited(NamedTuple):
+class ShakingUnlimited(Struct):
     frequency: float
 
 

@@ -1,13 +1,12 @@
 """Impacts: arms thrown on obstacles, and obstacles shot at arms, at up to 30 m/s with steps of 20 ms."""
 
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 import soft_tendon_env as ste
-from soft_tendon_env.effects import LANES, Effect, adds_wrench, kernel, register_effect
+from soft_tendon_env.effects import LANES, Effect, Struct, adds_wrench, kernel, register_effect
 from soft_tendon_env.effects.base import EFFECTS
 from soft_tendon_env.effects.contact import Contact
 from soft_tendon_env.model.contact_forces import contact_forces
@@ -214,7 +213,7 @@ def test_a_rebound_does_not_hang_on_the_step(measured, scene, fidelity, kind, sp
     assert faster < 0.1
 
 
-class Holding(NamedTuple):
+class Holding(Struct):
     stiffness: float  # [N/m]
 
 

@@ -159,6 +159,6 @@ def test_arms_of_other_geometry_have_none():
 def test_varied_effects_are_covered_by_their_own(name, table):
     own = Effects(**{name: table})
     random = np.random.default_rng(0)
-    for varied in (own.varied(random) for _ in range(50)):
-        assert own.covers(varied) and not varied.covers(own)
-    assert own.covers(own) and own.covers(Effects()) and not Effects().covers(own)
+    for varied in (own.sample_smaller(random) for _ in range(50)):
+        assert own.includes(varied) and not varied.includes(own)
+    assert own.includes(own) and own.includes(Effects()) and not Effects().includes(own)

@@ -14,7 +14,6 @@ from soft_tendon_env.effects.contact.bodies import ContactParameters, make_sampl
 from soft_tendon_env.effects.contact.forces import read_contacts
 from soft_tendon_env.effects.contact.obstacles import AnyObstacle
 from soft_tendon_env.effects.nodes import nodes_with
-from soft_tendon_env.mechanics.effect_parameters import Matrix
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.types import NotNegative, Positive
 
@@ -27,7 +26,7 @@ class Contact(Effect):
     1 - 2/3 c v where c v is small, with c the `dissipation`.
     """
 
-    is_encountered: ClassVar[bool] = True
+    is_contact: ClassVar[bool] = True
 
     obstacles: tuple[AnyObstacle, ...] = Field(min_length=1, description="what the arm may touch")
     friction: NotNegative = Field(0.0, description="coefficient of friction mu [-] of obstacles without their own")
@@ -37,7 +36,7 @@ class Contact(Effect):
 
     def parameters(self, rod: Discretisation) -> ContactParameters:
         intervals, samples, _ = make_samples(rod, self.stiffness)
-        return ContactParameters(Matrix(intervals), Matrix(samples), Matrix(self._rows()), self.stiction_speed)
+        return ContactParameters(intervals, samples, self._rows(), self.stiction_speed)
 
     def _rows(self) -> Array:
         return np.array([obstacle.row(self.friction, self.dissipation) for obstacle in self.obstacles])

@@ -14,7 +14,7 @@ from soft_tendon_env.effects.base import Array, Discretisation
 from soft_tendon_env.effects.contact.obstacles import distance
 from soft_tendon_env.effects.nodes import motion_before, motion_of, pose_before, pose_of
 from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, rotate_back, times
-from soft_tendon_env.mechanics.effect_parameters import Matrix
+from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.tools.types import Triple
 
 CUTS, SAME = 64, 1e-3
@@ -27,12 +27,12 @@ WALL_SPEED, WALL_MASS = 30.0, 8.0
 share."""
 
 
-class ContactParameters(NamedTuple):
+class ContactParameters(Struct):
     """The numbers of samples and obstacles; intervals in order from base to tip, the empty ones at the end without samples."""
 
-    intervals: Matrix  # (nodes, 4): length h [m], first sample, one past the last, largest radius [m]
-    samples: Matrix  # (samples, 10): see Sample
-    obstacles: Matrix  # (obstacles, 28): see Obstacle.row
+    intervals: Array  # (nodes, 4): length h [m], first sample, one past the last, largest radius [m]
+    samples: Array  # (samples, 10): see Sample
+    obstacles: Array  # (obstacles, 28): see Obstacle.row
     stiction_speed: float  # [m/s]
 
 

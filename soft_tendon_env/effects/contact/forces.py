@@ -24,7 +24,7 @@ from soft_tendon_env.effects.contact.obstacles import distance
 from soft_tendon_env.effects.nodes import motion_before, motion_of, pose_of
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, rotate, rotate_back, times
-from soft_tendon_env.mechanics.effects import adds_wrench, allow_turning, limits_step, sweeps_motion
+from soft_tendon_env.mechanics.effects import adds_wrench, allow_turning, limits_step
 from soft_tendon_env.tools.types import Triple
 
 FREE, WALL = 0.2, 0.45
@@ -141,7 +141,7 @@ def contact_wrench(contact, nodes):
 @kernel(inline=True)
 def add_touch(nodes, i, ends, sample, touch):
     """Adds the wrenches of a contact to both nodes of its interval."""
-    nodes.touched[0], t = 1.0, sample.t
+    nodes.contact.touched[0], t = 1.0, sample.t
     add_to_node(nodes, i, ends.R_b, (sample.h_b, sample.reach_b, t, t if i > 0 else 1.0), sample.radius, touch)
     if i > 0 and t < 1.0:
         add_to_node(nodes, i - 1, ends.R_a, (sample.h_a, sample.reach_a, 1.0 - t, 1.0 - t), sample.radius, touch)
@@ -171,15 +171,6 @@ class Swept(NamedTuple):
     body: Body
     ends_before: Ends
     ends: Ends
-
-
-@limits_step(ContactParameters)
-@kernel
-def limit_step(contact, nodes, longest):
-    """Steps are short beside the periods of obstacles that swing."""
-    for j in range(contact.obstacles.shape[0]):
-        if size(at.triple(contact.obstacles, j, 25)) > 0.0:
-            allow_turning(contact.obstacles[j, 4], longest)
 
 
 @kernel
@@ -226,14 +217,24 @@ def check_sample(sample, swept, nodes, energy, longest, flags):
         longest[0] = room / approach
 
 
-@sweeps_motion(ContactParameters)
+@limits_step(ContactParameters)
 @kernel
-def check_collisions(contact, before, nodes, longest, flags):
+def limit_contact(contact, nodes, longest):
+    """Steps are short beside the periods of obstacles that swing, and end where something is met."""
+    for j in range(contact.obstacles.shape[0]):
+        if size(at.triple(contact.obstacles, j, 25)) > 0.0:
+            allow_turning(contact.obstacles[j, 4], longest)
+    check_collisions(contact, nodes, longest)
+
+
+@kernel
+def check_collisions(contact, nodes, longest):
     """The next step ends where something is met; the last one was too long if a sample went through something on its way, or came to be
     so deep in it at once that it stores more than a share of the arm's energy."""
     intervals, energy = contact.intervals, landing_energy(nodes, contact.intervals)
+    before, flags = nodes.before_step, nodes.contact
     for j in range(contact.obstacles.shape[0]):
-        body_before, body = body_at(contact.obstacles, j, before.time), body_at(contact.obstacles, j, nodes.time)
+        body_before, body = body_at(contact.obstacles, j, before.time[0]), body_at(contact.obstacles, j, nodes.time)
         for i in range(intervals.shape[0]):
             swept = Swept(body_before, body, ends_of(before, i), ends_of(nodes, i))
             if not is_far(swept, intervals, nodes, longest):

@@ -4,6 +4,7 @@ A named tuple of thirty arrays is two hundred machine words, copied at every cal
 code reads its fields by name, `work.xi`. Without the compiler it is a plain object.
 """
 
+import functools
 import hashlib
 from collections.abc import Iterator
 from typing import Any, Self
@@ -33,17 +34,26 @@ _INTERPRETED: WeakValueDictionary[int, "Struct"] = WeakValueDictionary()
 
 
 class Struct:
-    """Fields by the names that a subclass annotates: contiguous arrays of float64 or int64, int, float, tuples of one of them, and structs.
+    """Fields by the names that a subclass annotates: numbers (bool, int, float), tuples of int or of float, contiguous arrays of float64 or
+    int64, and structs.
 
     Arrays are filled, fields never replaced; `replaced` makes another struct.
     """
 
-    def __init__(self, **fields: Any) -> None:
-        """Raises TypeError where names or values are not as they should be."""
-        names = [*type(self).__annotations__]
-        if sorted(fields) != sorted(names):
-            raise TypeError(f"{type(self).__name__} should get {', '.join(names)}, not {', '.join(fields)}")
-        self._lay_out({name: fields[name] for name in names})
+    def __init__(self, *values: Any, **fields: Any) -> None:
+        """Fields in their order or by name. Raises TypeError where names or values are not as they should be."""
+        names = self.names()
+        given = {**dict(zip(names, values, strict=False)), **fields}
+        if len(values) + len(fields) != len(names) or sorted(given) != sorted(names):
+            raise TypeError(f"{type(self).__name__} should get {', '.join(names)}, not {', '.join([*map(repr, values), *fields])}")
+        self._lay_out({name: given[name] for name in names})
+
+    @classmethod
+    @functools.cache
+    def names(cls) -> tuple[str, ...]:
+        """Names of the fields, those of base classes first; a property takes the place of a base's field."""
+        found = dict.fromkeys(name for base in reversed(cls.__mro__) for name in vars(base).get("__annotations__", ()))
+        return tuple(name for name in found if not isinstance(getattr(cls, name, None), property))
 
     def _lay_out(self, fields: dict[str, Any]) -> None:
         words: list[int] = []
@@ -64,8 +74,8 @@ class Struct:
             words.append(value.address)
             return value.__dict__["_layout"]
         if isinstance(value, int):
-            words.append(value)
-            return int
+            words.append(int(value))
+            return bool if isinstance(value, bool) else int
         if isinstance(value, float):
             words.append(int(np.float64(value).view(np.int64)))
             return float
@@ -84,7 +94,7 @@ class Struct:
 
     def fields(self) -> dict[str, Any]:
         """The fields by name."""
-        return {name: self.__dict__[name] for name in type(self).__annotations__}
+        return {name: self.__dict__[name] for name in self.names()}
 
     def __iter__(self) -> Iterator[Any]:
         return iter(self.fields().values())
@@ -104,13 +114,13 @@ class Struct:
 
 
 class StructType(types.Type):
-    """Numba's type of structs of one class whose fields have these types."""
+    """Numba's type of structs of one class whose fields have these types; attributes as those of its named tuples."""
 
     def __init__(self, kind: type[Struct], fields: tuple[tuple[str, types.Type], ...]) -> None:
         described = f"{kind.__module__}.{kind.__qualname__}{fields}"
         # short: it is part of the name of every function that gets one, which compilers copy and compare
         super().__init__(name=f"{kind.__qualname__}_{hashlib.sha256(described.encode()).hexdigest()[:16]}")
-        self.kind, self.fields = kind, dict(fields)
+        self.instance_class, self.fields, self.types = kind, dict(fields), tuple(field for _, field in fields)
         sizes = [_size(field) for _, field in fields]
         self.slots = {name: sum(sizes[:i]) for i, (name, _) in enumerate(fields)}
 
@@ -175,6 +185,8 @@ def _field_of_struct(context, builder, kind, table, name):
         return builder.inttoptr(word(0), _WORD.as_pointer())
     if isinstance(field, types.BaseTuple):
         return cgutils.pack_array(builder, [word(i, _NUMBER if field.dtype == types.float64 else _WORD) for i in range(len(field))])
+    if field == types.boolean:
+        return builder.icmp_unsigned("!=", word(0), _WORD(0))
     if not isinstance(field, types.Array):
         return word(0, _NUMBER if field == types.float64 else _WORD)
     numbers = builder.inttoptr(word(0), context.get_data_type(field.dtype).as_pointer())

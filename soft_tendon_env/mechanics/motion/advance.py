@@ -7,12 +7,12 @@ import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel, phase
 from soft_tendon_env.mechanics.algebra.linear import copy, total
-from soft_tendon_env.mechanics.effects import Before, call
+from soft_tendon_env.mechanics.effects import call
 from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated, extrapolated_step
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE, Demand, predict_strain
 from soft_tendon_env.mechanics.motion.status import COMMAND_QUEUE_FULL, INACCURATE, NO_STRAIN, OK, PENETRATED
 from soft_tendon_env.mechanics.terms.command_filter import follow, receive
-from soft_tendon_env.mechanics.terms.external_forces import limits_steps, nodes_of, place_base, remember, values_of
+from soft_tendon_env.mechanics.terms.external_forces import limits_steps, nodes_of, place_base, remember
 from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses, tip_pose_of, write_pose
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_rate
 
@@ -79,7 +79,7 @@ def while_touching(arm, control):
 @phase
 def find_longest(arm, motion, q_dot, step, unforeseen, control, scratch):
     """Longest step [s] that effects allow from the strain of work.xi at rates q_dot (n), which a step has led to, and what the arm
-    meets there and on its way there from the motion; into scratch.longest (1) and scratch.contact."""
+    meets there and on its way there from the motion; into scratch.longest (1) and work.contact."""
     effects, work = arm.effects, scratch.work
     strain_rate(arm, q_dot, work)
     work.clock[0] = motion.clock[0] + step
@@ -88,23 +88,20 @@ def find_longest(arm, motion, q_dot, step, unforeseen, control, scratch):
     poses(arm.rod, work)
     node_twists(arm.rod, work)
     if step == 0.0:
-        keep_pose(scratch)
+        keep_pose(work)
+    work.before_step.time[0] = motion.clock[0]
     scratch.longest[:] = control.step
-    scratch.contact.tunnelled[0], scratch.contact.active[0] = 0.0, 0.0
+    work.contact.tunnelled[0], work.contact.active[0] = 1.0 if unforeseen else 0.0, 0.0
     for i in range(effects.count):
         if effects.limit[i] != 0:
-            call(effects.limit[i], (values_of(effects, i), nodes_of(arm, work, i), scratch.longest))
-        if effects.sweep[i] != 0:
-            scratch.contact.tunnelled[0] = 1.0 if unforeseen else 0.0
-            before = Before(motion.clock[0], scratch.pose, scratch.base)
-            call(effects.sweep[i], (values_of(effects, i), before, nodes_of(arm, work, i), scratch.longest, scratch.contact))
+            call(effects.limit[i], effects.parameters[i], (nodes_of(arm, work), scratch.longest))
 
 
 @kernel
-def keep_pose(scratch):
-    """Keeps the pose in scratch.work as that of the motion."""
-    copy(scratch.work.pose, scratch.pose)
-    copy(scratch.work.base, scratch.base)
+def keep_pose(work):
+    """Keeps the pose in `work` as that before the next step."""
+    copy(work.pose, work.before_step.pose)
+    copy(work.base, work.before_step.base)
 
 
 @phase
@@ -124,11 +121,11 @@ def settle(arm, u, motion, step, touching, control, scratch):
     if strain_from_guess(arm, scratch.q, STEP_TOLERANCE, work) >= 0:
         return NO_STRAIN
     if limits_steps(arm.effects):
-        unforeseen = work.touched[0] != 0.0 and not touching
+        unforeseen = work.contact.touched[0] != 0.0 and not touching
         find_longest(arm, motion, scratch.v, step, unforeseen, control, scratch)
-        if scratch.contact.tunnelled[0] != 0.0:
+        if work.contact.tunnelled[0] != 0.0:
             return PENETRATED
-        keep_pose(scratch)
+        keep_pose(work)
     if motion.state.size > 0:
         advance_states(arm, u, motion, step, scratch)
     copy(scratch.q, motion.q)
@@ -191,7 +188,7 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
         limited, longest, touching = limits_steps(arm.effects), math.inf, False
         if limited:
             begin_limits(arm, motion, control, scratch)
-            longest, touching = scratch.longest[0], scratch.contact.active[0] != 0.0
+            longest, touching = scratch.longest[0], scratch.work.contact.active[0] != 0.0
         if not control.adaptive:
             step = control.step  # what a row costs another would make results depend on how an input is cut into calls
         while begun < duration * (1.0 - 1e-12):
@@ -204,7 +201,7 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
             if longest < length:
                 length = longest if touching else rest / math.ceil(rest / longest * (1.0 - 1e-9))
             impact = touching and length > SHORTEST_IMPACT * control.step
-            scratch.work.touched[0] = 0.0
+            scratch.work.contact.touched[0] = 0.0
             aim = while_touching(arm, control) if impact else control
             horizon = max(length, aim.horizon) if impact else length
             least = max(method.least, LEAST_WHEN_LIMITED) if longest < control.step else method.least
@@ -215,7 +212,7 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
                 status = settle(arm, u, motion, length, touching, control, scratch)
             if status != OK:
                 rejected += 1
-                touching = touching or status == PENETRATED or scratch.work.touched[0] != 0.0
+                touching = touching or status == PENETRATED or scratch.work.contact.touched[0] != 0.0
                 smaller = next_step(aim, method.columns, length, attempt) if status == INACCURATE and aim.adaptive else length
                 step = min(0.5 * length, smaller)
                 if step < (SHORTEST_STIFF * control.step if touching or arm.effects.transmission.elastic else control.smallest):
@@ -224,7 +221,7 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
             begun += length
             motion.clock[0] = start + begun
             if limited:
-                longest, touching = scratch.longest[0], scratch.contact.active[0] != 0.0
+                longest, touching = scratch.longest[0], scratch.work.contact.active[0] != 0.0
             if steps < scratch.taken.shape[0]:
                 scratch.taken[steps, 0], scratch.taken[steps, 1] = length, scratch.rows[0]
             steps += 1

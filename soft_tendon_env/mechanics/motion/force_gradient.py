@@ -23,7 +23,7 @@ from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, scaled, store6
 from soft_tendon_env.mechanics.effects import call
 from soft_tendon_env.mechanics.terms.dynamics import combined_columns, node_rows, project
-from soft_tendon_env.mechanics.terms.external_forces import effect_loads, nodes_of, values_of
+from soft_tendon_env.mechanics.terms.external_forces import NODE_SHARE, differ_wrenches, displace, effect_loads, nodes_of
 from soft_tendon_env.mechanics.terms.kinematics import poses
 from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess
 from soft_tendon_env.mechanics.terms.transmission import transmitted
@@ -33,7 +33,6 @@ from soft_tendon_env.mechanics.workspace import zeros_of
 
 TOLERANCE = 1e-9  # of the strain's Newton, so that second differences are smooth
 ALONG_MOTION = 0.1  # of the period, the time of the differences along the motion
-NODE_SHARE = 1e-7  # of a radian, of the length, and of those a second: differences of what effects do at the nodes
 SMALL_STRAIN = 1e-4  # the largest strain, curvatures times the length, of the differences along w
 
 
@@ -133,6 +132,7 @@ def hold_effects(arm, work, memory):
     wrenches, stresses = effect_loads(arm, work)  # again: the evaluation has gone on to other fields since
     if wrenches:
         copy(work.wrench, memory.inertial)
+        differ_wrenches(arm, work)
         for pack in range(arm.rod.packs):
             at = pack * 6 * LANES
             store6(memory.declared, at, apply21(work.node_damping, pack * 21 * LANES, load6(memory.zeta, at)))
@@ -166,28 +166,12 @@ def differ_at_nodes(arm, work, memory):
 
 
 @kernel
-def displace(pose, k, way):
-    """Moves poses (nodes x 12) by a small way along the k-th component of a twist in their own frames."""
-    for at in range(0, pose.size, 12 * LANES):
-        for i in range(3):
-            row = at + 3 * i * LANES
-            if k < 3:
-                y, z = row + (k + 1) % 3 * LANES, row + (k + 2) % 3 * LANES
-                before = load(pose, y)
-                store(pose, y, before + way * load(pose, z))
-                store(pose, z, load(pose, z) - way * before)
-            else:
-                place = at + (9 + i) * LANES
-                store(pose, place, load(pose, place) + way * load(pose, row + (k - 3) * LANES))
-
-
-@kernel
 def power_change(arm, k, way, work, memory, out):
     """Change, over a way, of the power that the effects' wrenches have along zeta, into the k-th component of out (nodes x 6)."""
     work.wrench[:] = 0.0
     for i in range(arm.effects.count):
         if arm.effects.wrench[i] != 0:
-            call(arm.effects.wrench[i], (values_of(arm.effects, i), nodes_of(arm, work, i)))
+            call(arm.effects.wrench[i], arm.effects.parameters[i], (nodes_of(arm, work),))
     for at in range(0, out.size, 6 * LANES):
         change = spread(0.0)
         for m in range(at, at + 6 * LANES, LANES):

@@ -7,7 +7,6 @@ import numpy as np
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, row_stride
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.effects import ContactFlags, make_contact_flags
 from soft_tendon_env.mechanics.types import Arm
 from soft_tendon_env.mechanics.workspace import Workspace, make_workspace, zeros_of
 
@@ -88,9 +87,6 @@ class Scratch(Struct):
     error_q: np.ndarray  # (n) estimated error of the step
     error_v: np.ndarray
     longest: np.ndarray  # (1) [s] the longest step from the motion that effects allow
-    contact: ContactFlags
-    pose: np.ndarray  # nodes x 12, of the motion, and its base (24): where effects look at the way of the arm
-    base: np.ndarray
     acting: np.ndarray  # (n_a) the command that has arrived
     command: np.ndarray  # (n_a) what acts of it
     until: np.ndarray  # (1) [s] when another one does
@@ -109,8 +105,6 @@ def make_scratch(arm: Arm, columns: int, log: int = 0) -> Scratch:
         ((n_a,), "acting command"),
         ((1,), "kinked until rows"),
         ((log, 2), "taken"),
-        ((work.pose.size,), "pose"),
-        ((work.base.size,), "base"),
     )
     held = zeros_of(
         ((n_a,), "tension least wanted part parts rate better"),
@@ -131,6 +125,5 @@ def make_scratch(arm: Arm, columns: int, log: int = 0) -> Scratch:
         now=Balance(mass=work.M, damping=work.D, stiffness=work.G, force=arrays["force"], **same),
         held=Held(**held),
         longest=np.full(1, np.inf),
-        contact=make_contact_flags(),
         **arrays,
     )

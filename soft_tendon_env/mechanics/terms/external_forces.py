@@ -7,21 +7,17 @@ together; where it is stiff or damps, also their derivatives, which the step nee
 import math
 
 from soft_tendon_env.compiler.compilation import kernel, phase
-from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread
+from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread, store
 from soft_tendon_env.mechanics.algebra.lie import twist_scaled
-from soft_tendon_env.mechanics.algebra.linear import copy
+from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, store6
-from soft_tendon_env.mechanics.effects import Base, Nodes, Points, call
+from soft_tendon_env.mechanics.effects import EXPLICIT, IMPLICIT_POSE, IMPLICIT_TWIST, Base, Nodes, Points, call
 from soft_tendon_env.mechanics.terms.command_filter import rest_filter
 from soft_tendon_env.mechanics.terms.dynamics import gram_within, node_rows, point_rows, project
 from soft_tendon_env.mechanics.terms.tendon_friction import add_lost_stress, find_shares
 from soft_tendon_env.mechanics.terms.transmission import find_columns
 
-
-@kernel(refcount=True)
-def values_of(effects, i):
-    """Parameters of the i-th effect, as numbers."""
-    return effects.values[effects.first_value[i] : effects.first_value[i + 1]]
+NODE_SHARE = 1e-7  # of a radian, of the length, and of those a second: differences of what effects do at the nodes
 
 
 @kernel(refcount=True)
@@ -31,12 +27,18 @@ def state_of(effects, state, i):
 
 
 @kernel(refcount=True)
-def nodes_of(arm, work, i):
-    """View of the nodes that the i-th effect gets."""
+def nodes_of(arm, work):
+    """View of the nodes that effects get."""
+    return nodes_beside(arm, work, work.pose, work.eta, work.wrench)
+
+
+@kernel(inline=True)
+def nodes_beside(arm, work, pose, twist, wrench):
+    """View of the nodes at other poses, with other twists, and an array for the wrenches there."""
     rod = arm.rod
     return Nodes(
-        rod.packs, work.clock[0], state_of(arm.effects, work.state, i), rod.node_mass, rod.inertia, work.pose, work.eta, work.base,
-        work.wrench, work.node_stiffness, work.node_damping, work.touched,
+        rod.packs, work.clock[0], rod.node_mass, rod.inertia, pose, twist, work.base, wrench, work.node_stiffness, work.node_damping,
+        work.before_step, work.contact,
     )  # fmt: skip
 
 
@@ -62,7 +64,7 @@ def place_base(arm, work):
 def move_base(arm, i, work):
     """Pose, twist and acceleration of the base as the i-th effect moves it."""
     effects, base = arm.effects, work.base
-    call(effects.base[i], (values_of(effects, i), Base(work.clock[0], base[:12], base[12:18], base[18:24])))
+    call(effects.base[i], effects.parameters[i], (Base(work.clock[0], base[:12], base[12:18], base[18:24]),))
 
 
 @phase
@@ -89,12 +91,12 @@ def effect_loads(arm, work):
                 work.node_stiffness[:] = 0.0
                 work.node_damping[:] = 0.0
                 wrenches = True
-            call(effects.wrench[i], (values_of(effects, i), nodes_of(arm, work, i)))
+            call(effects.wrench[i], effects.parameters[i], (nodes_of(arm, work),))
         if effects.stress[i] != 0:
             if not stresses:
                 clear_stress(work)
                 stresses = True
-            call(effects.stress[i], (values_of(effects, i), points_of(arm, work, i)))
+            call(effects.stress[i], effects.parameters[i], (points_of(arm, work, i),))
     if find_shares(arm, work):
         if not stresses:
             clear_stress(work)
@@ -140,12 +142,90 @@ def add_implicit(arm, work):
     for i in range(effects.count):
         wrenches, stresses = wrenches or effects.wrench[i] != 0, stresses or effects.stress[i] != 0
     if wrenches:
+        differ_wrenches(arm, work)
         add_node_gram(rod, strain, work.node_stiffness, work, work.G)
         add_node_gram(rod, strain, work.node_damping, work, work.D)
     if stresses:
         add_point_gram(rod, strain, work.point_stiffness, work, work.G)
         add_point_gram(rod, strain, work.point_damping, work, work.D)
     find_columns(arm, work)
+
+
+@kernel
+def differ_wrenches(arm, work):
+    """Add -d wrench / d twist and -d wrench / d displacement of the effects that ask for it, by differences, to the blocks of the nodes."""
+    for i in range(arm.effects.count):
+        if arm.effects.implicit[i] != EXPLICIT:
+            differ_wrench(arm, i, work)
+
+
+@phase
+def differ_wrench(arm, i, work):
+    """Differences of the wrench of the i-th effect by the six components of displacement and twist, of all nodes at once."""
+    wanted = arm.effects.implicit[i]
+    copy(work.pose, work.beside_pose)
+    copy(work.eta, work.beside_twist)
+    wrench_beside(arm, i, work, work.here_wrench)
+    for k in range(6):
+        way = NODE_SHARE * (1.0 if k < 3 else total(arm.rod.length))
+        if wanted & IMPLICIT_POSE:
+            displace(work.beside_pose, k, way)
+            wrench_beside(arm, i, work, work.beside_wrench)
+            if k < 3:
+                turn_back(work.beside_wrench, k, way)
+            add_differences(k, way, work, work.node_stiffness)
+            copy(work.pose, work.beside_pose)
+        if wanted & IMPLICIT_TWIST:
+            for at in range(k * LANES, work.eta.size, 6 * LANES):
+                store(work.beside_twist, at, load(work.eta, at) + way)
+            wrench_beside(arm, i, work, work.beside_wrench)
+            add_differences(k, way, work, work.node_damping)
+            copy(work.eta, work.beside_twist)
+
+
+@kernel
+def wrench_beside(arm, i, work, wrench):
+    """Wrench of the i-th effect at work.beside_pose and work.beside_twist into `wrench` (nodes x 6)."""
+    wrench[:] = 0.0
+    nodes = nodes_beside(arm, work, work.beside_pose, work.beside_twist, wrench)
+    call(arm.effects.wrench[i], arm.effects.parameters[i], (nodes,))
+
+
+@kernel
+def turn_back(wrench, k, way):
+    """Wrenches (nodes x 6) in frames that are turned by a small angle about the k-th axis, in those before: a dead load is not stiff."""
+    for at in range(0, wrench.size, 3 * LANES):
+        y, z = at + (k + 1) % 3 * LANES, at + (k + 2) % 3 * LANES
+        before = load(wrench, y)
+        store(wrench, y, before - way * load(wrench, z))
+        store(wrench, z, load(wrench, z) + way * before)
+
+
+@kernel
+def add_differences(k, way, work, blocks):
+    """Add the k-th column of less the differences over a way to the symmetric part of the nodes' blocks (nodes x 21)."""
+    for pack in range(blocks.size // (21 * LANES)):
+        for j in range(6):
+            m, row, column = (pack * 6 + j) * LANES, max(j, k), min(j, k)
+            at = (pack * 21 + row * (row + 1) // 2 + column) * LANES
+            share = (-1.0 if j == k else -0.5) / way
+            store(blocks, at, load(blocks, at) + share * (load(work.beside_wrench, m) - load(work.here_wrench, m)))
+
+
+@kernel
+def displace(pose, k, way):
+    """Moves poses (nodes x 12) by a small way along the k-th component of a twist in their own frames."""
+    for at in range(0, pose.size, 12 * LANES):
+        for i in range(3):
+            row = at + 3 * i * LANES
+            if k < 3:
+                y, z = row + (k + 1) % 3 * LANES, row + (k + 2) % 3 * LANES
+                before = load(pose, y)
+                store(pose, y, before + way * load(pose, z))
+                store(pose, z, load(pose, z) - way * before)
+            else:
+                place = at + (9 + i) * LANES
+                store(pose, place, load(pose, place) + way * load(pose, row + (k - 3) * LANES))
 
 
 @kernel
@@ -200,14 +280,14 @@ def remember(arm, work):
     """Brings the internal states in work.state, which belonged to the strain work.before, up to that of work.xi and its rate."""
     for i in range(arm.effects.count):
         if arm.effects.stress[i] != 0:
-            call(arm.effects.stress[i], (values_of(arm.effects, i), points_of(arm, work, i)))
+            call(arm.effects.stress[i], arm.effects.parameters[i], (points_of(arm, work, i),))
 
 
 @kernel
 def limits_steps(effects):
     """True if any effect limits the length of integrator steps."""
     for i in range(effects.count):
-        if effects.limit[i] != 0 or effects.sweep[i] != 0:
+        if effects.limit[i] != 0:
             return True
     return False
 

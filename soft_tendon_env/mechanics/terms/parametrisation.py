@@ -57,7 +57,7 @@ def _of_the_arm(name):
 
     @overload(call)
     def _compiled(arm, *arguments):
-        function = getattr(_PARAMETRISATIONS[arm.fields["strain"].kind], name)
+        function = getattr(_PARAMETRISATIONS[arm.fields["strain"].instance_class], name)
         return lambda arm, *arguments: function(arm, arm.strain, *arguments)
 
     return call

@@ -1,15 +1,14 @@
 """The seam of the effects: each one that a table names is called once, in order, with its own parameters; the others do not exist."""
 
 import pickle
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.effect_parameters import Matrix, Vector
-from soft_tendon_env.mechanics.effects import adds_stress, adds_wrench, make_table
+from soft_tendon_env.mechanics.algebra.structs import Struct
+from soft_tendon_env.mechanics.effects import EffectTable, adds_stress, adds_wrench
 from soft_tendon_env.mechanics.terms.evaluate import evaluate, evaluate_at_rest
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit, remember
 from soft_tendon_env.mechanics.workspace import make_workspace
@@ -17,34 +16,34 @@ from soft_tendon_env.mechanics.workspace import make_workspace
 TOLERANCE = 1e-12
 
 
-class Plus(NamedTuple):
+class Plus(Struct):
     amount: float
 
 
-class Times(NamedTuple):
+class Times(Struct):
     factor: float
     offset: tuple[float, float]
 
 
-class Many(NamedTuple):
+class Many(Struct):
     number: float
     flag: bool
     triple: tuple[float, float, float]
-    row: Vector
+    row: np.ndarray
     last: float
-    table: Matrix
+    table: np.ndarray
 
 
-class Raises(NamedTuple):
+class Raises(Struct):
     dummy: float
 
 
-class Springs(NamedTuple):
-    stiffness: Matrix
+class Springs(Struct):
+    stiffness: np.ndarray
     damping: float
 
 
-class Relaxes(NamedTuple):
+class Relaxes(Struct):
     modulus: float
     time: float
 
@@ -105,7 +104,7 @@ def _relaxing_stress(relaxes, points):
 def with_effects(model, *parameters, states=None):
     """The model's arm with effects that have these parameters."""
     states = [np.zeros(0) for _ in parameters] if states is None else states
-    return model.arm.replaced(effects=make_table(list(parameters), states))
+    return model.arm.replaced(effects=EffectTable(parameters, states))
 
 
 def evaluated(arm, q, q_dot=None):
@@ -143,15 +142,14 @@ def test_parameters_of_every_kind_arrive(build):
 
 
 def test_parameters_that_do_not_fit_their_class_are_refused():
-    class Wrong(NamedTuple):
-        name: str
-
-    with pytest.raises(TypeError, match="Many.table should be an array with 2 axes, not of shape"):
-        make_table([Many(1.0, True, (2.0, 3.0, 4.0), np.zeros(2), 7.0, np.zeros(3))], [np.zeros(0)])
-
-    adds_wrench(Wrong)(_plus)
-    with pytest.raises((TypeError, ValueError), match="Wrong.name is of type|could not convert"):
-        make_table([Wrong("x")], [np.zeros(0)])
+    with pytest.raises(TypeError, match="Plus should get amount, not 1.0, 2.0"):
+        Plus(1.0, 2.0)
+    with pytest.raises(TypeError, match="Plus.amount should be a contiguous array .* or a number, not 'x'"):
+        Plus("x")
+    with pytest.raises(TypeError, match="should be a class derived from soft_tendon_env.effects.Struct, not <class 'tuple'>"):
+        adds_wrench(tuple)
+    with pytest.raises(ValueError, match="implicit is .'speed',.: it should name pose, twist or both"):
+        adds_wrench(Plus, implicit=("speed",))
 
 
 @pytest.mark.no_jit
