@@ -45,9 +45,8 @@ class StableBaselinesVecEnv(VecEnv):
         """Raises TypeError or ValueError for environments that are not of this package or have another autoreset mode."""
         if not isinstance(env, TendonRodVectorEnv):
             raise TypeError(f"env should be a TendonRodVectorEnv, as gym.make_vec makes of this package's ids, not {type(env).__name__}")
-        mode = env.metadata["autoreset_mode"]
-        if mode is not AutoresetMode.SAME_STEP:
-            name = mode.name.lower()
+        if env.autoreset_mode is not AutoresetMode.SAME_STEP:
+            name = env.autoreset_mode.name.lower()
             raise ValueError(f"env should be made with autoreset_mode='same_step', not {name!r}: Stable-Baselines3 knows no other")
         self.env, self.spec = env, env.spec
         self._monitor, self._born = monitor, time.time()

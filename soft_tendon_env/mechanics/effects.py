@@ -281,7 +281,7 @@ def _address_of_kernel(hook: str, own: Struct) -> int:
     function = _KERNELS.get((hook, type(own)))
     if function is None:
         return 0
-    kind: Hashable = type(own) if config.DISABLE_JIT else numba.typeof(own)
+    kind: Any = type(own) if config.DISABLE_JIT else numba.typeof(own)
     return _address(hook, function, kind)
 
 
