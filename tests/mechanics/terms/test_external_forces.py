@@ -125,7 +125,7 @@ def evaluated(arm, q, q_dot=None):
         ((Plus(1.0), Plus(2.0), Plus(3.0)), 6.0),
         ((Many(2.0, False, (0.0, 0.0, 0.0), np.zeros(0), 0.0, np.zeros((0, 2))),), -2.0),
     ],
-    ids=str,
+    ids=["plus", "plus, times", "times, plus", "three", "many"],
 )
 def test_the_effects_of_the_table_act_in_order(build, effects, result):
     model = build("four_tendon")
