@@ -47,7 +47,7 @@ def rollout(env: Any, policy: Callable[[Any], torch.Tensor], periods: int, dtype
     effects have internal states that follow the motion, or rows have been drawn anew since.
     """
     episodes, periods = episodes_of(env), checked_count("periods", periods, 1)
-    if not hasattr(episodes, "observed"):
+    if not hasattr(episodes, "present"):
         raise ResetNeeded("rollout was called before reset")
     arms, actuation, action = arm_tensors(episodes.arms), TensorActuation(episodes.actuation), torch.tensor(episodes.observed.action)
     check_groups(episodes, arms, action, actuation.command)

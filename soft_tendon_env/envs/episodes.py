@@ -230,9 +230,9 @@ class Episodes:
             pose_errors(measured.tip_pose, self.target.tip_pose, measured_error)
         contact = self._contact(members)
         self.observed = self._seen(measured, measured_error, contact)
-        self._present = self.layout.present(self.observed)
+        self.present = self.layout.present(self.observed)
         if self.history is not None:
-            self.history.keep(self._present, self.step_count if moved else np.zeros_like(self.step_count), members)
+            self.history.keep(self.present, self.step_count if moved else np.zeros_like(self.step_count), members)
         tracking = Tracking(self.arms, reading, error[:, 0], off[0], off[1], self.target, self._applied, self._action_change, contact)
         self.errors = {error.name: error.value(tracking) for error in self._measures}
         self.diverged = self.arms.outcome.status != OK
@@ -277,7 +277,7 @@ class Episodes:
 
     def observation(self) -> Any:
         """A new array (rows, size) float32, or for goal-conditioned tasks a dictionary of them."""
-        flat = self._present.copy() if self.history is None else np.concatenate([self._present, self.history.changes], axis=1)
+        flat = self.present.copy() if self.history is None else np.concatenate([self.present, self.history.changes], axis=1)
         if not self.task.goal:
             return flat
         achieved, desired = self._goals
