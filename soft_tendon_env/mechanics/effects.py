@@ -40,7 +40,7 @@ def make_before_step(nodes: int) -> BeforeStep:
 
 
 class ContactFlags(Struct):
-    """What contact tells of a step, 1 or 0."""
+    """Flags of a step, 1 or 0: whether the arm touches something or goes through it."""
 
     touched: np.ndarray  # (1) the arm touched something within the step
     tunnelled: np.ndarray  # (1) the arm went through something on its way: the step is tried again at half of its length
