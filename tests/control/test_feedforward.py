@@ -116,9 +116,9 @@ def least_missed(posed, model, target, limits):
 @pytest.mark.parametrize("scene", ["four_tendon", "three_tendon", *LONG])
 @pytest.mark.parametrize("task, name", CASES)
 def test_what_cannot_be_reached_is_approached_and_held_still(build, limits_of, drive, far, task, name, scene):
-    """With feedforward alone the arm still swings after five seconds."""
+    """With feedforward alone the arm still swings after five and a half seconds."""
     model, limits = build(scene), limits_of(build(scene))
-    motion = drive(CONTROLLERS[task][name].make(model, limits, PERIOD), model, far, 250)
+    motion = drive(CONTROLLERS[task][name].make(model, limits, PERIOD), model, far, 275)
     change = np.abs(np.diff(motion.tension[-26:], axis=0)) / np.ptp(limits, axis=1)
     move = np.linalg.norm(np.diff(motion.tip[-26:, :3, 3], axis=0), axis=1)
     posed = task == "TipPose" and name != "tracking_position"

@@ -23,6 +23,8 @@ HALVINGS = 40
 """How often drawn tensions that the arm cannot hold are halved."""
 MARGIN = 1.03
 """Part of a drawn motion's coordinates that should have strains too: it may reach farther between places where they are looked for."""
+BETWEEN = 2e-4
+"""How far the forces may be off between the places that a spline goes through, see `At.residual`; usual motions have 1e-6 to 5e-5."""
 PER_KNOT = 4
 """Places per knot of the tensions at which a motion is looked at. The spline through four equilibria moves the tip of a loaded arm by up to
 1e-4 of its length off those between, through two by up to 2e-3."""
@@ -160,14 +162,20 @@ class StaticCourse(ShapeCourse):
         places = self.places
         tension = self.tension(places)[0]
         with setting.model.workspace() as work:
-            added = EquilibriumPath(setting, work).follow(tension) - tension @ setting.response
-        if len(added) == 1:
-            return partial(_still, added)
-        from scipy.interpolate import CubicSpline  # here: it takes longer to import than all else that most scenes need
+            path = EquilibriumPath(setting, work)
+            added = path.follow(tension) - tension @ setting.response
+            if len(added) == 1:
+                return partial(_still, added)
+            if self.tension.is_closed:
+                added[-1] = added[0]  # which differ by round-off
+            from scipy.interpolate import CubicSpline  # here: it takes longer to import than all else that most scenes need
 
-        if self.tension.is_closed:
-            added[-1] = added[0]  # which differ by round-off
-        spline: Callable[..., Array] = CubicSpline(places, added, bc_type="periodic" if self.tension.is_closed else "clamped")
+            spline: Callable[..., Array] = CubicSpline(places, added, bc_type="periodic" if self.tension.is_closed else "clamped")
+            between = 0.5 * (places[:-1] + places[1:])
+            tension = self.tension(between)[0]
+            off = path.off(tension, tension @ setting.response + spline(between))
+            if not off.max() <= BETWEEN:
+                raise NoEquilibrium(tension[np.argmax(off)], "the shape changes there by more than is followed")
         return spline
 
     def coordinates(self, times: Array) -> tuple[Array, Array]:
@@ -203,6 +211,14 @@ class EquilibriumPath:
         if (tension[-1] == tension[0]).all() and not self._balance.angle(q[-1] - q[0]) <= SAME:
             raise NoEquilibrium(tension[0], JUMPS)
         return q
+
+    def off(self, tension: Array, q: Array) -> Array:
+        """How far (m,) forces at coordinates q (m, n) are off under tensions (m, n_a), see `At.residual`; infinity without a strain."""
+        found = np.full(len(q), np.inf)
+        for i, (self._balance.tension, at) in enumerate(zip(tension, q, strict=True)):
+            if (here := self._balance.at(at, 1.0)) is not None:
+                found[i] = here.residual
+        return found
 
     def move(self, tension: Array, expected: Array | None = None, shorter: int = SHORTER) -> None:
         """Go on to the equilibrium under other tensions (n_a,), expected at coordinates (n,). Raises NoEquilibrium."""
