@@ -140,7 +140,7 @@ def start(folder: Path, program: str, **variables: str) -> float:
 def cold_start(folder: Path, program: str) -> float:
     """The same with an empty cache."""
     with tempfile.TemporaryDirectory() as cache:
-        return start(folder, program, XDG_CACHE_HOME=cache)
+        return start(folder, program, XDG_CACHE_HOME=cache, HOME=cache)
 
 
 def environment(folder: Path) -> dict[str, str]:
