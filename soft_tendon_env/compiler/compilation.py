@@ -76,9 +76,9 @@ def is_of_package(named: Any) -> bool:
     return (named.__module__ or "").partition(".")[0] == PACKAGE.name and "<locals>" not in named.__qualname__
 
 
-def _is_of_package(kind: types.Type) -> bool:
+def _has_no_class_of_users(kind: types.Type) -> bool:
     """Whether no class in a type is a user's own."""
-    return is_of_package(getattr(kind, "instance_class", Kernel)) and all(map(_is_of_package, getattr(kind, "types", ())))
+    return is_of_package(getattr(kind, "instance_class", Kernel)) and all(map(_has_no_class_of_users, getattr(kind, "types", ())))
 
 
 class NotCompiledError(RuntimeError):
@@ -123,7 +123,7 @@ class Kernel:
         compile = dispatcher.compile
 
         def compile_alone(kinds: tuple[types.Type, ...]) -> Any:
-            if folder and kinds not in dispatcher.overloads and not all(map(_is_of_package, kinds)):
+            if folder and kinds not in dispatcher.overloads and not all(map(_has_no_class_of_users, kinds)):
                 of_user = self._jitted(None, **options)
                 of_user.compile(kinds)
                 dispatcher.add_overload(of_user.overloads[kinds])

@@ -108,6 +108,12 @@ def triple(rows, i, first):
 
 
 @kernel
+def swing_rate(obstacles, j):
+    """Rate [rad/s] of the sinusoidal motion of an obstacle, 0 where it does not swing."""
+    return obstacles[j, 4] if size(triple(obstacles, j, 25)) > 0.0 else 0.0
+
+
+@kernel
 def body_at(obstacles, j, time):
     """The obstacle of a row at a time [s]."""
     o, rate = obstacles[j], obstacles[j, 4]

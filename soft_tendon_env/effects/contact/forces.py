@@ -222,8 +222,7 @@ def check_sample(sample, swept, nodes, energy, longest, flags):
 def limit_contact(contact, nodes, longest):
     """Steps are short beside the periods of obstacles that swing, and end where something is met."""
     for j in range(contact.obstacles.shape[0]):
-        if size(at.triple(contact.obstacles, j, 25)) > 0.0:
-            allow_turning(contact.obstacles[j, 4], longest)
+        allow_turning(at.swing_rate(contact.obstacles, j), longest)
     check_collisions(contact, nodes, longest)
 
 
