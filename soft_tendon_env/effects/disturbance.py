@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, random_vector, register_effect, size
+from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
 from soft_tendon_env.mechanics.algebra.lie import rotate_back, times, twist_sum
 from soft_tendon_env.mechanics.algebra.structs import Struct
@@ -101,17 +101,6 @@ class Disturbance(Effect):
         if any(own.signal.type != "constant" or own.frame == "body" or any(own.moment) for own in self.loads):
             raise ValueError("a disturbance that changes in time, follows the rod or has a moment has no potential energy")
         return -sum(float(weights(arm.rod, own) @ (arm.pose[:, :3, 3] @ np.array(own.force))) for own in self.loads)
-
-    def sample_smaller(self, random: np.random.Generator) -> "Disturbance":
-        drawn = [{"force": random_vector(random, own.force), "moment": random_vector(random, own.moment)} for own in self.loads]
-        return Disturbance(loads=tuple(own.model_copy(update=update) for own, update in zip(self.loads, drawn, strict=True)))
-
-    def includes(self, other: "Disturbance") -> bool:
-        def alike(own: Load, needed: Load) -> bool:
-            here, there = ((load.at, load.along, load.frame, load.signal) for load in (own, needed))
-            return here == there and size(own.force) >= size(needed.force) and size(own.moment) >= size(needed.moment)
-
-        return len(self.loads) == len(other.loads) and all(map(alike, self.loads, other.loads))
 
 
 def weights(rod: Discretisation, own: Load) -> Array:

@@ -59,15 +59,6 @@ class ViscoelasticMemory(Effect):
         strain, stiffness = (point_field(field.reshape(-1, 2, 6)) for field in (arm.strain, arm.weight[:, None] * arm.stiffness))
         return 0.5 * float(self.moduli @ ((strain - arm.state.reshape(-1, strain.size)) ** 2 @ stiffness))
 
-    def sample_smaller(self, random: np.random.Generator) -> "ViscoelasticMemory":
-        part = 1.0 - random.random()
-        branches = ({"modulus": part * own.modulus, "relaxation_time": own.relaxation_time} for own in self.branches)
-        return ViscoelasticMemory(branches=tuple(Branch(**branch) for branch in branches))
-
-    def includes(self, other: "ViscoelasticMemory") -> bool:
-        own, needed = ({branch.relaxation_time: branch.modulus for branch in memory.branches} for memory in (self, other))
-        return all(time in own and own[time] >= modulus for time, modulus in needed.items())
-
 
 class MemoryParameters(Struct):
     """The branches."""

@@ -15,8 +15,8 @@ from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.contact import Contact
-from soft_tendon_env.effects.contact.bodies import SMOOTHING, body_at
-from soft_tendon_env.effects.contact.obstacles import Directed, Geometry, distance, register_shape
+from soft_tendon_env.effects.contact import SMOOTHING
+from soft_tendon_env.effects.contact.obstacles import Directed, Geometry, body_at, distance, register_shape
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.contact_forces import contact_forces
 from soft_tendon_env.model.simulation import Simulation, simulate
@@ -59,7 +59,7 @@ def rested(model, seconds=5.0, tension=None):
 
 
 def body_of(obstacle, time=0.0):
-    return body_at(Contact(obstacles=[obstacle])._rows(), 0, time)
+    return body_at(Contact(obstacles=[obstacle]).rows(), 0, time)
 
 
 @pytest.mark.no_jit
