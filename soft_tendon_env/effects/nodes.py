@@ -5,7 +5,7 @@ import numpy as np
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import cross, plus, rotate
-from soft_tendon_env.mechanics.effects import Nodes, make_before_step, make_contact_flags
+from soft_tendon_env.mechanics.effects import BeforeStep, ContactFlags, Nodes
 
 
 @kernel(inline=True)
@@ -50,6 +50,5 @@ def motion_before(nodes, node, R, r):
 def nodes_with(pose, twist, base, time):
     """Nodes at poses and with twists in the kernels' layout, for what reads no more of them than that, their base and time."""
     none = np.zeros(0)
-    return Nodes(
-        pose.size // (12 * LANES), time, none, none, pose, twist, base, none, none, none, make_before_step(0), make_contact_flags()
-    )
+    check = BeforeStep(none, none, none), ContactFlags(none, none, none)
+    return Nodes(pose.size // (12 * LANES), time, none, none, pose, twist, base, none, none, none, *check)

@@ -39,12 +39,6 @@ def test_step_response_of_a_lag(uniform, command, rate, step):
     assert limited_lag(0.0, 3.0, 0.05, 20.0, np.array([0.1])) == 2.0, "where the limit ends"
 
 
-def test_a_limited_rate_alone(uniform):
-    model = uniform(changes={**FINE, "effects.actuators": {"rate_limit": 20.0}})
-    times = np.array([0.01, 0.06, 0.149, 0.2])
-    np.testing.assert_allclose(moved(model, [3.0, 0.0, 0.0], times), np.minimum(20.0 * times, 3.0), **ROUND_OFF)
-
-
 @pytest.mark.parametrize("delay", [0.002, 0.013, 0.02, 0.0547])
 def test_a_delay_is_exact_at_any_time(uniform, delay):
     """The motion is that of an arm that gets every command so much later, to the error of fine steps and not of where they end."""
@@ -78,14 +72,6 @@ def test_more_commands_than_there_is_room_for_are_an_error(uniform):
     assert np.isfinite(simulation.state.q).all()
 
 
-@pytest.mark.parametrize("actuators", [{}, {"delay": 0.0}, {"time_constant": 0.0}])
-def test_without_a_lag_nothing_changes(build, actuators):
-    """But for round-off: internal states change where Newton's method for the strain begins."""
-    table = np.random.default_rng(1).uniform(0.0, 3.0, (20, 3))
-    plain, with_path = (simulate(build("three_tendon", more), table, 0.4, 0.02) for more in ({}, {"effects.actuators": actuators}))
-    np.testing.assert_allclose(with_path.q, plain.q, rtol=1e-11, atol=1e-11)
-
-
 def test_an_arm_that_is_held_at_rest_stays(build):
     """`reset` and rows start with tensions that have arrived."""
     u = np.array([2.0, 0.0, 1.0])
@@ -104,19 +90,3 @@ def test_an_arm_that_is_held_at_rest_stays(build):
     simulation.reset(rest.q)
     simulation.step(u, 0.02)
     assert np.abs(simulation.state.q - rest.q).max() > 1e-2, "which they are not by default"
-
-
-@pytest.mark.cases(
-    "actuators",
-    [{"time_constant": 0.02}, {"rate_limit": 25.0}, {"delay": 0.033}, {"time_constant": 0.03, "rate_limit": 20.0, "delay": 0.0215}],
-)
-def test_motions_are_the_same_from_any_time_on(uniform, actuators):
-    model, tips = uniform(changes={**FINE, "integrator.step": 0.02, "effects.actuators": actuators}), []
-    for time in (0.0, -0.05, -7.3, -1e6, 1e6, 1.7e9):
-        simulation, steps = Simulation(model), 0
-        simulation.reset(time=time)
-        for k in range(8):
-            steps += simulation.step([2.0 - 0.1 * k, 0.1 * k, 0.0], 0.02).steps
-        tips.append(simulation.tip_pose)
-        np.testing.assert_allclose(tips[-1], tips[0], atol=1e-15 + 1e-15 * abs(time))
-        assert steps <= 17

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.effects.disturbance import Load, weights
-from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.grid import discretisation
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.model.simulation import Simulation, simulate
@@ -45,15 +44,6 @@ def test_the_work_is_that_of_a_force_where_it_acts(uniform, slope, place, frame)
     np.testing.assert_allclose(force_at(model, q), work, rtol=0.0, atol=1e-4 * 0.024)  # of the largest, that at the tip
 
 
-@pytest.mark.parametrize("place", [0.02, 0.12, 0.2999])
-def test_work_of_stretch_is_exact(uniform, place):
-    """The place moves by its share of the stretch."""
-    model = uniform(("stretch",), 0, loads({"at": place, "force": FORCE}))
-    q = np.array([0.1])
-    moved = model.backbone_at(q + 1e-3, [place])[0, 0, 3] - model.backbone_at(q - 1e-3, [place])[0, 0, 3]
-    np.testing.assert_allclose(force_at(model, q)[0], FORCE[0] * moved / 2e-3, rtol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("load", "order"),
     [
@@ -79,31 +69,6 @@ def test_shares_integrate_cubics_exactly(build):
             expected = (end ** (power + 1) - start ** (power + 1)) / (power + 1)
             np.testing.assert_allclose(weights(rod, Load(at=end)) @ rod.node**power, end**power, rtol=1e-11)
             np.testing.assert_allclose(weights(rod, Load(along=(start, end))) @ rod.node**power, expected, rtol=1e-11)
-
-
-def test_shares_stay_small_where_nodes_nearly_meet(build):
-    """Two tendons that end a hair apart make an interval next to nothing."""
-    scene = build("paper").scene.replace({"tendons.5.end": 0.5 + 1e-6, "quadrature.intervals": 4})
-    rod = discretisation(scene, build_model(scene).grid)
-    whole = weights(rod, Load(along=(0.0, 1.0)))
-    assert np.abs(whole).max() < 0.3
-    np.testing.assert_allclose(whole @ rod.node, 0.5, rtol=1e-11)
-
-
-def test_deflection_under_a_distributed_force(uniform):
-    """A uniform load w bends a cantilever by w L^4 / (8 E I); on its outer half alone by 41 w L^4 / (384 E I)."""
-    for along, factor in (([0.0, LENGTH], 1 / 8), ([0.5 * LENGTH, LENGTH], 41 / 384)):
-        model = uniform(("bend_y", "bend_z"), 4, loads({"along": along, "force": [0.0, 0.0, 0.01]}))
-        tip = static_equilibrium(model, np.zeros(3)).tip_pose[:3, 3]
-        np.testing.assert_allclose(tip[2], factor * 0.01 * LENGTH**4 / (YOUNG * INERTIA), rtol=2e-3)
-
-
-def test_deflection_under_a_force_at_a_point(uniform):
-    """A force P at a from the base bends the tip by P a^2 (3 L - a) / (6 E I)."""
-    place = 0.17
-    model = uniform(("bend_y", "bend_z"), 6, {**loads({"at": place, "force": [0.0, 0.001, 0.0]}), "quadrature.intervals": 12})
-    tip = static_equilibrium(model, np.zeros(3)).tip_pose[:3, 3]
-    np.testing.assert_allclose(tip[1], 0.001 * place**2 * (3 * LENGTH - place) / (6 * YOUNG * INERTIA), rtol=2e-3)
 
 
 @pytest.mark.parametrize("load", [{"at": 0.437, "force": FORCE}, {"at": 0.03, "force": FORCE}, {"along": [0.2, 0.77], "force": FORCE}])

@@ -27,45 +27,6 @@ def test_deflection_in_a_cross_stream(uniform):
     assert abs(tip[1]) < 1e-12
 
 
-def test_stretch_in_a_stream_along_the_rod(uniform):
-    """A uniform load t = 1/2 rho C_t 2 pi r U^2 stretches it by t L^2 / (2 E A)."""
-    changes = {"effects.fluid": {"density": 1000.0, "current": [2.0, 0.0, 0.0], "tangential_drag": 0.02}}
-    tip = static_equilibrium(uniform(("stretch",), 1, changes), np.zeros(3)).tip_pose[:3, 3]
-    load = 0.5 * 1000.0 * 0.02 * 2 * np.pi * RADIUS * 2.0**2
-    np.testing.assert_allclose(tip[0] - LENGTH, load * LENGTH**2 / (2 * YOUNG * AREA), rtol=1e-3)
-
-
-def test_terminal_velocity(uniform):
-    """An arm with next to no stiffness, curled by a moment at its tip, comes to the speed at which drag balances it.
-
-    One coordinate, a curvature k: v = k_dot x^2 / 2 for small k. The moment's work per k is M L, the drag's
-    1/2 rho C_n 2 r int (k_dot x^2 / 2)^2 (x^2 / 2) dx = 1/2 rho C_n 2 r k_dot^2 L^7 / 56.
-    """
-    moment, drag = 1e-4, 1000.0
-    changes = {
-        "segments.0.young_modulus": 1e-3,
-        "segments.0.damping": 0.0,
-        "integrator.columns": 3,
-        "effects.fluid": {"density": 1000.0, "normal_drag": drag, "tangential_drag": 0.0},
-        "effects.tip_load": {"moment": [0.0, moment, 0.0], "frame": "tip"},
-    }
-    model = uniform(("bend_y",), 0, changes)
-    simulation = Simulation(model)
-    simulation.step(np.zeros(3), 4.0)
-    per_speed = 0.5 * 1000.0 * drag * 2 * RADIUS
-    assert abs(simulation.state.q[0] * LENGTH) < 0.1, "or v is not k_dot x^2 / 2"
-    np.testing.assert_allclose(simulation.state.q_dot[0], np.sqrt(moment * LENGTH / (per_speed * LENGTH**7 / 56)), rtol=5e-3)
-
-
-def test_a_neutrally_buoyant_arm_stays_straight(build):
-    passive = [{"strains": ["bend_y", "bend_z"], "order": 2, "span": "rod"}]
-    changes = {**GRAVITY, "effects.fluid.density": DENSITY, "strain.passive": passive}
-    tip = static_equilibrium(build("three_tendon", changes), np.zeros(3)).tip_pose
-    np.testing.assert_allclose(tip[:3, 3], [LENGTH, 0.0, 0.0], atol=1e-12)
-    sunk = static_equilibrium(build("three_tendon", {**changes, "effects.fluid.density": 1000.0}), np.zeros(3)).tip_pose
-    assert sunk[2, 3] < -1e-3, "or nothing was to be balanced"
-
-
 @pytest.mark.parametrize("density", [500.0, 1070.0, 3000.0])
 def test_buoyancy_is_weight_of_the_displaced_fluid(build, density):
     """Of a tapered arm as well: as gravity times 1 - rho_fluid / rho, to round-off."""
@@ -108,14 +69,6 @@ def test_energy_falls_by_what_drag_and_damping_take(uniform):
     assert np.diff(energy).max() < 1e-9 * np.ptp(energy)
 
 
-def test_energy_never_grows_in_still_fluid_at_long_steps(build):
-    model = build("three_tendon", {**GRAVITY, **WATER})
-    start = Simulation(model).reset([4.0, 0.0, 1.0])
-    motion = simulate(model, np.zeros(3), 3.0, 0.02, initial=start)
-    energy = np.array([model.energy(q, v).total for q, v in zip(motion.q, motion.q_dot, strict=True)])
-    assert np.diff(energy).max() < 1e-6 * np.ptp(energy)
-
-
 @pytest.mark.no_jit
 def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(uniform, workspace_at, slope):
     """Lagrange's equations of 1/2 s A s - 1/2 v A v = -v A U + 1/2 U A U, with U the current in the frame of the slice, by differences."""
@@ -138,15 +91,6 @@ def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(
     expected = -(momentum @ v - v @ momentum - potential)
     found = model.terms(q, v).external_force
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
-
-
-def test_an_arm_in_a_current_is_at_rest_where_drag_and_stiffness_balance(build):
-    """A stream from the side bends the arm downstream, at rest, and it stays there."""
-    model = build("three_tendon", {**WATER, "effects.fluid.current": [0.0, 0.1, 0.0]})
-    rest = static_equilibrium(model, np.zeros(3))
-    assert rest.converged and rest.tip_pose[1, 3] > 1e-3
-    motion = simulate(model, np.zeros(3), 10.0, 0.02)
-    np.testing.assert_allclose(motion.tip_pose[-1], rest.tip_pose, atol=1e-6)
 
 
 @pytest.mark.no_jit

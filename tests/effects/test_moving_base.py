@@ -2,7 +2,6 @@
 
 import json
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -35,26 +34,6 @@ def test_constant_acceleration_is_gravity_the_other_way(build):
     np.testing.assert_allclose(accelerated.tip_pose[:, :3, :3], heavy.tip_pose[:, :3, :3], atol=1e-9)
 
 
-def test_constant_velocity_changes_nothing_but_the_place(build):
-    v, tension = np.array([0.3, -2.0, 1.0]), np.array([2.0, 0.0, 1.0])
-    found, still = motion_of(moving(build, velocity=v.tolist()), tension), motion_of(build("three_tendon", STIFF), tension)
-    np.testing.assert_allclose(found.tip_pose[:, :3, 3] - v * found.time[:, None], still.tip_pose[:, :3, 3], atol=1e-9)
-
-
-def test_a_whirling_arm_is_stretched_by_its_own_inertia(build):
-    """A uniform rod that turns at rate W about an axis across its base: u(L) = rho W^2 L^3 / (3 E) to first order."""
-    model = moving(build, name="paper_48dof", angular_velocity=6.0)
-    found = motion_of(model, seconds=3.0)
-    x = np.linspace(0.0, 1.0, 2001)
-    radius = 0.03 - 0.01 * x
-    area = np.pi * radius**2
-    force = np.array([np.trapezoid((100.0 * area * 36.0 * x)[i:], x[i:]) for i in range(x.size)])
-    stretch = np.trapezoid(force / (1e6 * area), x)
-    assert np.linalg.norm(found.tip_pose[-1, :3, 3]) - 1.0 == pytest.approx(stretch, rel=3e-2)
-    angle = np.arctan2(found.tip_pose[-1, 1, 3], found.tip_pose[-1, 0, 3])
-    assert (6.0 * 3.0 - angle + np.pi) % (2.0 * np.pi) - np.pi == pytest.approx(0.0, abs=2e-3)
-
-
 @pytest.mark.no_jit
 def test_twist_and_acceleration_are_the_derivatives_of_the_pose(build):
     """eta at the nodes, by differences of the poses in time of an arm whose coordinates stand still."""
@@ -75,18 +54,6 @@ def test_twist_and_acceleration_are_the_derivatives_of_the_pose(build):
     found = np.array([twist[2, 1], twist[0, 2], twist[1, 0], *twist[:3, 3]])
     np.testing.assert_allclose(eta, found, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(eta_bias, (eta_after - eta_before) / (2.0 * h), rtol=1e-6, atol=1e-5)
-
-
-def test_rows_of_an_environment_ride_along():
-    scene = {"scene": "three_tendon", "effects.moving_base.velocity": [0.0, 0.0, 1.0]}
-    envs = gym.make_vec("TendonRod-TipPose-v0", num_envs=3, scene=scene)
-    envs.reset(seed=0)
-    action = np.full((3, 3), -1.0, dtype=np.float32)
-    start = envs.unwrapped.episodes.arms.reading.tip_pose[:, 2, 3].copy()
-    for _ in range(5):
-        envs.step(action)
-    moved = envs.unwrapped.episodes.arms.reading.tip_pose[:, 2, 3] - start
-    np.testing.assert_allclose(moved, 0.1, atol=0.02)
 
 
 CARRIED = {

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit
-from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import static_equilibrium
 
 RADIUS, YOUNG, SHEAR = 0.01, 5e5, 5e5 / 3
@@ -29,18 +28,6 @@ def test_uniform_bending(uniform, curvature):
     np.testing.assert_allclose(found.q, [curvature, 0.0, 0.0], rtol=1e-9, atol=1e-9)
 
 
-def test_uniform_bending_of_the_implicit_strain(build):
-    """The same with tensions and passive moments as coordinates: the strain is theirs as well."""
-    changes = {
-        **LAW,
-        "strain.passive": [{"strains": ["bend_y", "bend_z"], "order": 1, "span": "rod"}],
-        "effects.tip_load": {"moment": [0.0, loaded(YOUNG * INERTIA, 5.0, 4.0), 0.0], "frame": "tip"},
-    }
-    model = build("three_tendon", changes)
-    _, strain = model.strain(static_equilibrium(model, np.zeros(3)).q)
-    np.testing.assert_allclose(strain - [0, 0, 0, 1, 0, 0], np.tile([0, 5.0, 0, 0, 0, 0], (len(strain), 1)), atol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("strain", "size", "stiffness", "scale", "load"),
     [("torsion", 3.0, 2 * SHEAR * INERTIA, 6.0, "moment"), ("stretch", 0.15, YOUNG * AREA, 0.1, "force")],
@@ -48,11 +35,6 @@ def test_uniform_bending_of_the_implicit_strain(build):
 def test_torsion_and_stretch(uniform, strain, size, stiffness, scale, load):
     changes = {**LAW, "effects.tip_load": {load: [loaded(stiffness, size, scale), 0.0, 0.0], "frame": "tip"}}
     np.testing.assert_allclose(static_equilibrium(uniform((strain,), 0, changes), np.zeros(3)).q, size, rtol=1e-9)
-
-
-def test_what_is_not_given_stays_linear(uniform):
-    changes = {"effects.nonlinear_elasticity.stretch": 0.1, "effects.tip_load": {"moment": [0.0, 0.0, 1e-2], "frame": "tip"}}
-    np.testing.assert_allclose(static_equilibrium(uniform(ALL, 0, changes), np.zeros(3)).q[2], 1e-2 / (YOUNG * INERTIA), rtol=1e-9)
 
 
 @pytest.mark.no_jit
@@ -66,11 +48,3 @@ def test_force_is_the_gradient_of_the_energy_and_stiffness_its_derivative(unifor
     add_implicit(model.arm, work)
     expected = -slope(lambda at: model.terms(at, 0 * at).external_force, q, 1e-5)
     np.testing.assert_allclose(work.G - G, expected, rtol=1e-5, atol=1e-7 * np.abs(expected).max())
-
-
-def test_energy_never_grows(uniform):
-    model = uniform(("bend_y", "bend_z", "stretch"), 1, LAW)
-    start = Simulation(model).reset([8.0, 0.0, -6.0, 2.0, 0.02, 0.0])
-    motion = simulate(model, np.zeros(3), 2.0, 0.005, initial=start)
-    energy = np.array([model.energy(q, v).total for q, v in zip(motion.q, motion.q_dot, strict=True)])
-    assert np.diff(energy).max() < 1e-6 * np.ptp(energy) and energy[-1] < 0.5 * energy[0]

@@ -38,20 +38,6 @@ def test_the_tension_falls_with_the_angle_of_an_arc(uniform, direction):
         np.testing.assert_allclose(found[: expected.size], expected, rtol=1e-7)
 
 
-def test_a_helical_tendon_rubs_in_a_straight_rod(build):
-    """It turns by r w^2 / sqrt(1 + r^2 w^2) per length of the rod."""
-    radius, turns, length = 0.008, 2.0, 0.3
-    rate = 2.0 * np.pi * turns / length
-    tendons = [{"routing": {"type": "helix", "radius": radius, "angular_rate": rate, "phase": 0.0}, "tension_limits": [0.0, 10.0]}]
-    error = {}
-    for intervals in (12, 24):
-        model = build("three_tendon", {"tendons": tendons, **friction(**{"quadrature.intervals": intervals})})
-        turned = radius * rate**2 / np.sqrt(1.0 + (radius * rate) ** 2) * model.grid.points[model.grid.real].ravel()
-        found = shares(model, np.zeros(model.coordinate_count), 1.0)[0][: turned.size]
-        error[intervals] = np.abs(-np.log(found) / MU / turned - 1.0).max()
-    assert error[12] < 0.02 and error[24] < 0.3 * error[12], "of second order in the intervals"
-
-
 def bent(model, tension, direction):
     """The bending (q,) of an arm with one constant strain at rest under the first tendon: E I theta / l = T r (1 - exp(-a)) / a, with
     a = mu z theta."""
@@ -107,33 +93,3 @@ def test_what_sticks_creeps(uniform):
         lengths.append(simulation.model.tendon_lengths(simulation.state.q)[0])
     assert 0.0 < np.diff(lengths)[2] < 1e-4, "[m/s]"
     np.testing.assert_allclose(simulation.state.q[0], bent(simulation.model, 1.95, 0.0), rtol=1e-6)
-
-
-def test_friction_damps(build):
-    """A free oscillation under constant tensions dies sooner; arm and tensions never gain energy."""
-    energy = {}
-    for coefficient in (0.0, MU):
-        model = build("three_tendon", friction(coefficient, **{"integrator.step": 1e-3, "segments.0.damping": 0.0}))
-        simulation, rest = Simulation(model), model.tendon_lengths(np.zeros(3))
-        simulation.reset([4.0, 1.0, 0.5])
-        own = []
-        for _ in range(150):
-            simulation.step(np.full(3, 1.0), 4e-3)
-            state = simulation.state
-            own.append(model.energy(state.q, state.q_dot).total - (rest - model.tendon_lengths(state.q)).sum())
-        energy[coefficient] = np.array(own)
-    gains = np.diff(energy[MU])
-    assert gains[gains > 0].sum() < 0.02 * (energy[MU][0] - energy[MU][-1])
-    lost = {coefficient: own[0] - own[-1] for coefficient, own in energy.items()}
-    assert abs(lost[0.0]) < 0.3 * lost[MU]
-
-
-def test_stable_at_long_steps_with_all_of_the_path(build):
-    """Actuators, springs and steep friction, at 20 ms."""
-    path = {"effects.actuators": {"time_constant": 0.03, "delay": 0.013}}
-    path["effects.tendon_friction"] = {"coefficient": 0.5, "stiction_speed": 1e-5}
-    path["effects.tendon_elasticity"] = {"stiffness": 2e4, "displacement_limits": [0.0, 0.05]}
-    model = build("three_tendon", {**path, "integrator.step": 0.02})
-    table = np.random.default_rng(0).uniform(0.0, 0.01, (500, 3))
-    motion = simulate(model, table, 10.0, 0.02)
-    assert np.isfinite(motion.tip_pose).all() and np.abs(motion.tip_pose[:, :3, 3]).max() < 0.31

@@ -6,7 +6,6 @@ from scipy.integrate import solve_ivp
 
 from soft_tendon_env.mechanics.terms.external_forces import external_force, remember
 from soft_tendon_env.model.simulation import Simulation, simulate
-from soft_tendon_env.model.statics import static_equilibrium
 
 ONE = {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}]}
 TWO = {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}, {"modulus": 2.0, "relaxation_time": 0.01}]}
@@ -44,14 +43,6 @@ def test_state_follows_a_strain_that_is_a_quadratic_of_time_exactly(uniform, wor
         np.testing.assert_allclose(state.max(), 2.0 * expected, rtol=1e-11)
 
 
-def test_nothing_is_added_at_rest(build):
-    u = [2.0, 0.0, 1.0]
-    found, elastic = (static_equilibrium(build("three_tendon", changes), u) for changes in (TWO, {}))
-    np.testing.assert_allclose(found.q, elastic.q, atol=1e-9)
-    motion = simulate(build("three_tendon", TWO), u, 40.0, 0.05)
-    np.testing.assert_allclose(motion.tip_pose[-1], elastic.tip_pose, atol=1e-6)
-
-
 @pytest.mark.parametrize("branches", [ONE, TWO])
 def test_motion_is_that_of_the_differential_equations(uniform, branches):
     """One coordinate with s_k_dot = (q - s_k) / tau_k, solved by an independent method."""
@@ -69,23 +60,6 @@ def test_motion_is_that_of_the_differential_equations(uniform, branches):
     exact = solve_ivp(rate, (0.0, 0.5), [4.0, 20.0, *[4.0] * modulus.size], t_eval=motion.time, rtol=1e-9, atol=1e-10)
     np.testing.assert_allclose(motion.q[:, 0], exact.y[0], atol=1e-6 * 4.0)
     np.testing.assert_allclose(motion.final.effects.reshape(modulus.size, -1).max(axis=1), np.maximum(exact.y[2:, -1], 0.0), atol=1e-5)
-
-
-def test_energy_with_that_of_the_branches_never_grows(uniform):
-    """And without it, it does: what the branches hold comes back."""
-    model = uniform(("bend_y", "bend_z"), 1, {**TWO, "segments.0.damping": 0.0, "integrator.columns": 4})
-    simulation = Simulation(model)
-    simulation.reset([4.0, 0.0, -3.0, 1.0])
-    whole, without = [], []
-    for _ in range(800):
-        state = simulation.state
-        energy = model.energy(state.q, state.q_dot, state.effects)
-        whole.append(energy.total)
-        without.append(energy.kinetic + energy.elastic)
-        simulation.step(np.zeros(3), 0.001)
-    assert np.diff(whole).max() < 1e-6 * np.ptp(whole)
-    assert np.diff(without).max() > 1e-3 * np.ptp(without)
-    assert whole[0] == without[0], "at rest the branches hold nothing"
 
 
 @pytest.mark.parametrize("time", [1e-3, 1e-4, 1e-6])

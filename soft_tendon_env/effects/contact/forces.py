@@ -33,9 +33,10 @@ WALL_DISSIPATION = 1.0
 """The least c [s/m] of the wall: what begins within an obstacle leaves it at 1 m/s at most."""
 OVERRUN, THROUGH = 0.1, 0.15
 """Shares of the radius: how much deeper a step in contact may lead, and what turns out to be so deep that it is tried again shorter."""
-LANDED, IDLE = 0.01, 0.05
-"""Share of the arm's kinetic energy, the most that a sample may store where a step ends in what it comes upon, and the speed, in lengths of
-the arm per second, that counts as such besides: at rest steps need not end where a contact begins."""
+LANDED, MOST_LANDED, IDLE = 0.01, 8.0, 0.05
+"""Share of the arm's kinetic energy that a sample is to store where a step ends in what it comes upon; how many such shares all samples may
+store; and the speed of the arm, in its lengths per second, that counts besides, or that of the fastest obstacle: at rest steps need not end
+where a contact begins."""
 CUTS, SAME = 64, 1e-3
 """Most places at which the way of a sample is looked at, and the share of that within which it comes up to what is allowed."""
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -261,29 +262,33 @@ def read_contacts(contact, nodes, gap, position, force):
 @kernel
 def limit_contact(contact, nodes, longest):
     """Steps are short beside the periods of obstacles that swing, and the next one ends where something is met. The last one was too long
-    if a sample went through something on its way, or came to be so deep in it at once that it stores more than a share of the arm's
-    energy."""
-    intervals, energy = contact.intervals, landing_energy(nodes, contact.intervals)
+    if a sample went through something on its way, or if all that met something in it came to store more than a share of the arm's
+    energy, which the step took from nothing."""
+    intervals, landed, fastest = contact.intervals, 0.0, 0.0
     for j in range(contact.obstacles.shape[0]):
+        fastest = max(fastest, size(body_at(contact.obstacles, j, nodes.time).velocity))
         if size(triple(contact.obstacles, j, 25)) > 0.0:
             allow_turning(contact.obstacles[j, 4], longest)
+    energy = landing_energy(nodes, intervals, fastest)
     for j in range(contact.obstacles.shape[0]):
         bodies = body_at(contact.obstacles, j, nodes.before_step.time[0]), body_at(contact.obstacles, j, nodes.time)
         for i in range(intervals.shape[0]):
             ends = ends_of(nodes.before_step, i), ends_of(nodes, i)
             if not is_far(bodies, ends, intervals, nodes, longest):
                 for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
-                    check_sample(sample_at(contact, m), bodies, ends, nodes, energy, longest)
+                    landed += check_sample(sample_at(contact, m), bodies, ends, nodes, energy, longest)
+    if landed > MOST_LANDED * energy:
+        nodes.contact.tunnelled[0] = 1.0
 
 
 @kernel
-def landing_energy(nodes, intervals):
-    """Energy [J] that a sample may store where a step ends in what it comes upon."""
+def landing_energy(nodes, intervals, fastest):
+    """Energy [J] that a sample may store where a step ends in what it comes upon; obstacles move at most at a speed [m/s]."""
     energy, mass, length = 0.0, 0.0, 0.0
     for i in range(intervals.shape[0]):
         _, v = motion_of(nodes, i, pose_of(nodes, i)[0])
         energy, mass, length = energy + 0.5 * nodes.mass[i] * dot(v, v), mass + nodes.mass[i], length + intervals[i, 0]
-    return LANDED * (energy + 0.5 * mass * (IDLE * length) ** 2)
+    return LANDED * (energy + 0.5 * mass * max(IDLE * length, fastest) ** 2)
 
 
 @kernel(inline=True)
@@ -301,21 +306,22 @@ def is_far(bodies, ends, intervals, nodes, longest):
 
 @kernel(inline=True)
 def check_sample(sample, bodies, ends, nodes, energy, longest):
-    """`limit_contact` for a sample and an obstacle, straight ahead as seen by the obstacle; bodies and ends: before the step and now."""
+    """`limit_contact` for a sample and an obstacle, straight ahead as seen by the obstacle; bodies and ends: before the step and now. The
+    energy [J] that it has come to store in the step, if it met the obstacle there."""
     body, radius, flags = bodies[1], sample.radius, nodes.contact
     landing = min(sample.smoothing, (6.0 * sample.smoothing * energy / sample.stiffness) ** (1.0 / 3.0))
     start, was, _ = place_in(bodies[0], position_of(sample, ends[0]))
     end, away, out = place_in(body, position_of(sample, ends[1]))
     velocity, _ = motion_at(sample, ends[1], nodes)
     gap, approach = away - radius, -dot(minus(velocity, body.velocity), rotate(body.R, out))
-    too_deep = was > radius and gap < -2.0 * landing and approach > 0.0
-    if too_deep or goes_through(body, start, end, min(was - radius, 0.0) + (1.0 - THROUGH) * radius):
+    if goes_through(body, start, end, min(was - radius, 0.0) + (1.0 - THROUGH) * radius):
         flags.tunnelled[0] = 1.0
     room = gap + landing if gap > 0.0 else OVERRUN * radius
     if gap < 0.0 or approach * longest[0] > room:
         flags.active[0] = 1.0
     if approach * longest[0] > room:
         longest[0] = room / approach
+    return normal_law(body, sample, -gap, 0.0)[3] if was > radius and gap < 0.0 and approach > 0.0 else 0.0
 
 
 @kernel
