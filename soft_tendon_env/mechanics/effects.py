@@ -212,21 +212,21 @@ def adds_wrench(kind: type, implicit: Sequence[str] = ()) -> Decorator:
     both, and the step takes its derivatives at every node by differences; or the kernel adds them to `nodes.stiffness` and
     `nodes.damping` itself. Raises ValueError for another name, and where both would count.
     """
-    for name in implicit:
-        if name not in BITS:
-            raise ValueError(f"implicit is {implicit!r}: it should name pose, twist or both, as in implicit=('twist',)")
-    _IMPLICIT[kind] = sum(BITS[name] for name in set(implicit))
+    if odd := {*implicit} - {*BITS}:
+        raise ValueError(f"implicit is {implicit!r}: it should name pose, twist or both, as in implicit=('twist',), not {min(odd)!r}")
+
     register = _registers("wrench", kind)
 
-    def checked(function: Any) -> Any:
+    def register_once(function: Any) -> Any:
         steps = pairwise(dis.get_instructions(code := getattr(function, "py_func", function).__code__))
         own = {now.argval for before, now in steps if before.argrepr.split(", ")[-1] == code.co_varnames[1]} & {"stiffness", "damping"}
         if own and implicit:
             text = f"adds to nodes.{min(own)} what implicit={implicit!r} finds by differences: leave out one of the two"
             raise ValueError(f"the kernel {code.co_name} for {kind.__name__} {text}, or it counts twice")
+        _IMPLICIT[kind] = sum(BITS[name] for name in {*implicit})
         return register(function)
 
-    return checked
+    return register_once
 
 
 def adds_stress(kind: type) -> Decorator:

@@ -3,9 +3,6 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.effects.disturbance import Load, weights
-from soft_tendon_env.model.grid import discretisation
-from soft_tendon_env.model.model import model_on
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import static_equilibrium
 
@@ -23,13 +20,6 @@ def force_at(model, q=Q):
     return model.terms(q, 0 * q).external_force
 
 
-@pytest.mark.parametrize("frame", ["world", "body"])
-def test_a_load_at_the_tip_is_a_tip_load(build, frame):
-    own = build("paper", loads({"at": 1.0, "force": FORCE, "moment": MOMENT, "frame": frame}))
-    other = build("paper", {"effects.tip_load": {"force": FORCE, "moment": MOMENT, "frame": "tip" if frame == "body" else "world"}})
-    np.testing.assert_allclose(force_at(own), force_at(other), rtol=1e-12, atol=1e-15)
-
-
 @pytest.mark.no_jit
 @pytest.mark.cases("place", [0.0, 0.001, 0.12, 0.225, 0.2999, 0.3])
 @pytest.mark.cases("frame", ["world", "body"])
@@ -42,33 +32,6 @@ def test_the_work_is_that_of_a_force_where_it_acts(uniform, slope, place, frame)
     force = section[:3, :3] @ FORCE if frame == "body" else np.array(FORCE)
     work = slope(lambda at: model.backbone_at(at, [place])[0, :3, 3], q, 1e-5).T @ force
     np.testing.assert_allclose(force_at(model, q), work, rtol=0.0, atol=1e-4 * 0.024)  # of the largest, that at the tip
-
-
-@pytest.mark.parametrize(
-    ("load", "order"),
-    [
-        ({"at": 1 / 6, "force": FORCE}, 3.7),
-        ({"at": 1 / 6, "moment": MOMENT}, 3.7),
-        ({"at": 1 / 6, "force": FORCE, "moment": MOMENT, "frame": "body"}, 3.7),
-        ({"along": [0.0, 1.0], "force": FORCE}, 3.9),
-        ({"along": [0.0, 0.5], "force": FORCE, "moment": MOMENT, "frame": "body"}, 3.9),
-    ],
-)
-def test_order_in_the_distance_of_nodes(build, load, order):
-    scene = build("paper", loads(load)).scene
-    exact = force_at(model_on(scene, 256))
-    counts = np.array([8, 16, 32, 64])
-    errors = [np.abs(force_at(model_on(scene, int(count))) - exact).max() for count in counts]
-    assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] > order
-
-
-def test_shares_integrate_cubics_exactly(build):
-    rod = discretisation(build("paper").scene, build("paper").grid)
-    for start, end in ((0.0, 1.0), (0.13, 0.87), (0.4, 0.41), (0.49, 0.51), (0.97, 1.0), (0.5, 1.0)):
-        for power in (1, 2, 3):
-            expected = (end ** (power + 1) - start ** (power + 1)) / (power + 1)
-            np.testing.assert_allclose(weights(rod, Load(at=end)) @ rod.node**power, end**power, rtol=1e-11)
-            np.testing.assert_allclose(weights(rod, Load(along=(start, end))) @ rod.node**power, expected, rtol=1e-11)
 
 
 @pytest.mark.parametrize("load", [{"at": 0.437, "force": FORCE}, {"at": 0.03, "force": FORCE}, {"along": [0.2, 0.77], "force": FORCE}])

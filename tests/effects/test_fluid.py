@@ -6,7 +6,6 @@ import pytest
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit
 from soft_tendon_env.model.grid import discretisation
-from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import static_equilibrium
 
 LENGTH, RADIUS, YOUNG, DENSITY = 0.3, 0.01, 5e5, 1070.0
@@ -36,37 +35,6 @@ def test_buoyancy_is_weight_of_the_displaced_fluid(build, density):
     expected = build("paper", lighter).terms(q, 0 * q).external_force
     np.testing.assert_allclose(wet, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
     assert not build("paper", {"effects.fluid.density": density}).terms(q, 0 * q).external_force.any(), "no gravity, no buoyancy"
-
-
-@pytest.mark.parametrize("coefficient", [0.0, 1.0, 0.6])
-def test_frequency_of_a_cantilever(uniform, coefficient):
-    """omega = 1.8751^2 sqrt(E I / ((rho + C_a rho_fluid) A L^4)), of a slender rod."""
-    thin = {"segments.0.radius": 0.002, **{f"tendons.{i}.routing.offset": [1e-3 * i, 0.0] for i in range(3)}}
-    model = uniform(("bend_z",), 4, {**thin, "effects.fluid": {"density": 1000.0, "added_mass": coefficient}})
-    n = model.coordinate_count
-    terms = model.terms(np.zeros(n), np.zeros(n))
-    lowest = np.sqrt(np.linalg.eigvals(np.linalg.solve(terms.mass, terms.stiffness)).real.min())
-    area, inertia = np.pi * 0.002**2, np.pi * 0.002**4 / 4
-    expected = 1.8751040687**2 * np.sqrt(YOUNG * inertia / ((DENSITY + coefficient * 1000.0) * area * LENGTH**4))
-    np.testing.assert_allclose(lowest, expected, rtol=5e-4)
-
-
-def test_energy_falls_by_what_drag_and_damping_take(uniform):
-    """An arm that is let go under water, under gravity: -dE/dt = q_dot D q_dot - q_dot F_drag, and E never grows."""
-    model = uniform(("bend_y", "bend_z"), 1, {**GRAVITY, **WATER, "segments.0.damping": 100.0, "integrator.step": 1e-3})
-    dry = uniform(("bend_y", "bend_z"), 1, {**GRAVITY, "segments.0.damping": 100.0})
-    weight = 1.0 - 1000.0 / DENSITY
-    start = Simulation(model).reset([4.0, 0.0, -3.0, 1.0])
-    motion = simulate(model, np.zeros(3), 1.0, 2e-3, initial=start)
-    energy = np.array([model.energy(q, v).total for q, v in zip(motion.q, motion.q_dot, strict=True)])
-    power = []
-    for q, v in zip(motion.q, motion.q_dot, strict=True):
-        terms = model.terms(q, v)
-        drag = terms.external_force - weight * dry.terms(q, v).external_force
-        power.append(v @ drag - v @ terms.damping @ v)
-    taken = np.concatenate([[0.0], np.cumsum(0.5 * (np.array(power)[1:] + power[:-1]) * 2e-3)])
-    np.testing.assert_allclose(energy - energy[0], taken, atol=2e-3 * np.ptp(energy))
-    assert np.diff(energy).max() < 1e-9 * np.ptp(energy)
 
 
 @pytest.mark.no_jit

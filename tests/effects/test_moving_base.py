@@ -1,15 +1,11 @@
 """Moving base: inertia forces against closed forms and against gravity, and the pose of what moves along."""
 
-import json
-
 import numpy as np
 import pytest
 
 import soft_tendon_env as ste
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.mechanics.workspace import make_workspace
-from soft_tendon_env.model.contact_forces import contact_forces
-from soft_tendon_env.model.simulation import Simulation
 
 STIFF = {"integrator.step": 0.01, "quadrature.intervals": 12, "integrator.columns": 4}
 
@@ -54,32 +50,3 @@ def test_twist_and_acceleration_are_the_derivatives_of_the_pose(build):
     found = np.array([twist[2, 1], twist[0, 2], twist[1, 0], *twist[:3, 3]])
     np.testing.assert_allclose(eta, found, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(eta_bias, (eta_after - eta_before) / (2.0 * h), rtol=1e-6, atol=1e-5)
-
-
-CARRIED = {
-    "contact": {
-        "effects.gravity.acceleration": [0.0, 0.0, -9.81],
-        "effects.contact": {"friction": 0.4, "obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.009]}]},
-    },
-    "disturbance": {"effects.disturbance.loads": [{"at": 0.01, "force": [0.0, 1.0, 0.5]}, {"along": [0.0, 0.1], "force": [0.0, 0.0, 1.0]}]},
-}
-
-
-@pytest.mark.parametrize("name", CARRIED)
-def test_effects_at_the_base_go_along_with_it(name, build):
-    """Galileo: a base that moves evenly, with all that is around it, is one that stands still; the floor reaches up to the base."""
-    still = build("three_tendon", {"quadrature.intervals": 6, **CARRIED[name]})
-    changes = json.loads(json.dumps(CARRIED[name]))
-    if name == "contact":
-        changes["effects.contact"]["obstacles"][0]["velocity"] = [0.0, 3.0, 0.0]
-    moving = build("three_tendon", {"quadrature.intervals": 6, **changes, "effects.moving_base.velocity": [0.0, 3.0, 0.0]})
-    here, there = Simulation(still), Simulation(moving)
-    for u in ([2.0, 0.0, 1.0], [0.0, 3.0, 0.0], [0.0, 0.0, 0.0]):
-        for simulation in (here, there):
-            simulation.step(u, 0.1)
-        away = there.tip_pose[:3, 3] - here.tip_pose[:3, 3]
-        np.testing.assert_allclose(away, [0.0, 3.0 * there.state.time, 0.0], atol=1e-7)
-    if name == "contact":
-        own, other = contact_forces(still, here.state), contact_forces(moving, there.state)
-        assert np.linalg.norm(own.force) > 0.01 and own.sample_force[0, 0].any(), "in the first interval too"
-        np.testing.assert_allclose(other.sample_force, own.sample_force, atol=1e-5)

@@ -1,8 +1,7 @@
 """Contact as kernels compute it: samples along the arm, obstacles at a time, forces between them, and the continuous collision check.
 
-Samples are balls along the cubic Hermite curve through neighbouring nodes, each for its share of the length. With tangents h R e_x for an
-interval of length h, x(t) = H00 r_a + H10 h R_a e_x + H01 r_b + H11 h R_b e_x. By virtual work a force f on a sample is the force H00 f and
-the moment H10 h R_a e_x x f on the node before it, and likewise on the one behind.
+Samples are balls along the axis, see nodes.py, each for its share of the length. By virtual work a force f on a sample is the force H00 f
+and the moment H10 h R_a e_x x f on the node before it, and likewise on the one behind.
 
 With d = radius - signed distance of a sample's middle, k = stiffness ds and a smoothing depth e, N = p(d) max(0, 1 + c d_dot),
 p = k d^2 / 2 e up to d = e, k (d - e / 2) beyond: Hunt and Crossley (1975), here of a force that begins smoothly. It never pulls, and what
@@ -19,7 +18,7 @@ from typing import Any, NamedTuple
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.contact.obstacles import SHAPES, body_at, distance, place_in, triple
-from soft_tendon_env.effects.nodes import motion_before, motion_of, pose_before, pose_of
+from soft_tendon_env.effects.nodes import Sample, ends_of, motion_at, motion_of, pose_of, position_of
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, rotate, rotate_back, times
 from soft_tendon_env.mechanics.algebra.structs import Struct
@@ -60,31 +59,6 @@ class ContactParameters(Struct):
         super().__setstate__(fields)
 
 
-class Sample(NamedTuple):
-    """A ball of the arm at its place t between the nodes a and b of an interval of length h."""
-
-    h_a: float  # H00 [-]
-    reach_a: float  # h H10 [m]
-    h_b: float
-    reach_b: float
-    t: float
-    radius: float  # [m]
-    stiffness: float  # k [N/m]
-    smoothing: float  # e [m]
-    wall: float  # scale [J] of the wall's energy
-    solid: float  # most thickness [m] of obstacles that counts
-
-
-class Ends(NamedTuple):
-    """The two nodes of an interval."""
-
-    interval: int  # also the node behind it; the one before is that less 1
-    R_a: tuple[float, ...]
-    r_a: Triple
-    R_b: tuple[float, ...]
-    r_b: Triple
-
-
 class Touch(NamedTuple):
     """Contact of a sample with an obstacle; vectors in the world frame."""
 
@@ -109,42 +83,6 @@ def sample_at(contact, m):
     """The sample of a row."""
     s = contact.samples
     return Sample(s[m, 0], s[m, 1], s[m, 2], s[m, 3], s[m, 4], s[m, 5], s[m, 6], s[m, 7], s[m, 8], s[m, 9])
-
-
-@kernel(inline=True)
-def ends_of(nodes, i):
-    """The nodes of an interval."""
-    R_b, r_b = pose_of(nodes, i)
-    R_a, r_a = pose_before(nodes, i)
-    return Ends(i, R_a, r_a, R_b, r_b)
-
-
-@kernel(inline=True)
-def hermite(sample, a, tangent_a, b, tangent_b):
-    """The cubic between vectors a and b, with these tangents, at a sample."""
-    before = plus(times(sample.h_a, a), times(sample.reach_a, tangent_a))
-    return plus(before, plus(times(sample.h_b, b), times(sample.reach_b, tangent_b)))
-
-
-@kernel(inline=True)
-def position_of(sample, ends):
-    """Position of a sample's middle [m]."""
-    return hermite(sample, ends.r_a, tangent(ends.R_a), ends.r_b, tangent(ends.R_b))
-
-
-@kernel(inline=True)
-def tangent(R):
-    """R e_x."""
-    return R[0], R[3], R[6]
-
-
-@kernel(inline=True)
-def motion_at(sample, ends, nodes):
-    """Velocity of a sample's middle, and angular velocity, in the world frame."""
-    w, v = motion_of(nodes, ends.interval, ends.R_b)
-    w_a, v_a = motion_before(nodes, ends.interval, ends.R_a, ends.r_a)
-    velocity = hermite(sample, v_a, cross(w_a, tangent(ends.R_a)), v, cross(w, tangent(ends.R_b)))
-    return velocity, plus(times(sample.t, w), times(1.0 - sample.t, w_a))
 
 
 @kernel(inline=True)
@@ -286,7 +224,8 @@ def landing_energy(nodes, intervals, fastest):
     """Energy [J] that a sample may store where a step ends in what it comes upon; obstacles move at most at a speed [m/s]."""
     energy, mass, length = 0.0, 0.0, 0.0
     for i in range(intervals.shape[0]):
-        _, v = motion_of(nodes, i, pose_of(nodes, i)[0])
+        R, r = pose_of(nodes, i)
+        _, v = motion_of(nodes, i, R, r)
         energy, mass, length = energy + 0.5 * nodes.mass[i] * dot(v, v), mass + nodes.mass[i], length + intervals[i, 0]
     return LANDED * (energy + 0.5 * mass * max(IDLE * length, fastest) ** 2)
 
@@ -296,8 +235,8 @@ def is_far(bodies, ends, intervals, nodes, longest):
     """Whether no sample of an interval can have met an obstacle in the last step, nor does in the next one: the Hermite polynomials of
     tangents stay below 4/27, and the signed distance changes no faster than a point moves. Bodies and ends: before the step and now."""
     body, now, before = bodies[1], ends[1], ends[0]
-    w, v = motion_of(nodes, now.interval, now.R_b)
-    w_a, v_a = motion_before(nodes, now.interval, now.R_a, now.r_a)
+    w, v = motion_of(nodes, now.interval, now.R_b, now.r_b)
+    w_a, v_a = motion_of(nodes, now.interval - 1, now.R_a, now.r_a)
     speed = max(size(v), size(v_a)) + 4.0 / 27.0 * intervals[now.interval, 0] * (size(w) + size(w_a)) + size(body.velocity)
     place, away, _ = place_in(body, now.r_b)
     moved = size(minus(rotate_back(bodies[0].R, minus(before.r_b, bodies[0].r)), place))
