@@ -1,5 +1,6 @@
 """MkDocs hook: puts what the package says of its environments in the place of lines that end with `<!-- environment: TipPose -->`,
-`<!-- arguments -->`, `<!-- reset options -->`, `<!-- presets -->` or `<!-- effects -->`. What stands before says in the repository where to read it."""
+`<!-- arguments -->`, `<!-- reset options -->`, `<!-- presets -->` or `<!-- effects -->`. What stands before says in the repository where
+to read it."""
 
 import re
 import warnings

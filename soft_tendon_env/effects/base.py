@@ -226,7 +226,8 @@ class Effects(Configuration):
 
     def table(self, rod: Discretisation) -> EffectTable:
         """Table of the acting effects for the kernels, in the order of their names. Raises TypeError where one has no kernel."""
-        effects, parameters, numbers = self.acting(), [], {}
+        effects, parameters = self.acting(), []
+        numbers: dict[str, Any] = {}
         states = [effect.state(rod) for effect in effects.values()]
         for i, (name, effect) in enumerate(effects.items()):
             parameters.append(Struct() if effect.is_actuation else effect.parameters(rod))
