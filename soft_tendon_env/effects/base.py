@@ -134,19 +134,16 @@ class Effect(Configuration):
     def sample_smaller(self, random: np.random.Generator) -> Self:
         """This effect with its strengths at a random size up to their own, and vectors in random directions."""
         drawn = {name: (1.0 - random.random()) * np.array(getattr(self, name)) for name in self.strengths}
-        turned = {name: own if own.ndim == 0 else np.linalg.norm(own) * _direction(random) for name, own in drawn.items()}
-        return type(self)(**{**self.model_dump(), **turned})
+        for name, own in drawn.items():
+            if own.ndim:
+                direction = random.normal(size=own.size)
+                drawn[name] = np.linalg.norm(own) / np.linalg.norm(direction) * direction
+        return type(self)(**{**self.model_dump(), **drawn})
 
     def includes(self, other: Self) -> bool:
         """Whether `sample_smaller` reaches another effect of the class: what was made under the one holds under the other."""
         alike = self.model_dump(exclude={*self.strengths}) == other.model_dump(exclude={*self.strengths})
         return alike and all(np.linalg.norm(getattr(self, name)) >= np.linalg.norm(getattr(other, name)) for name in self.strengths)
-
-
-def _direction(random: np.random.Generator) -> Array:
-    """A unit vector (3,) in a random direction."""
-    direction = random.normal(size=3)
-    return direction / np.linalg.norm(direction)
 
 
 class TimeWarning(UserWarning):

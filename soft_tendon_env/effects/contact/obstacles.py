@@ -213,7 +213,7 @@ def register_shape(shape: Class) -> Class:
 
 
 def _place(function: Any) -> int:
-    """Where `other_distance` finds a kernel, in this process."""
+    """Number by which `other_distance` finds a kernel in this process: its address."""
 
     def enter(sizes, x):
         away, n = function(sizes, x)
