@@ -164,12 +164,6 @@ def test_interpreted_kernels_run(build):
     assert found.force[0, 2] > 0.0 > found.force[0, 1] and simulation.state.effects.size == 0
 
 
-def test_what_has_no_contact_says_so(build):
-    bare = build("three_tendon")
-    with pytest.raises(ValueError, match="no table effects.contact"):
-        contact_forces(bare, Simulation(bare).state)
-
-
 @register_shape
 class Torus(Directed):
     """A shape of a user's own: the points up to `tube` from a circle of radius `ring` [m]."""
@@ -209,11 +203,3 @@ def test_a_shape_of_a_users_own_is_one_class(build):
     assert found.gap.min() > -RADIUS and simulation.tip_pose[2, 3] < -0.02
     again = pickle.loads(pickle.dumps(shot))
     np.testing.assert_array_equal(simulate(again, np.zeros(3), 0.04, 0.02).tip_pose, simulate(shot, np.zeros(3), 0.04, 0.02).tip_pose)
-
-
-def test_two_shapes_have_two_names():
-    with pytest.raises(ValueError, match="the shape 'torus' is registered twice: .*test_contact, .*test_contact"):
-
-        @register_shape
-        class Ring(Torus):
-            pass

@@ -34,13 +34,6 @@ def test_the_work_is_that_of_a_force_where_it_acts(uniform, slope, place, frame)
     np.testing.assert_allclose(force_at(model, q), work, rtol=0.0, atol=1e-4 * 0.024)  # of the largest, that at the tip
 
 
-@pytest.mark.parametrize("load", [{"at": 0.437, "force": FORCE}, {"at": 0.03, "force": FORCE}, {"along": [0.2, 0.77], "force": FORCE}])
-def test_force_is_the_gradient_of_the_potential_energy(build, slope, load):
-    model = build("paper", loads(load))
-    gradient = slope(lambda q: model.energy(q, 0 * q).load, Q, 1e-4)
-    np.testing.assert_allclose(force_at(model), -gradient, rtol=1e-7, atol=1e-11)
-
-
 def test_a_pulse_is_there_from_its_start_to_its_end(build):
     """At borders of steps it begins and ends as a constant load does that is put on and taken off; at rest it is not there."""
     load = {"at": 0.21, "force": [0.0, 0.1, 0.0], "moment": [0.0, 0.0, 0.01]}

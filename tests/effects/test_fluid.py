@@ -26,17 +26,6 @@ def test_deflection_in_a_cross_stream(uniform):
     assert abs(tip[1]) < 1e-12
 
 
-@pytest.mark.parametrize("density", [500.0, 1070.0, 3000.0])
-def test_buoyancy_is_weight_of_the_displaced_fluid(build, density):
-    """Of a tapered arm as well: as gravity times 1 - rho_fluid / rho, to round-off."""
-    q = np.linspace(0.0, 4.0, 10)
-    wet = build("paper", {**GRAVITY, "effects.fluid.density": density}).terms(q, 0 * q).external_force
-    lighter = {"effects.gravity.acceleration": [0.0, 0.0, -9.81 * (1.0 - density / 100.0)]}
-    expected = build("paper", lighter).terms(q, 0 * q).external_force
-    np.testing.assert_allclose(wet, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
-    assert not build("paper", {"effects.fluid.density": density}).terms(q, 0 * q).external_force.any(), "no gravity, no buoyancy"
-
-
 @pytest.mark.no_jit
 def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(uniform, workspace_at, slope):
     """Lagrange's equations of 1/2 s A s - 1/2 v A v = -v A U + 1/2 U A U, with U the current in the frame of the slice, by differences."""
