@@ -6,7 +6,7 @@ import numpy as np
 
 from soft_tendon_env.mechanics.algebra.lanes import LINE, aligned, aligned_zeros
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.effects import BeforeStep, ContactFlags, make_before_step, make_contact_flags
+from soft_tendon_env.mechanics.effects import BeforeStep, ContactFlags
 from soft_tendon_env.mechanics.types import Arm, Explicit, FloatVector, Loaded
 
 PER_LINE = LINE // 8  # numbers of a cache line
@@ -130,8 +130,8 @@ def make_workspace(arm: Arm) -> Workspace:
         Phi=strain.field if isinstance(strain, Explicit) else aligned_zeros(n * points * 6),
         base=np.concatenate([np.eye(3).ravel(), np.zeros(15)]),
         state=arm.effects.state.copy(),
-        before_step=make_before_step(nodes),
-        contact=make_contact_flags(),
+        before_step=BeforeStep(np.zeros(1), np.zeros(12 * nodes), np.zeros(24)),
+        contact=ContactFlags(np.zeros(1), np.zeros(1), np.zeros(1)),
         unit=aligned(np.ones(points * 6)),
         share=aligned(np.ones(n_a * points)),
         slip=aligned_zeros(n_a * points),

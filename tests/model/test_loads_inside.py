@@ -118,7 +118,7 @@ def test_the_laws_of_the_paper_hold_the_loaded_arm_with_its_own_tensions(build):
 
 def test_what_follows_the_tip_stays_outside(build):
     model = build("paper", {**INSIDE, **GRAVITY, **FOLLOWER})
-    assert isinstance(model.arm.strain, Loaded) and len(model.arm.effects) == 1
+    assert isinstance(model.arm.strain, Loaded) and model.arm.effects.count == 1
     assert model.arm.strain.acceleration == (0.0, 0.0, -9.81) and model.arm.strain.force == (0.0, 0.0, 0.0)
     found = static_equilibrium(model, PULL)
     assert found.converged and found.stable and np.abs(found.q - PULL).max() > 1e-3
