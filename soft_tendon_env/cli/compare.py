@@ -6,22 +6,20 @@ from typing import Any
 
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.envs import Options
 from soft_tendon_env.evaluation.comparison import (
     compare,
     comparison_tables,
     configuration_record,
-    episode_records,
+    draw_comparison,
     models_of,
     outcomes_of,
     print_caveats,
     shared_arms,
 )
 from soft_tendon_env.evaluation.entrants import agents_of, every_file
-from soft_tendon_env.evaluation.pages import Page, agent_sources
+from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.evaluation.provenance import machine, write_json
 from soft_tendon_env.evaluation.settings import Comparison, TableSettings
-from soft_tendon_env.evaluation.tables import csv_record, write_csv
 from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.parallel import check_cluster
 
@@ -29,7 +27,7 @@ STOPPED = "stopped: the same command goes on"
 
 
 class Compare(Comparison, TableSettings):
-    """Print errors by policy and model error, resuming where it was stopped, and write JSON with every episode, CSV, and a picture.
+    """Print errors by policy and model error, resuming where it was stopped, and write JSON with every episode, and a picture.
 
     Attributes:
         config: a TOML file with the keys of Comparison, such as configs/compare.toml; options on the command line override it.
@@ -52,12 +50,10 @@ def run(arguments: Sequence[str]) -> None:
         files = {task: agents_of(task, settings.policies) for task in settings.tasks}
         arms = {task: shared_arms(settings, task, every_file(of_task)) for task, of_task in files.items()}
         experiments = {task: compare(settings, task, of_task, out / "cells") for task, of_task in arms.items()}
-        preset = Options.parse(settings.options, "options").fidelity or "standard"
-        page = Page(settings.write_docs, [f"compare {task}" for task in settings.tasks], preset, agent_sources(settings.policies))
+        page = Page(settings.write_docs, [f"compare {task}" for task in settings.tasks])
         check_cluster(settings.cluster)
         writable_folder(out)
         print_caveats(settings, arms)
-    from soft_tendon_env.evaluation.pictures import draw_comparison
 
     what = f"{len(settings.seeds)} episodes of {settings.seconds:g} s"
     print(f"{what}; {machine()}")
@@ -70,14 +66,7 @@ def run(arguments: Sequence[str]) -> None:
         tables = comparison_tables(summaries, models, settings.all)
         print(f"\n## {task}\n\n{tables}\n")
         write_json(out / f"{task}.json", {"task": task, "results": [outcome.record(*key) for key, outcome in outcomes.items()]})
-        rows = [
-            {"policy": policy, "model_error": error, **csv_record(summary), "model_in_the_loop": models[policy]}
-            for (policy, error), summary in summaries.items()
-        ]
-        write_csv(out / f"{task}.csv", rows)
         draw_comparison(summaries, task, out / f"{task}.png")
-        if settings.episode_csv:
-            write_csv(out / f"{task}_episodes.csv", episode_records(outcomes))
         page.write(f"compare {task}", f"{what.capitalize()}.\n\n{tables}")
 
 

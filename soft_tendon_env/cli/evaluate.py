@@ -8,11 +8,18 @@ from pydantic import Field
 
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation.comparison import compare, configuration_record, models_of, outcomes_of, print_caveats, shared_arms
+from soft_tendon_env.evaluation.comparison import (
+    compare,
+    configuration_record,
+    draw_comparison,
+    models_of,
+    outcomes_of,
+    print_caveats,
+    shared_arms,
+)
 from soft_tendon_env.evaluation.provenance import machine, write_json
 from soft_tendon_env.evaluation.settings import Settings, TableSettings, TaskName
 from soft_tendon_env.evaluation.tables import summary_table
-from soft_tendon_env.policies.load import short_name
 from soft_tendon_env.tools.parallel import check_cluster
 
 STOPPED = "stopped: the same command goes on"
@@ -22,7 +29,7 @@ class Evaluate(Settings, TableSettings):
     """Print a row per model error, resuming where it was stopped, and write every episode as JSON, a picture, and the configuration.
 
     Attributes:
-        policy: a controller's name, or filtered:NAME; an agent's folder or .zip file (ALGORITHM:file.zip, if the file does not say);
+        policy: a controller's name, or filtered:NAME; an agent's folder or .zip file;
             ppo, sac, dagger or apg, of those that ship for the task; agent, the best of these.
         task: name of the task: TipPose, Shape, Reach, or one that was registered.
         out: folder for results.
@@ -46,8 +53,6 @@ def run(arguments: Sequence[str]) -> None:
         check_cluster(settings.cluster)
         writable_folder(out)
         print_caveats(settings, {task: arms})
-    from soft_tendon_env.evaluation.pictures import draw_episodes
-
     print(f"{policy} on {task}, {len(settings.seeds)} episodes of {settings.seconds:g} s; {machine()}\n")
     experiment.play(f"{policy}: model errors", settings.workers, settings.cluster)
     files: Mapping[str, Mapping[int | None, str]] = {policy: {None: policy}}
@@ -58,5 +63,4 @@ def run(arguments: Sequence[str]) -> None:
     results = [outcome.record(policy, error) for error, outcome in outcomes.items()]
     write_json(stem.with_suffix(".json"), {"task": task, "results": results})
     write_json(stem.with_suffix(".configuration.json"), configuration_record(settings, {task: arms}))
-    scores = {error: outcome.scores[None] for error, outcome in outcomes.items()}
-    draw_episodes(scores, f"{short_name(policy)} on {task}", stem.with_suffix(".png"))
+    draw_comparison({(policy, error): outcome.summary for error, outcome in outcomes.items()}, task, stem.with_suffix(".png"))

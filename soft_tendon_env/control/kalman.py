@@ -40,7 +40,7 @@ class Uncertainty(NamedTuple):
 
     force: float = 1.5e-3  # white generalised forces, held over a period each, as a share of those that bend the arm by 1 rad
     tension: float = 2e-3  # white tensions, held over a period each
-    timing: float = 0.15  # more white tensions, as a share of the change of commands that may arrive in a period of uncertain latency
+    timing: float = 1.0  # more white tensions, as a share of the change of commands that may arrive in a period of uncertain latency
     offset: float = 0.02  # tensions that are added
     offset_start: float = 0.01
     offset_time: float = 5.0  # [s] in which they are forgotten

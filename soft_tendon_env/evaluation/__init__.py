@@ -1,6 +1,6 @@
 """Evaluation of policies on fixed lists of episodes: tracking errors, settling times, effort, and their summaries."""
 
-from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, MODEL_ERRORS, SEEDS, VALIDATION_SEEDS, model_error
+from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, MODEL_ERRORS, SEEDS, VALIDATION_SEEDS, Condition, condition
 from soft_tendon_env.evaluation.metrics import METRICS, EpisodeScore, Metric
 from soft_tendon_env.evaluation.play import evaluate, evaluate_rows, validation_error
 from soft_tendon_env.evaluation.summaries import Summary, summarise
@@ -11,12 +11,13 @@ __all__ = [
     "MODEL_ERRORS",
     "SEEDS",
     "VALIDATION_SEEDS",
+    "Condition",
     "EpisodeScore",
     "Metric",
     "Summary",
+    "condition",
     "evaluate",
     "evaluate_rows",
-    "model_error",
     "summarise",
     "validation_error",
 ]

@@ -5,7 +5,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any, NamedTuple, Self
 
@@ -126,33 +126,26 @@ class EpisodeScore(WithMetrics):
     length: float
 
     @classmethod
-    def of_record(cls, record: Mapping[str, Any]) -> Self:
-        """Score of which this is the `record`, read from JSON: null is a number that is not finite."""
-        errors = {name: ErrorScore(**_numbers(error)) for name, error in record["errors"].items()}
-        metrics = _numbers({name: record[name] for name in METRICS})
-        own = {entry.name: record[entry.name] for entry in fields(cls) if entry.name in record}
-        return cls(**{**own, "errors": errors, "metrics": metrics, "action_time": ActionTime(**_numbers(record["action_time"]))})
+    def restored(cls, saved: Mapping[str, Any]) -> Self:
+        """Score from its `dataclasses.asdict`, read from JSON, where tuples have become lists."""
+        errors = {name: ErrorScore(*error) for name, error in saved["errors"].items()}
+        return cls(**{**saved, "errors": errors, "action_time": ActionTime(*saved["action_time"])})
 
-    def is_bad(self, share: float = BAD) -> bool:
-        """Whether the episode diverged, or its first error is above a share of the rod's length: the steady-state error where the target is
-        stepwise, else the root mean square."""
+    @property
+    def bad(self) -> bool:
+        """Whether the episode diverged, or its first error is above BAD: the steady-state error where the target is stepwise, else the root
+        mean square."""
         first = next(iter(self.errors.values()))
         error = first.rms if math.isnan(first.steady_state) else first.steady_state
-        return self.diverged is not None or not error <= share * self.length
+        return self.diverged is not None or not error <= BAD * self.length
 
     @property
     def numbers(self) -> dict[str, float]:
         """All that has an interquartile mean over episodes, by name; infinite where an episode has no such number, and errors and chatter
         where it diverged."""
         lost = {*flat(self.errors), "chatter"} if self.diverged is not None else set[str]()
-        settled = math.inf if self.settling_time is None else self.settling_time
-        found = {**flat(self.errors), **self.metrics, "settling_time": settled, "seconds": self.action_time.median}
+        found = {**flat(self.errors), **self.metrics, "seconds": self.action_time.median}
         return {name: math.inf if name in lost or not math.isfinite(value) else value for name, value in found.items()}
-
-
-def _numbers(record: Mapping[str, float | None]) -> dict[str, float]:
-    """Numbers of JSON, which has null for NaN."""
-    return {name: math.nan if value is None else value for name, value in record.items()}
 
 
 def flat(errors: Mapping[str, ErrorScore]) -> dict[str, Any]:

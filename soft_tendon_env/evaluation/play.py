@@ -3,7 +3,7 @@
     scores = evaluate(policy, env, EVALUATION_SEEDS)
     print(summarise(scores).errors["position_error"].rms)
 
-A policy is whatever has Stable-Baselines3's `predict`. Errors are the true ones of `info`, whatever the sensors say; see metrics.py.
+A policy is whatever has Stable-Baselines3's `predict`. Errors are the true ones, whatever the sensors say; see metrics.py.
 """
 
 import time

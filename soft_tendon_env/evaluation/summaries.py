@@ -1,13 +1,8 @@
-"""Summaries of episodes of one policy, and of several seeds of its training.
+"""Summaries of episodes of one policy, and of several seeds of its training; interquartile means, their intervals, comparisons of pairs.
 
-The summary of several seeds: errors, the share reached, effort, rate and return are interquartile means over the seeds'
-numbers, with 95 % intervals. Counts (settled, violations, diverged) and the settling time, which a seed may not
-have, are of all episodes of all seeds together, as is the worst episode. Times per action are medians of the seeds'.
-
-Interquartile means and their bootstrap intervals are after Agarwal et al., "Deep reinforcement learning at the edge of the statistical
-precipice", NeurIPS 2021. They hide what a few bad episodes do: `Tails` stand beside them. NaN, a run without a number, counts as larger
-than every number, as fits errors. That, infinite errors of episodes that diverged, and drawing along several axes at once are what
-`scipy.stats.trim_mean` and `scipy.stats.bootstrap` do not do; counts are cut as `trim_mean` cuts them.
+After Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021. Interquartile means hide what a
+few bad episodes do: `Tails` stand beside them. NaN, a run without a number, counts as larger than every number, as fits errors. That,
+infinite errors of episodes that diverged, and drawing along several axes at once are what `scipy.stats` does not do.
 """
 
 import math
@@ -133,10 +128,8 @@ class Summary(WithMetrics):
     intervals: Mapping[str, Interval] = field(default_factory=dict)
 
     def record(self) -> dict[str, Any]:
-        """Plain values by name, for JSON, with `flagged`; seeds and intervals where there are any."""
-        tails = {name: of_error._asdict() for name, of_error in self.tails.items()}
-        found = {**super().record(), "tails": tails, "flagged": self.flagged}
-        return {name: value for name, value in found.items() if self.seeds is not None or name not in ("seeds", "intervals")}
+        """Plain values by name, for JSON, with `flagged`."""
+        return {**super().record(), "flagged": self.flagged}
 
     @property
     def flagged(self) -> bool:
@@ -166,7 +159,7 @@ def summarise(scores: Sequence[EpisodeScore]) -> Summary:
         errors={name: ErrorScore(root_mean_square(rms[name]), *np.mean(others[name], axis=0).tolist()) for name in names},
         tails={name: Tails.of(rms[name]) for name in names},
         worst={name: float(rms[name].max()) if lived else math.nan for name in names},
-        bad=float(np.mean([score.is_bad() for score in scores])),
+        bad=float(np.mean([score.bad for score in scores])),
         settled=len(times),
         settling_time=float(np.median(times)) if times else None,
         metrics={name: root_mean_square(np.array([score.metrics[name] for score in lived])) for name in scores[0].metrics},
@@ -209,3 +202,66 @@ def median_times(times: Sequence[ActionTime]) -> ActionTime:
     """Medians of several times per action, of those that are numbers; NaN without any."""
     known = [time for time in times if math.isfinite(time.median)]
     return ActionTime(*np.median(known, axis=0).tolist()) if known else ActionTime(math.nan, math.nan)
+
+
+class Mean(NamedTuple):
+    """Interquartile mean of a number, and the ends of its interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Standing(NamedTuple):
+    """Scores of a policy's episodes by member: a controller is one, an agent has one per seed of its training."""
+
+    scores: Sequence[Sequence[EpisodeScore]]
+
+    @property
+    def episodes(self) -> list[EpisodeScore]:
+        """Scores of all members together."""
+        return [score for of_member in self.scores for score in of_member]
+
+    def values(self, key: str) -> Array:
+        """A number of every episode (members, episodes), see `EpisodeScore.numbers`."""
+        return np.array([[score.numbers[key] for score in of_member] for of_member in self.scores])
+
+    def mean(self, key: str) -> Mean:
+        """Interquartile mean over all episodes of all members; members and episodes are drawn anew for its interval."""
+        values = self.values(key)
+        return Mean(float(interquartile_mean(values.ravel())), *map(float, bootstrap_interval(values, axes=2)))
+
+    @property
+    def bad(self) -> float:
+        """Share of episodes that are bad."""
+        return float(np.mean([score.bad for score in self.episodes]))
+
+
+class Duel(NamedTuple):
+    """A policy beside another on the same episodes: the difference of their interquartile means (SI units, negative where the first has
+    less error), and the probability that the first has less error in an episode."""
+
+    difference: Mean
+    probability: Mean
+
+    @property
+    def verdict(self) -> str:
+        """Word for the first: "ahead" or "behind" where the interval of the difference leaves out zero, else "not separated"."""
+        return "ahead" if self.difference.high < 0.0 else "behind" if self.difference.low > 0.0 else "not separated"
+
+
+def compared(one: Standing, other: Standing, key: str) -> Duel:
+    """Paired bootstrap of a policy and another of a single member. Raises ValueError unless that one played all episodes of the first."""
+    theirs = {score.seed: score.numbers[key] for score in other.episodes}
+    if len(other.scores) > 1 or any(score.seed not in theirs for score in one.episodes):
+        raise ValueError("the other should be a single member, which has played the same episodes")
+    pairs = np.array([[(score.numbers[key], theirs[score.seed]) for score in of_member] for of_member in one.scores], dtype=float)
+
+    def difference(drawn: Array, axis: int = 0) -> Array:
+        ours, others = np.moveaxis(np.asarray(interquartile_mean(drawn, axis)), -1, 0)
+        with np.errstate(invalid="ignore"):  # NaN where both means are infinite
+            return np.asarray(ours - others)
+
+    better = (pairs[..., 0] < pairs[..., 1]) + 0.5 * (pairs[..., 0] == pairs[..., 1])
+    apart = Mean(float(difference(pairs.reshape(-1, 2))), *map(float, bootstrap_interval(pairs, axes=2, statistic=difference)))
+    return Duel(apart, Mean(float(better.mean()), *map(float, bootstrap_interval(better, axes=2, statistic=np.mean))))

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from soft_tendon_env.envs.tracking import error_unit
-from soft_tendon_env.evaluation.metrics import BAD, METRICS, EpisodeScore, flat
+from soft_tendon_env.evaluation.metrics import BAD, METRICS
 from soft_tendon_env.evaluation.summaries import HIGH, Summary
 
 MODEL = "model in the loop"
@@ -21,15 +21,12 @@ SEEDS_LEGEND = "A (B-C): the interquartile mean over seeds of training, and its 
 SEEDS_LEGEND += f" {TAILS}."
 
 
-Row = TypeVar("Row")
-
-
-class Column(NamedTuple, Generic[Row]):
-    """Column of a table: its heading, its cell as a function of what a row is of, and whether it is among the few that tables have by
+class Column(NamedTuple):
+    """Column of a table: its heading, its cell as a function of a row's summary, and whether it is among the few that tables have by
     default."""
 
     header: str
-    cell: Callable[[Row], str]
+    cell: Callable[[Summary], str]
     usual: bool = False
 
 
@@ -65,9 +62,9 @@ def format_tails(summary: Summary, name: str) -> tuple[str, ...]:
     return *(number(error_unit(name).factor * value) for value in summary.tails[name]), f"{100 * summary.bad:.0f} %"
 
 
-def columns_of(summary: Summary) -> list[Column[Summary]]:
+def columns_of(summary: Summary) -> list[Column]:
     """Columns for every number of a task's summaries; divergences stand beside the return."""
-    columns = list[Column[Summary]]()
+    columns = list[Column]()
     for place, (name, error) in enumerate(summary.errors.items()):
         headings = [("rms", f"{error_unit(name).heading} RMS"), ("percentile_95", "p95")]
         headings += [] if math.isnan(error.steady_state) else [("steady_state", "steady state")]
@@ -127,12 +124,6 @@ def error_table(summaries: Mapping[tuple[str, str], Summary]) -> str:
     return with_legends(markdown_table(header, rows), summaries.values())
 
 
-def table_of(label: str, rows: Mapping[str, Row], columns: Sequence[Column[Row]]) -> str:
-    """Markdown table of a row per name; `label` stands above the names."""
-    cells = [(name, *(column.cell(row) for column in columns)) for name, row in rows.items()]
-    return markdown_table((label, *(column.header for column in columns)), cells)
-
-
 def with_legends(table: str, summaries: Iterable[Summary]) -> str:
     """Table with the legends that its summaries need."""
     shown = list(summaries)
@@ -147,26 +138,6 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     lines = ["| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |" for row in cells]
     return "\n".join([lines[0], "|" + "|".join("-" * (width + 2) for width in widths) + "|", *lines[1:]])
-
-
-def csv_record(summary: Summary) -> dict[str, Any]:
-    """A summary for CSV, in SI units; empty where there is no number. Several seeds have further columns: how many, and the intervals."""
-    tails = {f"{error}_{name}": value for error, of in summary.tails.items() for name, value in zip(("mean", f"p{HIGH}"), of, strict=True)}
-    counts = {name: getattr(summary, name) for name in ("bad", "reached", "settled", "settling_time")}
-    rest = {name: getattr(summary, name) for name in ("bound_violations", "mean_return", "diverged", "episodes")}
-    times = {f"action_time_{kind}": value for kind, value in summary.action_time._asdict().items()}
-    record = {**flat(summary.errors), **tails, **counts, **summary.metrics, **rest, **times}
-    if summary.seeds is not None:
-        bounds = {f"{key}_{kind}": bound for key, of_key in summary.intervals.items() for kind, bound in of_key._asdict().items()}
-        record |= {"seeds": summary.seeds, **bounds}
-    return {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in record.items()}
-
-
-def episode_record(score: EpisodeScore) -> dict[str, Any]:
-    """An episode in numbers that are few and short enough to be kept, for CSV: SI units, six digits, empty where there is no number."""
-    numbers = {**flat(score.errors), "settling_time": score.settling_time, "return": score.total_reward}
-    short = {key: None if value is None or math.isnan(value) else f"{value:.6g}" for key, value in numbers.items()}
-    return {"episode_seed": score.seed, **short, "reached": score.reached, "diverged": score.diverged}
 
 
 def write_csv(path: Path, records: Sequence[dict[str, Any]]) -> None:

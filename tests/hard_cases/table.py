@@ -79,7 +79,7 @@ def main() -> int:
     measurements = Measurements()
     status = pytest.main(["-q", str(HERE), f"--ignore={HERE / 'test_table.py'}"], plugins=[measurements])
     TABLE.parent.mkdir(exist_ok=True)
-    head = HEAD.format(stamp=stamp("of each test", ["tests/hard_cases"]))
+    head = HEAD.format(stamp=stamp())
     TABLE.write_text(head + "".join(measurements.row(case, text) for case, text in cases().items()), encoding="utf-8")
     return int(status)
 
