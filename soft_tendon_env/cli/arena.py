@@ -6,14 +6,14 @@ from typing import Any
 
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation.benchmark import Benchmark, standings_of
-from soft_tendon_env.evaluation.benchmark_tables import benchmark_tables, draw_benchmark
+from soft_tendon_env.evaluation.benchmark import Benchmark, results_of
+from soft_tendon_env.evaluation.benchmark_tables import benchmark_tables
 from soft_tendon_env.evaluation.comparison import shipped_notes
 from soft_tendon_env.evaluation.conditions import SETTINGS
 from soft_tendon_env.evaluation.experiment import Experiment
 from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.evaluation.provenance import machine
-from soft_tendon_env.evaluation.tables import write_csv
+from soft_tendon_env.evaluation.tables import records, write_csv
 from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.files import configs_folder
 from soft_tendon_env.tools.parallel import check_cluster
@@ -55,14 +55,17 @@ def run(arguments: Sequence[str]) -> None:
         print(f"note: {note}")
     print(f"{len(experiment.cells)} cells, {len(experiment.missing())} of them to be played, {what} each; {machine()}", flush=True)
     experiment.play("arena", settings.workers, settings.cluster)
-    found = standings_of(settings, experiment)
+    from soft_tendon_env.evaluation.pictures import draw_errors
+
+    found = results_of(settings, experiment)
     text, legend = benchmark_tables(found), "\n".join(f"- `{name}`: {SETTINGS[name].description}." for name in settings.settings)
     print(f"\n{legend}\n\n{text}\n")
-    write_csv(out / "arena.csv", found.records())
-    draw_benchmark(found, out / "arena.png")
+    write_csv(out / "arena.csv", [{"regime": regime, **row} for regime, of in found.of.items() for row in records(of)])
+    panels = {f"information: {regime}": of for regime, of in found.of.items()}
+    draw_errors(panels, out / "arena.png")
     if settings.write_docs is not None:
         picture = Path(settings.write_docs).with_suffix(".png")
-        draw_benchmark(found, picture)
+        draw_errors(panels, picture)
         parts = [f"{what.capitalize()}.", *(f"Note: {note}." for note in notes), text]
         page.write(marker, "\n\n".join([*parts, f"![Errors of all policies by setting and regime]({picture.name})"]))
 

@@ -7,19 +7,20 @@ from typing import Any
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.comparison import (
+    TIME,
     compare,
     comparison_tables,
-    configuration_record,
-    draw_comparison,
     models_of,
-    outcomes_of,
     print_caveats,
+    results_record,
     shared_arms,
+    standings_of,
 )
 from soft_tendon_env.evaluation.entrants import agents_of, every_file
 from soft_tendon_env.evaluation.pages import Page
-from soft_tendon_env.evaluation.provenance import machine, write_json
+from soft_tendon_env.evaluation.provenance import machine, origin, write_json
 from soft_tendon_env.evaluation.settings import Comparison, TableSettings
+from soft_tendon_env.evaluation.tables import records, write_csv
 from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.parallel import check_cluster
 
@@ -27,7 +28,7 @@ STOPPED = "stopped: the same command goes on"
 
 
 class Compare(Comparison, TableSettings):
-    """Print errors by policy and model error, resuming where it was stopped, and write JSON with every episode, and a picture.
+    """Print errors by policy and model error, resuming where it was stopped, and write JSON with every episode, CSV, and a picture.
 
     Attributes:
         config: a TOML file with the keys of Comparison, such as configs/compare.toml; options on the command line override it.
@@ -55,18 +56,18 @@ def run(arguments: Sequence[str]) -> None:
         writable_folder(out)
         print_caveats(settings, arms)
 
+    from soft_tendon_env.evaluation.pictures import draw_errors
+
     what = f"{len(settings.seeds)} episodes of {settings.seconds:g} s"
     print(f"{what}; {machine()}")
-    write_json(out / "configuration.json", configuration_record(settings, arms))
     for task, experiment in experiments.items():
         experiment.play(f"{task}: policies x model errors", settings.workers, settings.cluster)
-        outcomes = outcomes_of(experiment, files[task])
-        summaries = {key: outcome.summary for key, outcome in outcomes.items()}
-        models = models_of(task, files[task])
-        tables = comparison_tables(summaries, models, settings.all)
+        found = standings_of(experiment, files[task])
+        tables = comparison_tables(found, models_of(task, files[task]), settings.all)
         print(f"\n## {task}\n\n{tables}\n")
-        write_json(out / f"{task}.json", {"task": task, "results": [outcome.record(*key) for key, outcome in outcomes.items()]})
-        draw_comparison(summaries, task, out / f"{task}.png")
+        write_json(out / f"{task}.json", {**origin(), **results_record(settings, task, arms[task], found)})
+        write_csv(out / f"{task}.csv", records(found))
+        draw_errors({task: {key: found[key] for key in found if key[1] != TIME}}, out / f"{task}.png")
         page.write(f"compare {task}", f"{what.capitalize()}.\n\n{tables}")
 
 

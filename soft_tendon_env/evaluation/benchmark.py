@@ -16,7 +16,7 @@ from soft_tendon_env.evaluation.conditions import AND, SEEDS, SETTINGS, conditio
 from soft_tendon_env.evaluation.entrants import agents_of
 from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.settings import RegimeNames, SettingNames, TaskName, Workers, episode_steps
-from soft_tendon_env.evaluation.summaries import Duel, Standing, Tails, compared
+from soft_tendon_env.evaluation.summaries import Duel, Standing, Standings, compared
 from soft_tendon_env.policies.agent_checks import CLOCK
 from soft_tendon_env.policies.agent_files import INTERFACE
 from soft_tendon_env.policies.names import Agent, Controller, PolicyName
@@ -69,19 +69,13 @@ class BenchmarkPolicy(Configuration):
         return {seed: PolicyName.parse(file, task) for seed, file in files.items()}
 
 
-class Place(NamedTuple):
-    """Where policies meet: names of a regime and a setting."""
-
-    regime: str
-    setting: str
-
-
 class Label(NamedTuple):
-    """Name of a cell: a policy's label, its seed of training, and the place."""
+    """Name of a cell: a policy's label, its seed of training, and the names of the condition."""
 
     policy: str
     seed: int | None
-    place: Place
+    regime: str
+    setting: str
 
 
 class Benchmark(Workers):
@@ -162,7 +156,7 @@ class Benchmark(Workers):
                     options = condition(f"{regime}{AND}{setting}").options(given)
                     told = {"scene": self.scene, **(SETTINGS[setting].scene(load_scene(self.scene)) if entrant.told else {})}
                     cell = Cell(self.task, policy.text, options, episodes, self.seconds, self.skip, told=told)
-                    yield Label(entrant.label, seed, Place(regime, setting)), cell
+                    yield Label(entrant.label, seed, regime, setting), cell
         if reasons and not plays:
             only = "policies may observe what does not depend on the discretisation of the arm"
             raise ValueError(f"{entrant.label} can play in no regime ({'; '.join(reasons)}): {only}, see REGIMES in policies/regimes.py")
@@ -192,55 +186,32 @@ def misfit(policy: PolicyName, options: Mapping[str, Any], regime: str) -> str:
     return f"it has {count} strain sensors" if "strain" in groups and count > allowed.sensors else ""
 
 
-class Standings(NamedTuple):
-    """Results of a benchmark, by place and label; which labels are of controllers."""
+class Results(NamedTuple):
+    """Results of a benchmark: standings by policy and setting, of every regime; which policies are controllers."""
 
     benchmark: Benchmark
     controllers: frozenset[str]
-    of: Mapping[Place, Mapping[str, Standing]]
+    of: Mapping[str, Standings]
 
-    @property
-    def error(self) -> str:
-        """Name of the task's first error, by whose root mean square policies are ranked."""
-        return next(iter(next(iter(next(iter(self.of.values())).values())).episodes[0].errors))
+    def best(self, regime: str, setting: str, learned: bool) -> tuple[str, Standing] | None:
+        """Policy with the least error under a condition, among those that have learned or that have not; None: nobody plays there."""
+        found = [(name, own) for (name, of), own in self.of[regime].items() if of == setting and (name not in self.controllers) == learned]
+        return min(found, key=lambda own: own[1].mean(f"{own[1].error}_rms").value, default=None)
 
-    @property
-    def regimes(self) -> list[str]:
-        """Regimes that anybody played in."""
-        return [*dict.fromkeys(place.regime for place in self.of)]
-
-    def best(self, place: Place, learned: bool) -> str | None:
-        """Policy with the least error at a place, among those that have learned or that have not; None: nobody plays there."""
-        names = [name for name in self.of[place] if (name not in self.controllers) == learned]
-        return min(names, key=lambda name: self.of[place][name].mean(f"{self.error}_rms").value, default=None)
-
-    def duels(self) -> Iterator[tuple[Place, str, str, Duel]]:
-        """Wherever both kinds play: the best that has learned, the best controller, and how they compare."""
-        for place, standings in self.of.items():
-            learned, other = self.best(place, True), self.best(place, False)
-            if learned is not None and other is not None:
-                yield place, learned, other, compared(standings[learned], standings[other], f"{self.error}_rms")
-
-    def records(self) -> list[dict[str, Any]]:
-        """Errors, chatter, effort and time of an action of every policy at every place, SI units, with their intervals, for CSV."""
-        records = []
-        for place, standings in self.of.items():
-            for name, standing in standings.items():
-                counts = {"members": len(standing.scores), "episodes": len(standing.episodes), "bad": standing.bad}
-                record: dict[str, Any] = {**place._asdict(), "policy": name, **counts}
-                for key in (f"{self.error}_rms", "chatter", "effort", "seconds"):
-                    mean, tails = standing.mean(key), Tails.of(standing.values(key))
-                    record |= {key: mean.value, f"{key}_low": mean.low, f"{key}_high": mean.high, f"{key}_mean": tails.mean}
-                records.append(record)
-        return records
+    def duels(self) -> Iterator[tuple[str, str, tuple[str, Standing], tuple[str, Standing], Duel]]:
+        """Under every condition where both kinds play: the best that has learned, the best controller, and how they compare."""
+        for regime, of in self.of.items():
+            for setting in dict.fromkeys(setting for _, setting in of):
+                learned, other = (self.best(regime, setting, own) for own in (True, False))
+                if learned is not None and other is not None:
+                    yield regime, setting, learned, other, compared(learned[1], other[1], f"{other[1].error}_rms")
 
 
-def standings_of(benchmark: Benchmark, experiment: Experiment[Label]) -> Standings:
-    """Standings of an experiment that was played. Raises ValueError, OSError."""
-    scores: dict[Place, dict[str, list[Any]]] = {}
+def results_of(benchmark: Benchmark, experiment: Experiment[Label]) -> Results:
+    """Results of an experiment that was played. Raises ValueError, OSError."""
+    scores: dict[str, dict[tuple[str, str], list[Any]]] = {}
     for label in experiment.cells:
-        scores.setdefault(label.place, {}).setdefault(label.policy, []).append(experiment.scores(label))
+        scores.setdefault(label.regime, {}).setdefault((label.policy, label.setting), []).append(experiment.scores(label))
     kinds = {entrant.label: next(iter(entrant.members(benchmark.task).values())) for entrant in benchmark.entrants}
     controllers = frozenset(name for name, policy in kinds.items() if isinstance(policy, Controller))
-    of = {place: {name: Standing(own) for name, own in names.items()} for place, names in scores.items()}
-    return Standings(benchmark, controllers, of)
+    return Results(benchmark, controllers, {regime: {key: Standing(own) for key, own in of.items()} for regime, of in scores.items()})

@@ -8,21 +8,19 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from tqdm import tqdm
 
 from soft_tendon_env import recording
 from soft_tendon_env.envs import Options
-from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.conditions import NOMINAL, condition
 from soft_tendon_env.evaluation.entrants import model_in_the_loop
 from soft_tendon_env.evaluation.experiment import Cell, Experiment, Opened
 from soft_tendon_env.evaluation.metrics import EpisodeScore
 from soft_tendon_env.evaluation.play import evaluate
-from soft_tendon_env.evaluation.provenance import origin
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Settings
-from soft_tendon_env.evaluation.summaries import Summary, over_seeds, summarise
+from soft_tendon_env.evaluation.summaries import Standing, Standings, Summary, summarise
 from soft_tendon_env.evaluation.tables import error_table, summary_table
 from soft_tendon_env.policies.agent_files import ARM, is_shipped, shipped_as
 from soft_tendon_env.policies.load import short_name
@@ -65,40 +63,24 @@ def alone(cell: Cell) -> Cell:
 def compare(settings: Settings, task: str, arms: Arms, folder: Path) -> Experiment[tuple[str, str]]:
     """Experiment of every policy with every model error, and under TIME alone on the arm of its model. Raises ValueError, OSError for
     policies that cannot act there."""
-    cells = {}
+    cells = dict[tuple[str, str], Cell]()
     for policy, options in arms.items():
         of_policy = {error: make_cell(settings, settings.seeds, task, policy, options, error) for error in (NOMINAL, *settings.errors)}
         cells |= {(policy, TIME): alone(of_policy[NOMINAL]), **{(policy, error): of_policy[error] for error in settings.errors}}
     return Experiment(cells, folder)
 
 
-class Outcome(NamedTuple):
-    """A policy with a model error: scores of its agents, by seed of training; None: the seed of what is no folder of seeds."""
-
-    scores: Mapping[int | None, list[EpisodeScore]]
-    summary: Summary
-
-    def record(self, policy: str, error: str) -> dict[str, Any]:
-        """The policy's results for JSON, with every episode of every seed."""
-        episodes = [{"training_seed": seed, **score.record()} for seed, scores in self.scores.items() for score in scores]
-        return {"policy": policy, "model_error": error, "summary": self.summary.record(), "episodes": episodes}
+def standings_of(experiment: Experiment[tuple[str, str]], files: Mapping[str, Mapping[int | None, str]]) -> Standings:
+    """Standings by policy and model error, and TIME; `files` of every policy by seed of training. Raises ValueError, OSError."""
+    errors = dict.fromkeys(error for _, error in experiment.cells)
+    scores = {key: experiment.scores(key) for key in experiment.cells}
+    return {(policy, error): Standing([scores[file, error] for file in of.values()]) for policy, of in files.items() for error in errors}
 
 
-Outcomes = Mapping[tuple[str, str], Outcome]
-"""Outcomes by policy and model error."""
-
-
-def outcomes_of(experiment: Experiment[tuple[str, str]], files: Mapping[str, Mapping[int | None, str]]) -> Outcomes:
-    """Outcomes of a comparison that was played; `files` of every policy by seed of training. Raises ValueError, OSError."""
-
-    def outcome(of: Mapping[int | None, str], error: str) -> Outcome:
-        scores = {seed: experiment.scores((file, error)) for seed, file in of.items()}
-        times = {seed: summarise(experiment.scores((file, TIME))).action_time for seed, file in of.items()}
-        summaries = {seed: replace(summarise(scores[seed]), action_time=times[seed]) for seed in of}
-        return Outcome(scores, summaries[None] if None in of else over_seeds([*summaries.values()], [*scores.values()]))
-
-    errors = dict.fromkeys(error for _, error in experiment.cells if error != TIME)
-    return {(policy, error): outcome(of, error) for policy, of in files.items() for error in errors}
+def summaries_of(found: Standings) -> dict[tuple[str, str], Summary]:
+    """Summaries by policy and model error, with the times per action that were measured."""
+    times = {policy: summarise(found[policy, error].episodes).action_time for policy, error in found if error == TIME}
+    return {key: replace(summarise(own.episodes), action_time=times[key[0]]) for key, own in found.items() if key[1] != TIME}
 
 
 def models_of(task: str, files: Mapping[str, Mapping[int | None, str]]) -> dict[str, str]:
@@ -106,46 +88,37 @@ def models_of(task: str, files: Mapping[str, Mapping[int | None, str]]) -> dict[
     return {policy: model_in_the_loop(PolicyName.parse(next(iter(of.values())), task)) for policy, of in files.items()}
 
 
-def comparison_tables(summaries: Mapping[tuple[str, str], Summary], models: Mapping[str, str], every: bool = False) -> str:
+def comparison_tables(found: Standings, models: Mapping[str, str], every: bool = False) -> str:
     """Errors by policy and model error; below, the usual numbers, or every one, on the model's arm or on the first that there is, and
     `models_of` the policies."""
+    summaries = summaries_of(found)
     errors = [error for _, error in summaries]
     error = NOMINAL if NOMINAL in errors else errors[0]
     of_error = {policy: summary for (policy, of), summary in summaries.items() if of == error}
-    return f"{error_table(summaries)}\n\n{summary_table(f'policy ({error})', of_error, every, models)}"
+    table = error_table({key: found[key] for key in summaries})
+    return f"{table}\n\n{summary_table(f'policy ({error})', of_error, every, models)}"
 
 
-def draw_comparison(summaries: Mapping[tuple[str, str], Summary], task: str, path: Path) -> None:
-    """Draw the task's first error by policy and model error, with the intervals of several seeds. Raises OSError."""
-    from soft_tendon_env.evaluation.pictures import draw_errors
-
-    panel, unit = dict[str, dict[str, tuple[float, float, float]]](), error_unit(next(iter(next(iter(summaries.values())).errors)))
-    for (policy, error), summary in summaries.items():
-        value = next(iter(summary.errors.values())).rms
-        low, high = summary.intervals.get(f"{next(iter(summary.errors))}_rms", (value, value))
-        panel.setdefault(short_name(policy), {})[error] = (unit.factor * value, unit.factor * float(low), unit.factor * float(high))
-    draw_errors({task: panel}, f"{unit.heading} RMS", path)
-
-
-def configuration_record(settings: Settings, arms: Mapping[str, Arms]) -> dict[str, Any]:
-    """All that results depend on, for JSON: settings, every policy's environment as resolved, by task, model errors, versions, machine."""
-    environments = [
-        {"task": task, "policy": policy, "options": Options(**options).model_dump(mode="json")}
-        for task, of_task in arms.items()
-        for policy, options in of_task.items()
+def results_record(settings: Settings, task: str, arms: Arms, found: Standings) -> dict[str, Any]:
+    """All results of a task for JSON: settings, every policy's environment as resolved, summaries and episodes."""
+    environments = {policy: Options(**options).model_dump(mode="json") for policy, options in arms.items()}
+    results = [
+        {
+            "policy": policy,
+            "model_error": error,
+            "summary": summary.record(),
+            "episodes": [own.record() for own in found[policy, error].episodes],
+        }
+        for (policy, error), summary in summaries_of(found).items()
     ]
-    errors = {name: dict(condition(name).randomize) for name in settings.errors}
-    record = {"settings": settings.model_dump(mode="json"), "seeds": settings.seeds, "model_errors": errors}
-    return {**origin(), **record, "environments": environments}
+    return {"task": task, "settings": settings.model_dump(mode="json"), "environments": environments, "results": results}
 
 
 def print_caveats(settings: EpisodeSettings, arms: Mapping[str, Arms]) -> None:
     """Print what every arm has drawn, and what trained the agents that ship, on the error stream. Raises ValueError, OSError."""
     randomize = settings.options.get("randomize")
     notes = [f"every arm, the nominal one too, has randomize = {shown(plain(randomize))}"] if randomize else []
-    for task, of_task in arms.items():
-        notes += shipped_notes(of_task, task)
-    for note in notes:
+    for note in (*notes, *(line for task, of_task in arms.items() for line in shipped_notes(of_task, task))):
         print(f"note: {note}", file=sys.stderr)
 
 

@@ -64,7 +64,7 @@ class Cell(NamedTuple):
         with warnings.catch_warnings():
             if self.told is not None:  # fields made for other loads are taken as they are: the page of the results says so
                 warnings.simplefilter("ignore", FieldsWarning)
-            rows = {"num_envs": len(self.seeds), "threads": 1}
+            rows: dict[str, Any] = {"num_envs": len(self.seeds), "threads": 1}
             env: Any = gym.make_vec(IDS[self.task], **rows, **given) if self.rows else gym.make(IDS[self.task], **given)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", TrainingWarning)  # what the commands print says it once

@@ -77,8 +77,9 @@ class Page:
 
     def __init__(self, path: str | None, names: Iterable[str]) -> None:
         self._path = None if path is None else Path(path)
-        for name in names if self._path is not None else ():
-            around_markers(self._path, name)
+        if self._path is not None:
+            for name in names:
+                around_markers(self._path, name)
 
     def write(self, name: str, text: str) -> None:
         """Replaces what stands between the lines of a name, with a stamp before it. Raises as `around_markers`, OSError."""

@@ -15,32 +15,36 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from soft_tendon_env.accuracy.pareto import Point
 from soft_tendon_env.drawing.palette import styles
+from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.metrics import EpisodeScore
+from soft_tendon_env.evaluation.summaries import Standings
+from soft_tendon_env.policies.load import short_name
 from soft_tendon_env.recording import Rollout
 
-Bar = tuple[float, float, float]
-"""A number and the ends of its interval."""
 ROOM, HEADROOM, PALE = 1.3, 2.0, 0.35
 """Of the demo: room around the circle, times its radius, above the errors of all but the first policy, and that one's opacity: the paper's
 law as printed goes far and wide."""
 
 
-def draw_errors(panels: Mapping[str, Mapping[str, Mapping[str, Bar]]], label: str, path: Path) -> None:
-    """Draw errors with their intervals, by title of a panel, policy and condition. Raises OSError."""
+def draw_errors(panels: Mapping[str, Standings], path: Path) -> None:
+    """Draw interquartile means of the first error with their intervals, by title of a panel, policy and condition. Raises OSError."""
     figure, all_axes = plt.subplots(len(panels), 1, figsize=(12, 1.0 + 3.6 * len(panels)), constrained_layout=True, squeeze=False)
-    drawn = styles([*dict.fromkeys(policy for panel in panels.values() for policy in panel)])
+    drawn = styles([*dict.fromkeys(policy for panel in panels.values() for policy, _ in panel)])
     for axes, (title, panel) in zip(all_axes[:, 0], panels.items(), strict=True):
-        conditions = [*dict.fromkeys(name for of_policy in panel.values() for name in of_policy)]
-        for index, (policy, of_policy) in enumerate(panel.items()):
-            own, x = drawn[policy], np.array([conditions.index(name) for name in of_policy]) + 0.7 * ((index + 0.5) / len(panel) - 0.5)
-            value, low, high = np.array([*of_policy.values()]).T
-            axes.plot(x, value, own.marker, color=own.rgb, markersize=5, label=policy)
+        policies, conditions = ([*dict.fromkeys(key[i] for key in panel)] for i in (0, 1))
+        unit = error_unit(next(iter(panel.values())).error)
+        for index, policy in enumerate(policies):
+            own, places = drawn[policy], [k for k, condition in enumerate(conditions) if (policy, condition) in panel]
+            found = [panel[policy, conditions[k]] for k in places]
+            value, low, high = unit.factor * np.array([standing.mean(f"{standing.error}_rms") for standing in found]).T
+            x = np.array(places) + 0.7 * ((index + 0.5) / len(policies) - 0.5)
+            axes.plot(x, value, own.marker, color=own.rgb, markersize=5, label=short_name(policy))
             axes.vlines(x, low, high, color=own.rgb, linewidth=1.5)
         for border in range(len(conditions) - 1):
             axes.axvline(border + 0.5, color="0.85", linewidth=0.8)
         set_log_scale(axes, axes.yaxis)
         axes.set_xticks(range(len(conditions)), conditions, rotation=20)
-        axes.set(ylabel=label, title=title, xlim=(-0.5, len(conditions) - 0.5))
+        axes.set(ylabel=f"{unit.heading} RMS", title=title, xlim=(-0.5, len(conditions) - 0.5))
         axes.grid(axis="y", alpha=0.3)
         axes.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     save_figure(figure, path)

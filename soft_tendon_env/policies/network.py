@@ -121,7 +121,8 @@ def load_zip(path: Path) -> tuple[Any, bool]:
     from stable_baselines3.common.save_util import load_from_zip_file
 
     try:
-        data, parameters, _ = load_from_zip_file(path, device="cpu")
+        found: Any = load_from_zip_file(path, device="cpu")
+        data, parameters, _ = found
         given = {**data["policy_kwargs"], **({"use_sde": True} if data.get("use_sde") else {})}
         network = data["policy_class"](data["observation_space"], data["action_space"], lr_schedule=lambda _: 0.0, **given)
         network.load_state_dict(parameters["policy"])
