@@ -210,7 +210,7 @@ class Results(NamedTuple):
 def results_of(benchmark: Benchmark, experiment: Experiment[Label]) -> Results:
     """Results of an experiment that was played. Raises ValueError, OSError."""
     scores: dict[str, dict[tuple[str, str], list[Any]]] = {}
-    for label in experiment.cells:
+    for label in sorted(experiment.cells, key=lambda label: benchmark.settings.index(label.setting)):
         scores.setdefault(label.regime, {}).setdefault((label.policy, label.setting), []).append(experiment.scores(label))
     kinds = {entrant.label: next(iter(entrant.members(benchmark.task).values())) for entrant in benchmark.entrants}
     controllers = frozenset(name for name, policy in kinds.items() if isinstance(policy, Controller))

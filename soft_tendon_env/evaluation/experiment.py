@@ -62,12 +62,11 @@ class Cell(NamedTuple):
         given = {"max_episode_steps": episode_steps(self.seconds, self.skip, self.options), **self.options}
         policy = PolicyName.parse(self.policy, self.task)
         with warnings.catch_warnings():
+            warnings.simplefilter("ignore", TrainingWarning)  # what the commands print says it once
             if self.told is not None:  # fields made for other loads are taken as they are: the page of the results says so
                 warnings.simplefilter("ignore", FieldsWarning)
             rows: dict[str, Any] = {"num_envs": len(self.seeds), "threads": 1}
             env: Any = gym.make_vec(IDS[self.task], **rows, **given) if self.rows else gym.make(IDS[self.task], **given)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", TrainingWarning)  # what the commands print says it once
             return policy.load(env, believed_scene(policy, self.told), other_effects=self.told is not None), env
 
     def key(self, code: str) -> str:

@@ -33,7 +33,8 @@ def check_agent(name: str, config: AgentConfig, episodes: Episodes, other_effect
         values[key] = (getattr(trained, key), getattr(now, key))
     for key, (one, other) in values.items():
         if one != other or key == "observation" and [*one] != [*other]:  # also in their order
-            text = f"{name} was trained with another {key} than this environment has: {shown(one)}, not {shown(other)}"
+            values_of = "" if key in PHYSICS else f": {shown(one)}, not {shown(other)}"
+            text = f"{name} was trained with another {key} than this environment has{values_of}"
             raise ValueError(f"{text}. policy_options() has the options of its training; what `randomize` draws may differ")
     same = before.replace({"name": "arm"}) == scene.replace({"name": "arm"})
     soft = {"task": (config.task or episodes.task.name, episodes.task.name)}

@@ -77,7 +77,7 @@ def read_normalization(path: Path) -> Normalization:
         moments = {key: Moments(*(arrays.pop(f"{key}.{name}" if key else name) for name in Moments._fields)) for key in keys}
     except FileNotFoundError:
         raise
-    except UNREADABLE as error:
+    except (*UNREADABLE, AttributeError) as error:
         raise ValueError(f"{path} is no .npz file of mean, variance, clip and epsilon, or was damaged: {first_line(error)}") from error
     alike = all(of.mean.shape == of.variance.shape and (of.variance >= 0.0).all() for of in moments.values())
     if arrays or not (moments and finite and alike and clip > 0.0 and epsilon >= 0.0):

@@ -12,8 +12,7 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate_rows, summarise
 from soft_tendon_env.learning.config import Normalisation, Training, config_names
 from soft_tendon_env.policies import agent_files, load_agent, policy_options
-from soft_tendon_env.policies.agent_files import find_agent, shipped_as, shipped_for
-from soft_tendon_env.policies.trained_by import shipped_notes, trained_by
+from soft_tendon_env.policies.agent_files import find_agent, shipped_as
 
 TRAINED = Path(__file__).parent.parent.parent / "agents" / "trained"
 BARS = {
@@ -65,19 +64,6 @@ def test_it_says_where_it_comes_from(agent):
     training["normalise"] = {key: found["normalise"][key] for key in Normalisation.model_fields}
     assert Training.parse(training, "config.json").task == task
     assert found["steps_done"] > 0
-
-
-@pytest.mark.parametrize("task", IDS)
-def test_pages_say_how_the_best_was_trained(task):
-    said = trained_by("agent", task)
-    quickstart = ["docs/tutorials/quickstart.md"] if task == "TipPose" else []
-    for page in ("agents/trained/README.md", "docs/how_to/train_at_scale.md", *quickstart):
-        assert said in " ".join((TRAINED.parent.parent / page).read_text(encoding="utf-8").split()), f"{page} should say {said!r}"
-
-
-def test_there_is_one_for_every_task():
-    assert {shipped_as("agent", task) in shipped_for(task) for task in IDS} == {True}
-    assert shipped_notes(["tracking", "agent"], "Reach") == [f"agent is {shipped_as('agent', 'Reach')}: {trained_by('agent', 'Reach')}"]
 
 
 @pytest.mark.parametrize("name, training", [("sac", "sac_tip_pose"), ("ppo", "ppo_tip_pose")])
