@@ -1,10 +1,8 @@
 """Extended Kalman filter on the reduced model: the state of an arm from whatever is measured of it, with offsets and gains of its inputs.
 
-The motion is predicted by the model's own simulation and its covariance by the Jacobians that come with it (`Simulation.rollout`). Beside
-coordinates and rates the filter estimates what the model has wrong, as slow random walks: a tension that is added (offset-free control, as
-in Pannocchia and Rawlings, Disturbance models for offset-free model-predictive control, AIChE J. 49, 2003) and a gain of every tendon, by
-which a stiffness that is wrong shows too; the displacement between the model's tip and the one that is measured; and the latency of the
-commands, if it is not known, by how the prediction would change with it.
+The motion is predicted by the model's own simulation, its covariance by the Jacobians that come with it. The filter also estimates what the
+model has wrong, as slow random walks: a tension that is added (offset-free control, Pannocchia and Rawlings, AIChE J. 49, 2003), a gain of
+every tendon, the displacement between the model's tip and the measured one, and the latency of the commands, if it is not known.
 """
 
 from typing import NamedTuple

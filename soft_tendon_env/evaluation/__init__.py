@@ -2,7 +2,7 @@
 
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, MODEL_ERRORS, SEEDS, VALIDATION_SEEDS, Condition, condition
 from soft_tendon_env.evaluation.metrics import METRICS, EpisodeScore, Metric
-from soft_tendon_env.evaluation.play import evaluate, evaluate_rows, validation_error
+from soft_tendon_env.evaluation.play import evaluate, evaluate_rows
 from soft_tendon_env.evaluation.summaries import Summary, summarise
 
 __all__ = [
@@ -19,5 +19,4 @@ __all__ = [
     "evaluate",
     "evaluate_rows",
     "summarise",
-    "validation_error",
 ]

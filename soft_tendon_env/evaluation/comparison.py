@@ -115,10 +115,15 @@ def results_record(settings: Settings, task: str, arms: Arms, found: Standings) 
 
 
 def print_caveats(settings: EpisodeSettings, arms: Mapping[str, Arms]) -> None:
-    """Print what every arm has drawn, and what trained the agents that ship, on the error stream. Raises ValueError, OSError."""
+    """Print what every arm has drawn, whose arm it is, and what trained the agents that ship, on the error stream. Raises ValueError,
+    OSError."""
     randomize = settings.options.get("randomize")
     notes = [f"every arm, the nominal one too, has randomize = {shown(plain(randomize))}"] if randomize else []
-    for note in (*notes, *(line for task, of_task in arms.items() for line in shipped_notes(of_task, task))):
+    for task, of_task in arms.items():
+        own = {key: options[key] for options in of_task.values() for key in ARM if key in options and key not in settings.options}
+        notes += [f"{task}: on the arm of the agents, {', '.join(f'{key} = {shown(value)}' for key, value in own.items())}"] if own else []
+        notes += shipped_notes(of_task, task)
+    for note in notes:
         print(f"note: {note}", file=sys.stderr)
 
 

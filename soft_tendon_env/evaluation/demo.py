@@ -49,7 +49,7 @@ class Demonstration(Workers, TableSettings):
     def policies(self) -> dict[str, str]:
         """Policies that are shown, and their names there, which say what they are. Raises ValueError, OSError."""
         names = {Agent(name, TASK).files.path: name for name in (*(["ppo"] if "ppo" in shipped_for(TASK) else []), self.agent)}
-        trained = {name: Agent(name, TASK).config.algorithm or name for name in names.values()}
+        trained = {name: Agent(name, TASK).training.partition(",")[0] for name in names.values()}
         return SHOWN | {name: f"agent ({own})" if name == self.agent else own for name, own in trained.items()}
 
     def cells(self, target: str) -> dict[str, Cell]:

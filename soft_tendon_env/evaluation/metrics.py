@@ -15,16 +15,11 @@ from numpy.typing import NDArray
 from soft_tendon_env.tools.checks import checked_number
 from soft_tendon_env.tools.types import Array
 
-FAST = 10.0
-"""Frequency [Hz] above which changes of tension are chatter: no arm of this kind moves as fast."""
-SETTLED = 0.01
-"""Share of the rod's length below which the task's first error stays once an episode has settled: 10 mm on the paper's arm."""
-STAY = 1.0
-"""Time [s] for which it has to stay there, up to the end of the episode: a shorter one is no settling."""
-BAD = 0.02
-"""Share of the rod's length above which the first error makes an episode a bad one."""
-STILL = 1e-9
-"""Greatest change of a target's pose [m, or of its rotation's entries] from one control period to the next of a target that holds still."""
+FAST = 10.0  # [Hz] above which changes of tension are chatter: no arm of this kind moves as fast
+SETTLED = 0.01  # share of the rod's length below which the task's first error stays once an episode has settled
+STAY = 1.0  # [s] for which it has to stay there, up to the end of the episode
+BAD = 0.02  # share of the rod's length above which the first error makes an episode a bad one
+STILL = 1e-9  # greatest change of a target's pose [m, or of its rotation's entries] in a control period of a target that holds still
 
 
 @dataclass(frozen=True, eq=False)

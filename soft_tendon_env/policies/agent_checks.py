@@ -25,17 +25,19 @@ def check_agent(name: str, config: AgentConfig, episodes: Episodes, other_effect
     now, scene, layout = episodes.options, episodes.model.scene, layout_of(episodes)
     trained = now if config.options is None else Options(**config.options)
     before = scene if config.options is None else resolved_scene(trained)
-    values: dict[str, tuple[Any, Any]] = {"observation": (config.layout or layout, layout)}
-    values |= {key: (getattr(before, key), getattr(scene, key)) for key in PHYSICS if not (other_effects and key == "effects")}
+    for key in PHYSICS:
+        if getattr(before, key) != getattr(scene, key) and not (other_effects and key == "effects"):
+            text = f"{name} was trained on an arm with other {key} (scene {before.name!r}) than this environment's ({scene.name!r})"
+            raise ValueError(f"{text}: an arm that differs from it is what `randomize` is for")
+    groups = [", ".join(f"{group} ({size})" for group, size in of.items()) for of in (config.layout or layout, layout)]
+    if groups[0] != groups[1]:  # also in their order
+        raise ValueError(f"{name} was trained with the observation {groups[0]}, this environment has {groups[1]}")
+    values = {key: (getattr(trained, key), getattr(now, key)) for key in INTERFACE[1:]}
     if {"coordinates", "rates", "target_coordinates"} & layout.keys():
         values["strain"] = (config.strain or strain_of(before), strain_of(scene))
-    for key in INTERFACE[1:]:
-        values[key] = (getattr(trained, key), getattr(now, key))
     for key, (one, other) in values.items():
-        if one != other or key == "observation" and [*one] != [*other]:  # also in their order
-            values_of = "" if key in PHYSICS else f": {shown(one)}, not {shown(other)}"
-            text = f"{name} was trained with another {key} than this environment has{values_of}"
-            raise ValueError(f"{text}. policy_options() has the options of its training; what `randomize` draws may differ")
+        if one != other:
+            raise ValueError(f"{name} was trained with {key} = {shown(one)}, this environment has {shown(other)}")
     same = before.replace({"name": "arm"}) == scene.replace({"name": "arm"})
     soft = {"task": (config.task or episodes.task.name, episodes.task.name)}
     soft |= {key: (getattr(trained, key), getattr(now, key)) for key in ARM if key == CLOCK or not same}

@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import CONTROLLERS, ControllerInput, ControllerOutput, Reference, register_controller
+from soft_tendon_env.control import ControllerInput, ControllerOutput, Reference, register_controller
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.paper_laws import PaperShape
 from soft_tendon_env.control.rigid_motions import moved_pose
@@ -116,10 +116,3 @@ def test_a_controller_from_outside_acts_by_its_name(half):
     np.testing.assert_allclose(action, 0.0, atol=1e-7)
     with pytest.raises(ValueError, match="controller is 'half': valid: feedforward, paper, predictive, tracking"):
         observation_options("half", "Shape")
-
-
-def test_a_name_that_is_taken_is_refused():
-    before = CONTROLLERS["TipPose"]["predictive"]
-    with pytest.raises(ValueError, match="the controller 'predictive' of TipPose is registered twice"):
-        register_controller("predictive", tasks=["TipPose"], description="")(Half)
-    assert CONTROLLERS["TipPose"]["predictive"] is before

@@ -179,13 +179,13 @@ def ppo(tmp_path):
 @pytest.mark.cases(
     "task, options, said",
     [
-        ("TipPose", {"observation": ["rates", "coordinates"]}, "was trained with another observation than"),
-        ("TipPose", {"preview": []}, "was trained with another observation than"),
-        ("TipPose", {"preview": [0.02, 0.04]}, "was trained with another preview than"),
-        ("TipPose", {"action": "tension"}, "was trained with another action than"),
-        ("TipPose", {"scene": "paper"}, "was trained with another"),
-        ("TipPose", {"scene": {"scene": "three_tendon", "segments[0].young_modulus": 1e5}}, "was trained with another segments"),
-        ("TipPose", {"scene": {"scene": "three_tendon", "effects.gravity.acceleration": [0, 0, -9.81]}}, "with another effects"),
+        ("TipPose", {"observation": ["rates", "coordinates"]}, "was trained with the observation"),
+        ("TipPose", {"preview": []}, "was trained with the observation"),
+        ("TipPose", {"preview": [0.02, 0.04]}, "was trained with preview = "),
+        ("TipPose", {"action": "tension"}, "was trained with action = "),
+        ("TipPose", {"scene": "paper"}, "was trained on an arm with other segments"),
+        ("TipPose", {"scene": {"scene": "three_tendon", "segments[0].young_modulus": 1e5}}, "was trained on an arm with other segments"),
+        ("TipPose", {"scene": {"scene": "three_tendon", "effects.gravity.acceleration": [0, 0, -9.81]}}, "with other effects"),
     ],
 )
 def test_an_agent_is_refused_elsewhere(ppo, task, options, said):

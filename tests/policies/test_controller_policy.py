@@ -1,6 +1,5 @@
 """Controllers as agents: they are told what is, what they decide is done, rows know nothing of each other."""
 
-
 import numpy as np
 import pytest
 

@@ -1,6 +1,5 @@
 """Names of policies: which of the three each is, what they need to observe, and what is refused."""
 
-
 import gymnasium as gym
 import pytest
 
