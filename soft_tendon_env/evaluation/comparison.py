@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from soft_tendon_env import recording
 from soft_tendon_env.envs import Options
-from soft_tendon_env.evaluation.conditions import NOMINAL, condition
+from soft_tendon_env.evaluation.conditions import NOMINAL, model_error
 from soft_tendon_env.evaluation.entrants import model_in_the_loop
 from soft_tendon_env.evaluation.experiment import Cell, Experiment, Opened
 from soft_tendon_env.evaluation.metrics import EpisodeScore
@@ -52,7 +52,7 @@ def shared_arms(settings: EpisodeSettings, task: str, policies: Iterable[str]) -
 def make_cell(settings: EpisodeSettings, seeds: tuple[int, ...], task: str, policy: str, options: dict[str, Any], error: str) -> Cell:
     """A policy under a condition, which overrides what the options have drawn. Raises ValueError."""
     rows = not isinstance(PolicyName.parse(policy, task), Agent)  # a network rounds otherwise for many observations than for one
-    return Cell(task, policy, condition(error).options(options), seeds, settings.seconds, settings.skip, rows=rows)
+    return Cell(task, policy, model_error(error).options(options), seeds, settings.seconds, settings.skip, rows=rows)
 
 
 def alone(cell: Cell) -> Cell:

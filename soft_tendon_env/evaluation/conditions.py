@@ -109,13 +109,18 @@ SETTINGS: dict[str, Condition] = {
 """Settings of the benchmark, and of searches for parameters of controllers."""
 
 
-def condition(names: str) -> Condition:
-    """Condition of a name of MODEL_ERRORS, SETTINGS or REGIMES (their noise), or of several together, "stiffness+20%,payload-20g".
+def model_error(names: str) -> Condition:
+    """Condition of a name of MODEL_ERRORS, or of several together, "stiffness+20%,payload-20g". Raises as `condition`."""
+    return condition(names, MODEL_ERRORS)
+
+
+def condition(names: str, known: Mapping[str, Condition] | None = None) -> Condition:
+    """Condition of a name, by default of SETTINGS or REGIMES (their noise), or of several together, "sensors,water".
 
     Raises ValueError for unknown names, and where two set the same value.
     """
     regimes = {name: Condition(regime.description, {"noise": dict(regime.noise)}) for name, regime in REGIMES.items()}
-    known, parts = {**SETTINGS, **regimes, **MODEL_ERRORS}, list[Condition]()
+    known, parts = known or {**SETTINGS, **regimes}, list[Condition]()
     for name in names.split(AND):
         if name not in known:
             raise ValueError(f"names {name!r}: {not_among(name, known)}; several at once with {AND!r} between them")

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from soft_tendon_env.envs import IDS, Options
-from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, MODEL_ERRORS, SETTINGS, condition
+from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, MODEL_ERRORS, SETTINGS, model_error
 from soft_tendon_env.policies.agent_files import EnvironmentOptions
 from soft_tendon_env.policies.load import ALL
 from soft_tendon_env.policies.regimes import REGIMES
@@ -92,7 +92,7 @@ class Settings(EpisodeSettings, Workers):
     def _known(cls, errors: tuple[str, ...]) -> tuple[str, ...]:
         every = [name for given in errors for name in (MODEL_ERRORS if given == ALL else (given,))]
         for name in every:
-            condition(name)
+            model_error(name)
         return tuple(dict.fromkeys(every))
 
     @model_validator(mode="before")

@@ -6,7 +6,7 @@ where it sees them as they are; `config.json`: the configuration that it was tra
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, Self
 
 from pydantic import AfterValidator, ConfigDict, Field, field_validator
 
@@ -30,12 +30,7 @@ INTERFACE = ("observation", "preview", "history", "sensors", "contact_sections",
 """Options that say what a policy observes and how its actions are read."""
 
 
-def _checked_options(options: dict[str, Any]) -> dict[str, Any]:
-    Options.parse(options, "options")
-    return options
-
-
-EnvironmentOptions = Annotated[dict[str, Any], AfterValidator(_checked_options)]
+EnvironmentOptions = Annotated[dict[str, Any], AfterValidator(lambda options: Options.parse(options, "options") and options)]
 """Options of an environment as plain tables."""
 
 
@@ -83,29 +78,24 @@ class AgentConfig(Configuration):
 
 
 class AgentFiles(NamedTuple):
-    """Paths of an agent: its folder or .zip file."""
+    """Paths of an agent: its folder or .zip file, the folder of its other files, and these."""
 
     path: Path
+    folder: Path
+    weights: Path
+    config: Path
+    statistics: Path
+
+    @classmethod
+    def of(cls, path: Path) -> Self:
+        """The files of a folder, or of a .zip file with others beside it."""
+        is_zip = path.suffix == ".zip"
+        folder = path.parent if is_zip else path
+        return cls(path, folder, path if is_zip else path / WEIGHTS, folder / CONFIG, folder / STATISTICS)
 
     @property
     def is_zip(self) -> bool:
-        return self.path.suffix == ".zip"
-
-    @property
-    def folder(self) -> Path:
-        return self.path.parent if self.is_zip else self.path
-
-    @property
-    def weights(self) -> Path:
-        return self.path if self.is_zip else self.path / WEIGHTS
-
-    @property
-    def config(self) -> Path:
-        return self.folder / CONFIG
-
-    @property
-    def statistics(self) -> Path:
-        return self.folder / STATISTICS
+        return self.path == self.weights
 
 
 def is_shipped(name: str) -> bool:
@@ -156,7 +146,7 @@ def shipped_as(name: str, task: str) -> str:
 
 def find_agent(name: str, task: str) -> AgentFiles:
     """Files of an agent by its name: one of `SHIPPED` for the task, a folder or a .zip file. Raises ValueError, FileNotFoundError."""
-    files = AgentFiles(trained_folder() / shipped_as(name, task) / task if is_shipped(name) else Path(name))
+    files = AgentFiles.of(trained_folder() / shipped_as(name, task) / task if is_shipped(name) else Path(name))
     if not files.weights.is_file():
         raise FileNotFoundError(f"{name}: there is no file {files.weights}")
     return files

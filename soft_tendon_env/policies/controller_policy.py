@@ -1,8 +1,5 @@
 """Controllers as policies: Stable-Baselines3's `predict` around a controller of `soft_tendon_env.control`.
 
-    policy, state = ControllerPolicy(controller, interface_of(env)), None
-    action, state = policy.predict(observation, state)
-
 What the controller knows comes out of the observation and of its own state; what it decides becomes an action.
 """
 
@@ -202,13 +199,8 @@ def _entry(controller: str | Entry, task: str) -> Entry:
 class ControllerPolicy:
     """Controller behind Stable-Baselines3's `predict`, for one row or many.
 
-    Args:
-        controller: see control.protocol.
-        interface: see `interface_of`.
-        estimator: finds the coordinates from what is measured; None: they are observed.
-        predictor: of where the arm will be when commands arrive; None: they arrive at once.
-
-    Raises ConfigurationError where the observation lacks what the controller needs.
+    estimator: finds the coordinates from what is measured; None: they are observed. predictor: of where the arm will be when commands
+    arrive; None: they arrive at once. Raises ConfigurationError where the observation lacks what the controller needs.
     """
 
     def __init__(

@@ -46,19 +46,12 @@ Make = Callable[[Model, Setting], Estimator]
 
 @dataclass(frozen=True)
 class EstimatorEntry:
-    """State estimator of ESTIMATORS.
+    """State estimator of ESTIMATORS."""
 
-    Attributes:
-        prefix: what stands before a controller's name in the name of its policy, "filtered:".
-        make: the estimator for a model and a Setting.
-        greatest_latency: [s] of commands that it estimates by itself; 0: it does not.
-        filters: it is a Kalman filter: entries of its Uncertainty can be tuned.
-    """
-
-    prefix: str
+    prefix: str  # what stands before a controller's name in the name of its policy, "filtered:"
     make: Make
-    greatest_latency: float = 0.0
-    filters: bool = False
+    greatest_latency: float = 0.0  # [s] of commands that it estimates by itself; 0: it does not
+    filters: bool = False  # whether it is a Kalman filter: entries of its Uncertainty can be tuned
 
 
 def _kalman_filter(model: Model, setting: Setting, greatest_latency: float | None = None) -> Estimator:

@@ -10,7 +10,6 @@ The grammars are those of the three classes. For another one, add a class, and i
 import importlib
 import importlib.util
 import sys
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -50,7 +49,7 @@ ESTIMATOR = "estimator."
 
 
 @dataclass(frozen=True)
-class PolicyName(ABC):
+class PolicyName:
     """Name of a policy for a task ("TipPose", ...): `text`, as it was given, and what it means."""
 
     text: str
@@ -85,22 +84,21 @@ class PolicyName(ABC):
             f"policy is {text!r}, {what}: it should be {agents}, or a controller of {task}; {not_among(controller, controllers)}"
         )
 
-    @abstractmethod
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Options of an environment in which the policy sees what it needs: its own, and those given. Raises ValueError, OSError."""
+        raise NotImplementedError
 
-    @abstractmethod
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
-        """The policy for an environment with its options.
+        """The policy for an environment with its options. Raises ValueError, OSError, ModuleNotFoundError.
 
         scene: of the arm that a controller believes in, by default the environment's, at the fidelity that the name says, if it says one.
-        other_effects: whether the arm may have effects that an agent was not trained with. Raises ValueError, OSError,
-        ModuleNotFoundError.
+        other_effects: whether the arm may have effects that an agent was not trained with.
         """
+        raise NotImplementedError
 
-    @abstractmethod
     def fingerprint(self) -> Any:
         """Plain values that tell it from others: its name, and digests of its files. Raises ValueError, OSError."""
+        return self.text
 
 
 class TunedController(Configuration):

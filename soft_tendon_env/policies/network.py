@@ -30,8 +30,7 @@ def register_algorithm(algorithm: Algorithm) -> Algorithm:
     Its hyperparameters are those arguments that `learning.hyperparameters` knows; agents of it load where it is registered. Raises
     ValueError for a name that another algorithm has.
     """
-    name = algorithm.__name__
-    if name in ALGORITHMS or name in OF_PACKAGE or name in _REGISTERED and _REGISTERED[name].__qualname__ != algorithm.__qualname__:
+    if (name := algorithm.__name__) in {**ALGORITHMS, **OF_PACKAGE}:
         raise ValueError(f"there is an algorithm {name} already: give the class another name")
     _REGISTERED[name] = algorithm
     return algorithm

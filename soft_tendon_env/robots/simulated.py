@@ -15,7 +15,7 @@ from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.options import Options, given_scene
 from soft_tendon_env.envs.randomization import Sensors
 from soft_tendon_env.envs.tasks import TASKS
-from soft_tendon_env.evaluation.conditions import NOMINAL, condition
+from soft_tendon_env.evaluation.conditions import NOMINAL, model_error
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.policies.regimes import SENSORS
@@ -111,7 +111,7 @@ def _options(errors: str, given: Mapping[str, Any]) -> Options:
         if name not in OF_ARM:
             raise ConfigurationError([Problem((name,), f"is an unknown key: {not_among(name, OF_ARM)}")], "SimulatedRobot")
     drawn = given.get("randomize", {})
-    error = dict(condition(errors).randomize)
+    error = dict(model_error(errors).randomize)
     if twice := sorted(drawn.keys() & error.keys()):
         raise ConfigurationError(
             [Problem(("randomize",), f"has {', '.join(twice)}, and so has the model error {errors!r}")], "SimulatedRobot"

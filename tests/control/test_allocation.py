@@ -48,25 +48,3 @@ def test_all_bounds_active_none_and_a_single_choice(wanted, least, greatest, x, 
     found = allocate(np.eye(3), -np.array(wanted), np.array(least), np.array(greatest))
     np.testing.assert_allclose(found.x, x, atol=1e-12)
     assert found.solved and found.limited == limited
-
-
-@pytest.mark.cases(
-    "hessian, gradient",
-    [
-        (np.zeros((2, 2)), np.ones(2)),
-        (-np.eye(2), np.ones(2)),
-        (np.diag([np.nan, 1.0]), np.ones(2)),
-        (np.diag([np.inf, 1.0]), np.ones(2)),
-        (np.array([[1.0, np.nan], [np.nan, 1.0]]), np.ones(2)),
-        (np.array([[1.0, 2.0], [2.0, 1.0]]), np.ones(2)),
-        (np.eye(2), np.array([np.nan, 0.0])),
-        (np.eye(2), np.array([np.inf, 0.0])),
-    ],
-)
-def test_what_cannot_be_solved_is_reported(hessian, gradient):
-    """And answered by zero, within the bounds."""
-    least, greatest = np.array([-1.0, 0.5]), np.array([1.0, 2.0])
-    found = allocate(hessian, gradient, least, greatest)
-    assert not found.solved
-    np.testing.assert_array_equal(found.x, [0.0, 0.5])
-    np.testing.assert_array_equal(found.multipliers, 0.0)

@@ -81,16 +81,3 @@ CABLES = {"scene": "three_tendon", "effects.tendon_elasticity": {"stiffness": 5e
 def test_controllers_of_tensions_move_elastic_tendons(controller, greatest):
     """Displacements are made of the tensions that they decide on."""
     assert errors(CABLES, controller) < greatest
-
-
-@pytest.mark.parametrize("latency", [0.02, 0.033, 0.06])
-@pytest.mark.parametrize("controller, greatest", [("tracking", 1e-3), ("predictive", 1e-4)])
-def test_a_known_latency_is_made_up_for(controller, greatest, latency):
-    """By the Smith predictor: of the environment's latency, and of the scene's actuators, of which the model tells."""
-    options = observation_options(controller, "TipPose", latency=latency)
-    late = {"randomize": {"latency": latency}}, {"scene": {"scene": "three_tendon", "effects.actuators.delay": latency}}
-    for more, known in zip(late, ({"latency": latency}, {}), strict=True):
-        given = {"scene": "three_tendon", "fidelity": "fast", "max_episode_steps": 150, **options, **more}
-        env = gym.make("TendonRod-TipPose-v0", **given)
-        error = summarise(evaluate(make_policy(controller, env, **known), env, [1, 2])).errors["position_error"].rms
-        assert error < greatest

@@ -95,17 +95,6 @@ def test_the_state_is_found_from_where_it_was_not_believed_to_be(uses, arm, live
     assert np.abs(wrong[-50:, 1]).max() < 0.1 < np.abs(got.q_dot / scale).max()
 
 
-def test_its_own_uncertainty_is_honest(arm, live):
-    """Of an arm that is as the model says the errors are of the size that its covariance says, or smaller: it counts with worse models."""
-    found = filter_of(arm, noise=NOISE)
-    got, scale, n = live(found, arm, 200, rng=np.random.default_rng(1)), arm.coordinate_scale(), arm.coordinate_count
-    sizes = []
-    for one, q, q_dot in zip(got.estimates[50:], got.q[50:], got.q_dot[50:], strict=True):
-        wrong = np.concatenate([(one.q - q) / scale, (one.q_dot - q_dot) / scale])
-        sizes.append(wrong @ np.linalg.solve(one.memory.covariance[: 2 * n, : 2 * n], wrong) / (2 * n))
-    assert 0.01 < np.mean(sizes) < 1.5
-
-
 @pytest.mark.parametrize("late", [0.0, 0.013, 0.047, 0.07])
 def test_a_latency_is_found(late, arm, live):
     got = live(filter_of(arm, latency=0.02, greatest_latency=0.08), arm, 200, late=late)

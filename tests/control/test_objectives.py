@@ -71,18 +71,3 @@ def test_the_bias_is_what_the_jacobian_gains(model, arm, objective):
     velocity = now.jacobian @ q_dot
     difference = (after.jacobian - before.jacobian) @ q_dot / (2 * h)
     np.testing.assert_allclose(now.bias, difference, atol=1e-5 * max(np.abs(difference).max(), np.abs(velocity).max()))
-
-
-@pytest.mark.parametrize("objective", KINDS, indirect=True)
-@pytest.mark.parametrize("time", [0.0, 0.02, 0.025])
-def test_the_velocity_is_the_target_s(model, objective, time):
-    """Seen from an arm that stands at the target, what its error gains per time; between instants too."""
-    path = [model.rest_coordinates([1.0 + 0.3 * i, 0.1 * i, 0.4]) for i in range(4)]
-    target = target_of(model, path, (0.0, 0.02, 0.04, 0.06))
-    q = path[0] + time / 0.02 * (path[1] - path[0])
-    still, h = moving(model, q), 1e-3
-    now, later = (objective.aim(still, target, t, PERIOD) for t in (time, time + h))
-    short = objective.aim(still, target, time, h)
-    speed = np.linalg.norm(short.velocity)
-    assert np.linalg.norm(now.error) < 1e-3 and speed > 0.01
-    np.testing.assert_allclose((later.error - now.error) / h, short.velocity, atol=2e-3 * speed)

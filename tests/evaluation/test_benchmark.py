@@ -14,7 +14,6 @@ from soft_tendon_env.cli.main import main
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.evaluation.benchmark import Benchmark, misfit
 from soft_tendon_env.evaluation.conditions import SEEDS, SETTINGS
-from soft_tendon_env.evaluation.entrants import model_in_the_loop
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.regimes import REGIMES
 
@@ -82,14 +81,6 @@ def test_everybody_plays_all_settings_on_the_same_episodes():
 def test_policies_observe_what_a_regime_has(observed, regime, reason):
     """Coordinates are in none: they mean other shapes on a finer arm."""
     assert misfit(named(STILL), {"scene": "three_tendon", **observed}, regime) == reason
-
-
-@pytest.mark.cases(
-    "policy, needed",
-    [("agent", "none"), ("predictive", "controller"), ("adaptive:predictive@fast", "controller, adaptive estimator"), (STILL, "own")],
-)
-def test_controllers_need_a_model_and_users_policies_may(policy, needed):
-    assert model_in_the_loop(named(policy)) == needed
 
 
 @pytest.mark.cases(

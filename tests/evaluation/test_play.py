@@ -7,7 +7,7 @@ from gymnasium.wrappers import TimeLimit
 
 from soft_tendon_env.envs import IDS, TipPoseEnv
 from soft_tendon_env.envs.randomization import Randomization
-from soft_tendon_env.evaluation import EVALUATION_SEEDS, MODEL_ERRORS, condition, evaluate, evaluate_rows, settings
+from soft_tendon_env.evaluation import EVALUATION_SEEDS, MODEL_ERRORS, evaluate, evaluate_rows, model_error, settings
 from soft_tendon_env.evaluation.comparison import make_cell
 from soft_tendon_env.evaluation.play import asks_too_much, play
 from soft_tendon_env.policies import make_policy
@@ -110,12 +110,12 @@ def test_a_seed_has_the_same_target_whatever_the_arm_has_and_the_policy_looks_at
 
 def test_an_arm_has_several_model_errors_at_once():
     several = "stiffness+20%,payload-20g,latency-20ms"
-    assert condition(several).randomize == {"stiffness": 1.2, "payload": 0.02, "latency": 0.02}
-    assert condition("nominal").randomize == {} and condition("nominal,noise").randomize == MODEL_ERRORS["noise"].randomize
+    assert model_error(several).randomize == {"stiffness": 1.2, "payload": 0.02, "latency": 0.02}
+    assert model_error("nominal").randomize == {} and model_error("nominal,noise").randomize == MODEL_ERRORS["noise"].randomize
     with pytest.raises(ValueError, match="names 'stiffness-20%,noise,stiffness[+]20%', in which stiffness is said twice"):
-        condition("stiffness-20%,noise,stiffness+20%")
+        model_error("stiffness-20%,noise,stiffness+20%")
     with pytest.raises(ValueError, match="did you mean 'payload-20g'"):
-        condition("noise,payload-20")
+        model_error("noise,payload-20")
 
 
 def test_what_every_arm_has_is_under_the_model_errors():

@@ -17,7 +17,6 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.policies import agent
 from soft_tendon_env.policies.agent_checks import TrainingWarning, layout_of
 from soft_tendon_env.policies.load import load_policy
-from soft_tendon_env.policies.names import Agent
 from soft_tendon_env.policies.normalization import normalization_of, save_normalization
 from soft_tendon_env.scene.file import load_scene
 
@@ -94,21 +93,11 @@ def pickled(path, bad):
     path.write_bytes(pickle.dumps(bad))
 
 
-def with_torch(path, bad):
-    torch.save({"action_net.weight": bad}, path)
-
-
-def as_object_array(path, bad):
-    with open(path, "wb") as file:
-        np.savez(file, mean=np.array([bad], dtype=object), variance=np.ones(1), clip=np.float64(10.0), epsilon=np.float64(1e-8))
-
-
-@pytest.mark.parametrize("write", [pickled, with_torch, as_object_array])
 @pytest.mark.parametrize("name", ["weights.pt", "statistics.npz", "config.json"])
-def test_what_is_pickled_in_an_agents_files_does_not_run(tmp_path, trained, malice, name, write):
+def test_what_is_pickled_in_an_agents_files_does_not_run(tmp_path, trained, malice, name):
     folder, ran = write_agent(tmp_path / "agent", *trained), tmp_path / "it_ran"
     agent.load_agent(str(folder), make())
-    write(folder / name, malice(ran))
+    pickled(folder / name, malice(ran))
     with pytest.raises(ValueError, match=f"{folder / name}") as error:
         agent.load_agent(str(folder), make())
     assert not ran.exists() and len(str(error.value).splitlines()) == 1
@@ -215,11 +204,3 @@ def test_an_agent_says_once_it_is_loaded_that_it_was_trained_otherwise(tmp_path,
         load_policy(str(tmp_path / "model.zip"), make(**{"action": "increment", "preview": [0.1, 0.2], **looks, **judged}))
     texts = [str(warning.message) for warning in found if warning.category is TrainingWarning]
     assert len(texts) == (said is not None) and all(f"{said}" in text and "policy_options()" in text for text in texts)
-
-
-def test_an_agent_takes_along_its_arm_and_its_interface_but_not_what_it_learned(tmp_path):
-    learned = {"target": "circle", "reward": {"position": 1.0}, "randomize": {"payload": 0.1}, "threshold": 0.02, "on_divergence": "raise"}
-    kept = {**SMALL, "action": "increment", "preview": [0.1], "contact_sections": 3, "control_period": 0.01, "tension_limits": [0.0, 9.0]}
-    (tmp_path / "model.zip").touch()
-    (tmp_path / "config.json").write_text(json.dumps({"options": {**learned, **kept}}))
-    assert Agent(str(tmp_path / "model.zip"), "TipPose").options({}) == kept

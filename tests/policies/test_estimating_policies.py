@@ -1,14 +1,12 @@
 """Controllers that estimate what they are not told: by name, in every information regime, with models of other fidelity than the arm's."""
 
 import gymnasium as gym
-import numpy as np
 import pytest
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.envs.vector import TendonRodVectorEnv
-from soft_tendon_env.evaluation import evaluate, evaluate_rows
-from soft_tendon_env.policies import load_policy, make_policy, policy_options
-from soft_tendon_env.policies.estimators import GREATEST_LATENCY, register_estimator
+from soft_tendon_env.evaluation import evaluate
+from soft_tendon_env.policies import load_policy, make_policy
+from soft_tendon_env.policies.estimators import register_estimator
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.regimes import REGIMES
 
@@ -70,26 +68,6 @@ def test_shapes_are_held_without_coordinates():
     assert score.errors["backbone_error"].rms < 2e-3
     with pytest.raises(ValueError, match="16 coordinates where the environment's has 22"):
         made("filtered:predictive@fast", task="Shape", regime="sensors")
-
-
-def test_rows_are_estimated_each_by_itself():
-    name, seeds = "adaptive:tracking@fast", [0, 1]
-    options = policy_options(name, "TipPose", {**STEADY, "fidelity": "fast", "randomize": {"latency": [0.0, 0.04]}})
-    envs = gym.make_vec(IDS["TipPose"], num_envs=2, max_episode_steps=60, autoreset_mode="next_step", **options)
-    assert isinstance(envs.unwrapped, TendonRodVectorEnv)
-    together = evaluate_rows(load_policy(name, envs), envs, seeds, 0.5)
-    env = gym.make(IDS["TipPose"], max_episode_steps=60, **options)
-    alone = evaluate(load_policy(name, env), env, seeds, 0.5)
-    for one, other in zip(together, alone, strict=True):
-        np.testing.assert_allclose(one.errors["position_error"].rms, other.errors["position_error"].rms, rtol=1e-6)
-
-
-def test_options_are_those_of_the_name():
-    filtered, adaptive = (policy_options(f"{how}:predictive", "TipPose", {}) for how in ("filtered", "adaptive"))
-    assert filtered["observation"] == adaptive["observation"] and "tendon_lengths" in filtered["observation"]
-    late = round(GREATEST_LATENCY / 0.02)
-    assert (len(filtered["preview"]), len(adaptive["preview"])) == (PREDICTIVE, PREDICTIVE + late)
-    assert policy_options("filtered:predictive", "TipPose", {"sensors": 5})["sensors"] == 5
 
 
 def test_an_estimator_keeps_its_name():

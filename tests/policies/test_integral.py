@@ -54,19 +54,6 @@ def test_ways_are_seen_with_their_integral_now_and_ahead():
     assert (groups(envs, given)["target_error"] == way).all()  # as it was
 
 
-def test_goals_move_and_what_is_achieved_does_not():
-    envs, policy = rows_of("Reach"), Seen()
-    given, _ = envs.reset(seed=3)
-    given = {**given, "desired_goal": given["achieved_goal"] + np.float32([0.0005, 0.0, -0.001])}
-    state, integral = None, IntegralPolicy(policy, envs, TIME)
-    for _ in range(5):
-        _, state = integral.predict(given, state)
-    moved = policy.last["desired_goal"] - given["achieved_goal"]
-    np.testing.assert_allclose(moved, 1.25 * (given["desired_goal"] - given["achieved_goal"]), atol=1e-7)
-    for name in ("observation", "achieved_goal"):
-        np.testing.assert_array_equal(policy.last[name], given[name])
-
-
 def test_a_target_that_is_not_observed_as_a_way_is_refused():
     with pytest.raises(ValueError, match="integral_time needs an observation with one of target_error, .*; it has coordinates, rates"):
         IntegralPolicy(Seen(), rows_of("TipPose", observation=("coordinates", "rates", "target_twist")), TIME)

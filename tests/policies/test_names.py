@@ -3,7 +3,6 @@
 import gymnasium as gym
 import pytest
 
-from soft_tendon_env.envs import IDS
 from soft_tendon_env.policies import load_policy, policy_options
 from soft_tendon_env.policies.load import short_name
 from soft_tendon_env.policies.names import Agent, Controller, PolicyName, UserPolicy
@@ -66,12 +65,6 @@ def test_every_name_is_one_of_three(here, text, kind, known):
 def test_what_is_no_policy_is_refused(here, text, said):
     with pytest.raises(ValueError, match=said):
         PolicyName.parse(text, "TipPose").options({})
-
-
-def test_tuned_parameters_are_those_of_the_policy(here):
-    env = gym.make(IDS["TipPose"], **policy_options("best.toml", "TipPose", SMALL))
-    policy = load_policy("best.toml", env)
-    assert policy.estimator.uncertainty.force == 0.002
 
 
 def test_short_names_are_the_ends_of_paths():

@@ -2,29 +2,14 @@
 
 from types import SimpleNamespace
 
-import gymnasium as gym
-import numpy as np
 import pytest
-from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.vec_env import VecMonitor
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of, make_policy
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 PREVIEW = (0.02, 0.04, 0.1)
 FAST = {"scene": "three_tendon", "fidelity": "fast"}
-
-
-def test_the_interface_is_the_same_however_the_environment_is_wrapped(short):
-    envs = [short(kind, IDS["TipPose"]) for kind in ("single", "vector", "sb3")]
-    monitored = VecMonitor(make_sb3_vec_env(IDS["TipPose"], 2, monitor=False, preview=PREVIEW, **FAST))
-    for env in (*envs, gym.wrappers.TimeLimit(envs[0], 3), monitored):
-        found = interface_of(env)
-        assert found.layout.slices == interface_of(envs[0]).layout.slices
-        np.testing.assert_allclose(found.ahead, [0.0, *PREVIEW], atol=1e-12)
-        np.testing.assert_array_equal(found.start, 0.0)
 
 
 def test_observations_that_say_too_little_are_refused(short, probed):
@@ -40,18 +25,6 @@ def test_observations_that_say_too_little_are_refused(short, probed):
 def test_preview_times_increase(short, probed, preview):
     with pytest.raises(ConfigurationError, match=r"it should be times that increase by at least a control period"):
         probed(short("single", IDS["TipPose"], preview=preview))
-
-
-@pytest.mark.parametrize("task", ["TipPose", "Reach"])
-def test_stable_baselines_evaluates_controllers(short, probed, task):
-    """Single environments and rows; every episode begins with no memory."""
-    for kind, episodes in (("single", 2), ("sb3", 3)):
-        env = short(kind, IDS[task])
-        policy, probe = probed(env)
-        _, lengths = evaluate_policy(policy, env, n_eval_episodes=episodes, return_episode_rewards=True, warn=False)
-        assert lengths == [6] * episodes
-        assert sum(memory is None for _, memory in probe.seen) >= episodes
-        assert max(memory or 0 for _, memory in probe.seen) == 5
 
 
 @pytest.mark.cases(

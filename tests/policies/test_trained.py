@@ -2,7 +2,6 @@
 
 import json
 import math
-import shutil
 from pathlib import Path
 
 import gymnasium as gym
@@ -11,8 +10,8 @@ import pytest
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate_rows, summarise
 from soft_tendon_env.learning.config import Normalisation, Training, config_names
-from soft_tendon_env.policies import agent_files, load_agent, policy_options
-from soft_tendon_env.policies.agent_files import find_agent, shipped_as
+from soft_tendon_env.policies import load_agent, policy_options
+from soft_tendon_env.policies.agent_files import shipped_as
 
 TRAINED = Path(__file__).parent.parent.parent / "agents" / "trained"
 BARS = {
@@ -64,14 +63,3 @@ def test_it_says_where_it_comes_from(agent):
     training["normalise"] = {key: found["normalise"][key] for key in Normalisation.model_fields}
     assert Training.parse(training, "config.json").task == task
     assert found["steps_done"] > 0
-
-
-@pytest.mark.parametrize("name, training", [("sac", "sac_tip_pose"), ("ppo", "ppo_tip_pose")])
-def test_who_does_not_ship_is_told_with_the_command_that_trains_one(name, training, monkeypatch, tmp_path):
-    copied = shutil.copytree(TRAINED / "dagger", tmp_path / "dagger").parent
-    monkeypatch.setattr(agent_files, "trained_folder", lambda: copied)
-    with pytest.raises(FileNotFoundError) as error:
-        policy_options(name, "TipPose", {})
-    assert str(error.value) == f"the agent {name!r} does not ship for TipPose; what does: dagger; `soft-tendon train {training}` trains one"
-    with pytest.raises(FileNotFoundError, match="^the agent 'apg' does not ship for Throw; what does: none$"):
-        find_agent("apg", "Throw")

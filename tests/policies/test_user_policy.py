@@ -70,18 +70,6 @@ def test_what_is_not_that_of_the_judged_episode_has_no_effect(monkeypatch, cheat
     assert scores_of(monkeypatch, rows, cheat=cheat) == scores_of(monkeypatch)
 
 
-@pytest.mark.parametrize("task", IDS)
-def test_a_function_gets_rows_also_where_observations_are_dictionaries(monkeypatch, task):
-    seen = []
-
-    def act(observation):
-        seen.append(np.shape(observation["desired_goal"] if task == "Reach" else observation)[:-1])
-        return np.zeros((*seen[-1], 3))
-
-    alone, together = (scores_of(monkeypatch, rows, task, lambda env: act) for rows in (False, True))
-    assert {*seen} == {(1,), (2,)} and alone == together
-
-
 @pytest.mark.parametrize("rows", [False, True])
 def test_the_environment_of_its_own_is_that_of_the_arm_that_everybody_knows(rows):
     options = {**ARM, "target": "hold", "history": 1, "control_period": 0.04, "tension_limits": (0.0, 2.0)}
