@@ -67,13 +67,6 @@ def test_a_model_with_the_effect_is_better_than_one_without(changes, controller,
     assert errors(scene, controller) < share * errors(scene, controller, model=build_model(load_scene("three_tendon"), "fast"))
 
 
-def test_a_model_of_other_coordinates_is_refused(build):
-    env = gym.make("TendonRod-TipPose-v0", scene="three_tendon", fidelity="fast", **observation_options("tracking", "TipPose"))
-    other = build_model(build("three_tendon").scene.replace({"strain.passive": []}))
-    with pytest.raises(ValueError, match="which are observed: it should have the same strain parametrisation"):
-        make_policy("tracking", env, model=other)
-
-
 CABLES = {"scene": "three_tendon", "effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": [-0.03, 0.05]}}
 
 

@@ -14,8 +14,6 @@ from soft_tendon_env.model.simulation import Simulation
 PERIOD = 0.02
 OBJECTIVES = {"pose": lambda model: TipPose(0.1 * model.length), "position": lambda model: TipPosition(), "shape": Shape}
 WIDE = np.tile([-100.0, 100.0], (10, 1))
-HELD = 12.0 + 4.0 * np.sin(np.arange(10.0))
-ERROR = InputError(1.0 + 0.2 * np.cos(np.arange(10.0)), 1.5 * np.sin(np.arange(10.0)))
 
 
 @pytest.fixture(scope="module")

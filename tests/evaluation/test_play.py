@@ -6,9 +6,7 @@ import pytest
 from gymnasium.wrappers import TimeLimit
 
 from soft_tendon_env.envs import IDS, TipPoseEnv
-from soft_tendon_env.envs.randomization import Randomization
-from soft_tendon_env.evaluation import EVALUATION_SEEDS, MODEL_ERRORS, evaluate, evaluate_rows, model_error, settings
-from soft_tendon_env.evaluation.comparison import make_cell
+from soft_tendon_env.evaluation import EVALUATION_SEEDS, MODEL_ERRORS, evaluate, evaluate_rows, model_error
 from soft_tendon_env.evaluation.play import asks_too_much, play
 from soft_tendon_env.policies import make_policy
 
@@ -116,20 +114,6 @@ def test_an_arm_has_several_model_errors_at_once():
         model_error("stiffness-20%,noise,stiffness+20%")
     with pytest.raises(ValueError, match="did you mean 'payload-20g'"):
         model_error("noise,payload-20")
-
-
-def test_what_every_arm_has_is_under_the_model_errors():
-    given = settings.EpisodeSettings(options={"randomize": {"stiffness": 1.1, "density": [0.9, 1.1]}, **SMALL})
-
-    def drawn(error):
-        cell = make_cell(given, (0,), "TipPose", "feedforward", given.options, error)
-        return Randomization(**cell.options["randomize"])
-
-    stiffness, density = "segments.*.young_modulus", "segments.*.density"
-    assert drawn("nominal").numbers == {stiffness: {"factor": 1.1}, density: {"factor": [0.9, 1.1]}}
-    both = drawn("stiffness-20%,latency-20ms")
-    assert both.numbers == {stiffness: {"factor": 0.8}, density: {"factor": [0.9, 1.1]}}, "a model error overrides"
-    assert both.latency == (0.02, 0.02)
 
 
 @pytest.mark.parametrize("action, too_much", [((1.0, -1.0, 0.0), False), ((1.0, -1.001, 0.0), True), ((np.float32(0.1) * 10,) * 3, False)])

@@ -42,11 +42,3 @@ def test_seeds_and_episodes_are_drawn_apart():
     values = [[0.0, 1.0], [100.0, 101.0]]
     assert bootstrap_interval(values, axes=2) == (0.0, 101.0)
     assert bootstrap_interval(values, axes=2, confidence=0.4) == (50.0, 51.0), "of both seeds, of either episode"
-
-
-def test_mistakes():
-    for wrong in ([], [[]]):
-        with pytest.raises(ValueError, match="values should have at least one run"):
-            bootstrap_interval(wrong, axes=np.ndim(wrong))
-    with pytest.raises(ValueError, match="values should have at least one run"):
-        interquartile_mean([])

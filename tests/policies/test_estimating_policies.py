@@ -10,7 +10,6 @@ from soft_tendon_env.policies.estimators import register_estimator
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.regimes import REGIMES
 
-PREDICTIVE = 7
 """Periods that the predictive controller looks ahead."""
 NOISE = {"position": 1e-3, "rotation": 0.009, "length": 5e-4, "curvature": 0.05, "stretch": 1e-3}
 STEADY = {"target": {"type": "random", "knot_period": 1.5}}
@@ -59,15 +58,6 @@ def test_errors_of_the_arm_are_allowed_for():
     wrong = {"stiffness": 1.2, "damping": 0.6, "payload": 0.02, "tension_gain": [0.9, 1.1], "latency": 0.015, "noise": NOISE}
     env, policy = made("adaptive:predictive@fast", regime="sensors", randomize=wrong, seconds=3.0)
     assert position_error(env, policy) < 4e-3
-
-
-def test_shapes_are_held_without_coordinates():
-    """By a model with the arm's own coordinates, in which the target is given."""
-    env, policy = made("filtered:predictive", task="Shape", regime="sensors", fidelity="fast")
-    (score,) = evaluate(policy, env, [0], 1.0)
-    assert score.errors["backbone_error"].rms < 2e-3
-    with pytest.raises(ValueError, match="16 coordinates where the environment's has 22"):
-        made("filtered:predictive@fast", task="Shape", regime="sensors")
 
 
 def test_an_estimator_keeps_its_name():

@@ -1,13 +1,10 @@
 """Names of policies: which of the three each is, what they need to observe, and what is refused."""
 
-import gymnasium as gym
 import pytest
 
-from soft_tendon_env.policies import load_policy, policy_options
 from soft_tendon_env.policies.load import short_name
 from soft_tendon_env.policies.names import Agent, Controller, PolicyName, UserPolicy
 
-SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 BEHIND = "what stands behind 'filtered:' should be a controller of TipPose, .*valid: .*predictive"
 
 
@@ -70,11 +67,3 @@ def test_what_is_no_policy_is_refused(here, text, said):
 def test_short_names_are_the_ends_of_paths():
     assert [short_name(name) for name in ("agent", "dagger", "a/b/c.zip", "runs/ppo")] == ["agent", "dagger", "b/c", "ppo"]
     assert short_name("filtered:predictive@fast") == "filtered:predictive@fast"
-
-
-@pytest.mark.filterwarnings("error::UserWarning")
-def test_a_controller_of_an_arm_whose_commands_are_late_is_told_its_target_earlier():
-    arm = {"scene": {"scene": "three_tendon", "effects.actuators.delay": 0.05}, "fidelity": "fast"}
-    options = policy_options("filtered:predictive", "TipPose", arm)
-    assert len(options["preview"]) == 3 + len(policy_options("filtered:predictive", "TipPose", {"scene": "three_tendon"})["preview"])
-    load_policy("filtered:predictive", gym.make("TendonRod-TipPose-v0", **options))

@@ -8,9 +8,6 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of, make_policy
 from soft_tendon_env.tools.configuration import ConfigurationError
 
-PREVIEW = (0.02, 0.04, 0.1)
-FAST = {"scene": "three_tendon", "fidelity": "fast"}
-
 
 def test_observations_that_say_too_little_are_refused(short, probed):
     _, probe = probed(short("single", IDS["TipPose"]))
