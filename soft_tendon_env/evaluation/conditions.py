@@ -20,7 +20,7 @@ AND = ","
 
 @dataclass(frozen=True)
 class Condition:
-    """What differs from nominal, unknown to the policy.
+    """Difference of an arm from nominal, unknown to the policy.
 
     Attributes:
         description: in words.

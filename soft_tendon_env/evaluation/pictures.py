@@ -22,8 +22,8 @@ from soft_tendon_env.policies.load import short_name
 from soft_tendon_env.recording import Rollout
 
 ROOM, HEADROOM, PALE = 1.3, 2.0, 0.35
-"""Of the demo: room around the circle, times its radius, above the errors of all but the first policy, and that one's opacity: the paper's
-law as printed goes far and wide."""
+"""Room around the circle of the demo, times its radius, and above the errors of all but the first policy, the paper's law as printed, which
+goes far and wide; and that one's opacity."""
 
 
 def draw_errors(panels: Mapping[str, Standings], path: Path) -> None:
