@@ -54,9 +54,6 @@ MODEL_ERRORS: dict[str, Condition] = {
 }
 """Model errors, single and fixed: the conditions of `evaluate` and `compare`."""
 
-COMBINED = {"stiffness": (0.8, 1.2), "damping": (0.5, 2.0), "payload": (0.0, 0.02), "tension_gain": (0.9, 1.1), "latency": (0.0, 0.02)}
-"""Ranges from which all model errors are drawn together, as agents with domain randomisation train on them."""
-
 
 def _pushes(scene: Scene) -> dict[str, Any]:
     """Three pushes at the tip and in the middle, each a fifth of a second or more."""
@@ -78,7 +75,10 @@ def _obstacles(scene: Scene) -> dict[str, Any]:
 
 SETTINGS: dict[str, Condition] = {
     NOMINAL: MODEL_ERRORS[NOMINAL],
-    "model_errors": Condition("stiffness, damping, payload up to 20 g, tension gains and latency up to 20 ms, together", COMBINED),
+    "model_errors": Condition(
+        "stiffness, damping, payload up to 20 g, tension gains and latency up to 20 ms, together",
+        {"stiffness": (0.8, 1.2), "damping": (0.5, 2.0), "payload": (0.0, 0.02), "tension_gain": (0.9, 1.1), "latency": (0.0, 0.02)},
+    ),
     "latency": Condition("commands that arrive 0 to 60 ms late", {"latency": (0.0, 0.06)}),
     "load": Condition(
         "a payload up to 50 g and gravity of any direction, up to 9.8 m/s^2",
