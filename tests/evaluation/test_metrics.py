@@ -115,14 +115,6 @@ def test_a_summary_is_over_all_samples_of_episodes_alike():
     assert (summary.episodes, summary.diverged, summary.flagged, summary.reached) == (3, 0, False, None)
 
 
-def test_a_summary_counts_who_settled_and_who_reached_the_goal():
-    settled, not_settled = (0.3, 0.001, 0.001, 0.001), (0.3, 0.001, 0.3, 0.001)
-    given = [(settled, True), (settled, True), (not_settled, False), (not_settled, True)]
-    summary = summarise([score(episode(position, reached=reached), skip=0.0) for position, reached in given])
-    assert (summary.settled, summary.settling_time, summary.reached) == (2, PERIOD, 0.75)
-    assert summarise([score(episode(not_settled), skip=0.0)]).settling_time is None
-
-
 def test_a_divergence_flags_the_summary_and_stays_out_of_the_errors():
     lived, died = episode((0.2, 0.2, 0.2)), episode((0.2, 9.0), cause="too fast", reward=np.zeros(1), reached=False)
     summary = summarise([score(e, skip=0.0) for e in (lived, died)])

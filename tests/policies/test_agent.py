@@ -51,19 +51,6 @@ def test_a_zip_file_of_any_algorithm_acts_as_its_model(tmp_path, name):
     np.testing.assert_array_equal(action, trained.predict(observation, deterministic=True)[0])
 
 
-@pytest.mark.cases("policy", [{"net_arch": [8], "activation_fn": "ReLU"}, {"net_arch": {"pi": [8, 4], "vf": [5]}}, {"use_sde": True}])
-def test_the_network_is_that_of_the_training(tmp_path, policy):
-    given = {**policy, **({"activation_fn": torch.nn.ReLU} if "activation_fn" in policy else {})}
-    use_sde = given.pop("use_sde", False)
-    trained = PPO("MlpPolicy", make(), policy_kwargs=given, use_sde=use_sde, seed=0, device="cpu")
-    own = {"policy_kwargs": {key: value for key, value in policy.items() if key != "use_sde"}, "use_sde": use_sde}
-    folder = write_agent(tmp_path / str(len([*tmp_path.iterdir()])), trained.policy, None, hyperparameters=own)
-    env = make()
-    observation, _ = env.reset(seed=0)
-    action, _ = agent.load_agent(str(folder), env).predict(observation)
-    np.testing.assert_array_equal(action, trained.predict(observation, deterministic=True)[0])
-
-
 @pytest.mark.parametrize("task", ["TipPose", "Reach"])
 def test_an_agent_sees_through_its_statistics(tmp_path, task):
     statistics = VecNormalize(DummyVecEnv([lambda: make(task)]), clip_obs=3.0)
