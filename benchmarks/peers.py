@@ -292,7 +292,7 @@ def write_docs(report: str, runs: list[Measured]) -> None:
     """docs/appendix/peers.md, as this script's docstring explains it."""
     explanation = __doc__.split("\n\n", 2)
     parts = (explanation[0], explanation[2], "![Accuracy against CPU time of four simulators](peers.png)", report)
-    write_page(DOCS / "peers.md", "Beside other simulators", parts, sources=["benchmarks/_peers"])
+    write_page(DOCS / "peers.md", "Beside other simulators", parts)
     draw(runs, DOCS / "peers.png")
 
 

@@ -111,7 +111,7 @@ def _options(errors: str, given: Mapping[str, Any]) -> Options:
         if name not in OF_ARM:
             raise ConfigurationError([Problem((name,), f"is an unknown key: {not_among(name, OF_ARM)}")], "SimulatedRobot")
     drawn = given.get("randomize", {})
-    error = model_error(errors)
+    error = dict(model_error(errors).randomize)
     if twice := sorted(drawn.keys() & error.keys()):
         raise ConfigurationError(
             [Problem(("randomize",), f"has {', '.join(twice)}, and so has the model error {errors!r}")], "SimulatedRobot"

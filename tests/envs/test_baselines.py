@@ -28,7 +28,7 @@ def baseline(seeds):
 
     def judge(task, name, model_error="nominal", estimator=None, fidelity=None):
         options = observation_options(name, task, estimator=estimator)
-        env = gym.make(IDS[task], randomize=MODEL_ERRORS[model_error], fidelity=fidelity, **options)
+        env = gym.make(IDS[task], randomize=MODEL_ERRORS[model_error].randomize, fidelity=fidelity, **options)
         summary = summarise(evaluate(make_policy(name, env, estimator=estimator), env, seeds))
         assert (summary.episodes, summary.diverged, summary.bound_violations) == (len(seeds), 0, 0)
         return summary
