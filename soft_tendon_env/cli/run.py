@@ -20,10 +20,10 @@ from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName,
 from soft_tendon_env.model.inverse_statics import tension_for_tip_position
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.recording import RecordRollout
-from soft_tendon_env.robots.environment import PATIENCE, SETTLE, RobotEnv, robot_of
+from soft_tendon_env.robots.environment import PATIENCE, REST, SETTLE, RobotEnv, robot_of
 from soft_tendon_env.robots.log import check_log
-from soft_tendon_env.robots.protocol import Robot, load_robot
-from soft_tendon_env.robots.rest import REST, Rest
+from soft_tendon_env.robots.protocol import DryRobot, Robot, load_robot
+from soft_tendon_env.robots.reach import Rest
 from soft_tendon_env.robots.run import Report, rehearse, run_policy
 from soft_tendon_env.robots.simulated import OF_ARM
 from soft_tendon_env.tools.messages import UserError
@@ -105,8 +105,9 @@ def _connected(settings: Run, env: gym.Env[Any, Any], options: dict[str, Any]) -
     of_arm = {name: options[name] for name in OF_ARM if name in options and settings.robot == SIMULATED}
     connected: Robot | RobotEnv = load_robot(settings.robot, {**of_arm, **settings.robot_options})
     try:
-        safe = {"rate": settings.rate, "settle": settings.settle, "patience": settings.patience, "dry": settings.dry_run}
+        safe = {"rate": settings.rate, "settle": settings.settle, "patience": settings.patience}
         rest = Rest(speed=settings.rest_speed, wait=settings.rest_wait)
+        connected = DryRobot(connected) if settings.dry_run else connected
         connected = RobotEnv(env, connected, rest=rest, log=settings.out, **safe)  # type: ignore[arg-type] # each is of its type
         if settings.record is None:
             return connected

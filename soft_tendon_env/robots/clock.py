@@ -2,7 +2,7 @@
 
 import threading
 from time import perf_counter, sleep
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,34 +10,24 @@ SPIN = 5e-4
 """Time [s] before a deadline at which sleeping ends: the scheduler wakes a process late by less than that, where it is idle."""
 
 
-class Clock(Protocol):
-    """A clock [s]. real: whether time goes on by itself."""
-
-    real: bool
-
-    def now(self) -> float:
-        """The time [s]."""
-
-    def wait_until(self, time: float) -> None:
-        """Waits until a time [s]; returns at once where it is past."""
-
-
-class RealClock:
-    """The monotonic clock of the machine."""
+class Clock:
+    """Monotonic clock of the machine. real: whether time goes on by itself."""
 
     real = True
 
     def now(self) -> float:
+        """The time [s]."""
         return perf_counter()
 
     def wait_until(self, time: float) -> None:
+        """Waits until a time [s]; returns at once where it is past."""
         while (left := time - perf_counter()) > 0.0:
             if left > SPIN:
                 sleep(left - SPIN)
 
 
-class SteppedClock:
-    """A clock that stands still but while somebody waits: for simulations faster, or slower, than real time."""
+class SteppedClock(Clock):
+    """Clock that stands still but while somebody waits: for simulations faster, or slower, than real time."""
 
     real = False
 
@@ -78,7 +68,7 @@ class Pacer:
     def start(self) -> None:
         """The first period begins now."""
         self._first = self._began = self.clock.now()
-        self._lateness, self._busy, self._overruns = list[float](), list[float](), 0
+        self._lateness, self._busy = list[float](), list[float]()
 
     @property
     def count(self) -> int:
@@ -88,9 +78,7 @@ class Pacer:
     def wait(self) -> float:
         """Waits for the next deadline; returns by how much [s] it is missed."""
         deadline = self._first + self.period * (self.count + 1)
-        now = self.clock.now()
-        self._busy.append(now - self._began)
-        self._overruns += now > deadline
+        self._busy.append(self.clock.now() - self._began)
         self.clock.wait_until(deadline)
         self._began = self.clock.now()
         self._lateness.append(self._began - deadline)
@@ -100,5 +88,6 @@ class Pacer:
     def timing(self) -> Timing:
         """Statistics since `start`; zeros before the first period is over."""
         late, busy = (np.array(values or [0.0]) for values in (self._lateness, self._busy))
+        overruns = int((np.concatenate([[0.0], late[:-1]]) + busy > self.period).sum())
         p50, p99 = np.percentile(late, [50, 99])
-        return Timing(self.count, self._overruns, float(p50), float(p99), float(late.max()), float(np.percentile(busy, 99)))
+        return Timing(self.count, overruns, float(p50), float(p99), float(late.max()), float(np.percentile(busy, 99)))

@@ -11,16 +11,17 @@ import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from time import perf_counter
-from typing import Literal, NamedTuple, TypeVar
+from typing import Annotated, Literal, NamedTuple, TypeVar
 
 import dynamixel_sdk as sdk
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from soft_tendon_env.robots.protocol import Measurement, Unit
-from soft_tendon_env.tools.checks import checked_array, checked_number
-from soft_tendon_env.tools.configuration import shown
-from soft_tendon_env.tools.types import Array
+from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type
+from soft_tendon_env.tools.configuration import Configuration, shown
+from soft_tendon_env.tools.types import Array, Positive
 
 Result = TypeVar("Result")
 PROTOCOL = 2.0
@@ -44,14 +45,27 @@ class Register(NamedTuple):
     size: int
 
 
-OPERATING_MODE = Register(11, 1)
-CURRENT_LIMIT = Register(38, 2)
-TORQUE_ENABLE = Register(64, 1)
-BUS_WATCHDOG = Register(98, 1)
-GOAL_CURRENT = Register(102, 2)
-GOAL_POSITION = Register(116, 4)
+OPERATING_MODE, CURRENT_LIMIT, TORQUE_ENABLE, BUS_WATCHDOG = Register(11, 1), Register(38, 2), Register(64, 1), Register(98, 1)
+GOAL_CURRENT, GOAL_POSITION = Register(102, 2), Register(116, 4)
 PRESENT = Register(126, 10)
 """Present current (2 bytes), velocity (4) and position (4), side by side."""
+
+
+class MotorSettings(Configuration):
+    """Settings of Dynamixel motors and their bus.
+
+    Attributes:
+        current_unit: ampere of a step of current: 0.00269 for X motors of 430 and 540, 0.001 for 330.
+        baud: bits a second.
+        watchdog: time [s] without a word on the bus after which the motors stop, 0.02 to 2.54.
+    """
+
+    current_unit: Positive = 0.00269
+    baud: Annotated[int, Field(ge=1)] = 1_000_000
+    watchdog: Annotated[float, Field(ge=WATCHDOG_UNIT, le=127 * WATCHDOG_UNIT)] = 0.1
+
+
+MOTORS = MotorSettings()
 
 
 class DynamixelRobot:
@@ -64,9 +78,7 @@ class DynamixelRobot:
         radius: of the spools [m], one for all or one each; negative where a motor winds in the other way.
         torque_constant: torque [N m] of a motor, behind its gear, for an ampere: of an XM430-W350 about 1.8.
         mode: "current" takes tensions [N], "position" displacements [m].
-        current_unit: ampere of a step of current: 0.00269 for X motors of 430 and 540, 0.001 for 330.
-        baud: bits a second.
-        watchdog: time [s] without a word on the bus after which the motors stop, 0.02 to 2.54.
+        settings: see MotorSettings.
         tip_pose: function that returns the newest pose (4, 4) of the tip in the scene's world frame, of a tracker.
 
     Raises ValueError for bad arguments, ConnectionError where the port or a motor does not answer.
@@ -79,41 +91,38 @@ class DynamixelRobot:
         radius: ArrayLike,
         torque_constant: float,
         mode: Literal["current", "position"] = "current",
-        current_unit: float = 0.00269,
-        baud: int = 1_000_000,
-        watchdog: float = 0.1,
+        settings: MotorSettings = MOTORS,
         tip_pose: Callable[[], Array] | None = None,
     ) -> None:
         if mode not in MODES:
             raise ValueError(f"mode is {mode!r}: it should be 'current' or 'position'")
-        if not ids or len({*ids}) < len(ids) or not all(isinstance(own, int) and 0 <= own <= 252 for own in ids):
+        if not ids or len({*ids}) < len(ids) or not all(isinstance(motor, int) and 0 <= motor <= 252 for motor in ids):
             raise ValueError(f"ids is {shown(list(ids))}: it should be a different number from 0 to 252 for each motor")
         self._radius = checked_array("radius", radius if np.ndim(radius) else np.full(len(ids), radius), (len(ids),))
         if not self._radius.all():
             raise ValueError("radius should not be 0")
         constant = checked_number("torque_constant", torque_constant, 1e-9, "a positive number of N m / A")
-        self._tension_unit = checked_number("current_unit", current_unit, 1e-9, "a positive number of A") * constant / self._radius
-        self._watchdog = round(checked_number("watchdog", watchdog, WATCHDOG_UNIT, "0.02 to 2.54 s") / WATCHDOG_UNIT)
-        if self._watchdog > 127:
-            raise ValueError(f"watchdog is {watchdog:g}: it should be 0.02 to 2.54 s")
+        checked_type("settings", settings, MotorSettings, "such as MotorSettings(watchdog=0.2)")
+        self._tension_unit, self._watchdog = settings.current_unit * constant / self._radius, settings.watchdog
         self.command_unit: Unit = "N" if mode == "current" else "m"
         self.senses: tuple[str, ...] = ("tension", "tendon_length", *(("tip_pose",) if tip_pose else ()))
         self._ids, self._tip_pose = tuple(ids), tip_pose
-        self._open(port, baud)
+        self._open(port, settings.baud)
         self._goal = GOAL_CURRENT if mode == "current" else GOAL_POSITION
         self._sender = sdk.GroupSyncWrite(self._port, self._packets, *self._goal)
         self._reader = sdk.GroupSyncRead(self._port, self._packets, *PRESENT)
-        for own in self._ids:
-            self._reader.addParam(own)
-            self._set(own, TORQUE_ENABLE, 0)
-            self._set(own, OPERATING_MODE, MODES[mode])
-        limit = partial(self._packets.read2ByteTxRx, self._port, address=CURRENT_LIMIT.address)
-        self._most = np.array([self._asked(f"motor {own}", partial(limit, own)) for own in self._ids], dtype=np.float64)
+        self._most = np.zeros(len(ids))
+        for i, motor in enumerate(self._ids):
+            self._reader.addParam(motor)
+            self._set(motor, TORQUE_ENABLE, 0)
+            self._set(motor, OPERATING_MODE, MODES[mode])
+            limit = partial(self._packets.read2ByteTxRx, self._port, motor, CURRENT_LIMIT.address)
+            self._most[i] = self._asked(f"motor {motor}", limit)
         self._zero = self._present(TRIES)[1]
         if mode == "position":
             self._send(self._zero)
-        for own in self._ids:
-            self._set(own, TORQUE_ENABLE, 1)
+        for motor in self._ids:
+            self._set(motor, TORQUE_ENABLE, 1)
         self._heard = -math.inf
         self._newest: Measurement | None = None
 
@@ -142,8 +151,9 @@ class DynamixelRobot:
         else:
             ticks = self._zero + _whole(wanted / self._radius * TICKS)
             sent = (ticks - self._zero) / TICKS * self._radius
-        if perf_counter() - self._heard > 0.5 * self._watchdog * WATCHDOG_UNIT:
-            self._begin_watch()
+        if perf_counter() - self._heard > 0.5 * self._watchdog:
+            self._broadcast(BUS_WATCHDOG, 0)  # a motor that has stopped for the silence goes on
+            self._broadcast(BUS_WATCHDOG, round(self._watchdog / WATCHDOG_UNIT))
         self._send(ticks)
         return sent
 
@@ -166,11 +176,6 @@ class DynamixelRobot:
             raise ConnectionError(f"{port} cannot be opened at {baud} bits/s")
         for own in self._ids:
             self._asked(f"motor {own}", partial(self._packets.ping, self._port, own))
-
-    def _begin_watch(self) -> None:
-        """Let the motors watch the bus; one that has stopped for its silence goes on."""
-        self._broadcast(BUS_WATCHDOG, 0)
-        self._broadcast(BUS_WATCHDOG, self._watchdog)
 
     def _present(self, tries: int) -> tuple[Array, Array]:
         """Present currents and positions (n_a,) in steps. Raises ConnectionError."""

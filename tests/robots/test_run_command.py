@@ -11,7 +11,7 @@ import pytest
 
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.cli.run import _tell_of_reach
-from soft_tendon_env.robots import SimulatedRobot, load_robot, read_log
+from soft_tendon_env.robots import SimulatedRobot, load_robot
 
 ARM = ["--scene", "three_tendon", "--fidelity", "fast"]
 STEPPED = ["--robot-options", '{"real_time": false, "model_error": "stiffness-20%,latency-20ms"}']
@@ -39,7 +39,7 @@ def test_a_run_leaves_a_log_and_a_report(tmp_path, capsys):
     assert re.search(r"^position error: [\d.]+ mm \(root mean square", said, re.M) and re.search(r"^angle error: [\d.]+ deg", said, re.M)
     assert f"written: {out}\n" in said and "50 periods, 0 overruns" in said and "the run ended: tendons slack after" in said
     report = json.loads(out.with_suffix(".json").read_text())
-    assert len(read_log(out).time) == report["timing"]["periods"] == 50
+    assert out.read_text().count("\n") - 2 == report["timing"]["periods"] == 50
     assert report["stop"]["slack"] and len(report["zero"]["tendon_length"]) == 3 and report["rms"]["position_error"] > 0.0
 
 
@@ -72,8 +72,8 @@ def test_whoever_presses_ctrl_c_is_told_how_the_tendons_went(tmp_path, capsys):
     with pytest.raises(SystemExit) as exit:
         main(["run", "filtered:tracking", *ARM, *robot, options, "--seconds", "9", "--out", str(out)])
     said = capsys.readouterr()
-    assert exit.value.code == 130 and said.err.endswith("\nstopped\n") and len(read_log(out).time) > 20
-    told = rf"written: {out.with_suffix('.json')}\nwritten: {out}\ninterrupted by SIGINT \(Ctrl-C\): tendons slack after \d+ ms\n\n$"
+    assert exit.value.code == 130 and said.err.endswith("\nstopped\n") and out.read_text().count("\n") > 20
+    told = rf"written: {out.with_suffix('.json')}\nwritten: {out}\ninterrupted: tendons slack after \d+ ms\n\n$"
     assert re.search(told, said.out)
 
 
@@ -130,7 +130,7 @@ def test_robots_of_this_folder_are_found(tmp_path, monkeypatch):
         (
             "soft_tendon_env.robots:SimulatedRobot",
             {"randomize": {"stiffness": 1.1}, "model_error": "stiffness-20%"},
-            "randomize has stiffness, and so has the model error 'stiffness-20%'",
+            "randomize.stiffness is in the model error 'stiffness-20%' too",
         ),
     ],
 )
