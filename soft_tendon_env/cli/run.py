@@ -20,10 +20,10 @@ from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName,
 from soft_tendon_env.model.inverse_statics import tension_for_tip_position
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.recording import RecordRollout
-from soft_tendon_env.robots.environment import PATIENCE, REST, SETTLE, RobotEnv, robot_of
+from soft_tendon_env.robots.environment import PATIENCE, SETTLE, RobotEnv, robot_of
 from soft_tendon_env.robots.log import check_log
+from soft_tendon_env.robots.measured_arm import REST, Rest
 from soft_tendon_env.robots.protocol import DryRobot, Robot, load_robot
-from soft_tendon_env.robots.reach import Rest
 from soft_tendon_env.robots.run import Report, rehearse, run_policy
 from soft_tendon_env.robots.simulated import OF_ARM
 from soft_tendon_env.tools.messages import UserError

@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING, Any
 
 from soft_tendon_env.robots.clock import Timing
 from soft_tendon_env.robots.environment import RobotEnv
+from soft_tendon_env.robots.log import ReplayRobot
+from soft_tendon_env.robots.measured_arm import Rest
 from soft_tendon_env.robots.protocol import Measurement, Robot, load_robot
-from soft_tendon_env.robots.reach import Rest
-from soft_tendon_env.robots.replay import ReplayRobot
 from soft_tendon_env.robots.run import Report, rehearse, run_policy
 from soft_tendon_env.robots.safety import RobotStopped, Stop
 from soft_tendon_env.robots.simulated import SimulatedRobot

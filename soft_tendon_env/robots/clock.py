@@ -43,7 +43,7 @@ class SteppedClock(Clock):
 
 
 class Timing(NamedTuple):
-    """Statistics of the periods of a loop: how late each began after its deadline [s], and how many deadlines were missed."""
+    """Statistics of the periods of a loop: how late each began after its deadline [s]."""
 
     periods: int
     overruns: int  # periods whose work ended after the next deadline
@@ -68,20 +68,15 @@ class Pacer:
     def start(self) -> None:
         """The first period begins now."""
         self._first = self._began = self.clock.now()
-        self._lateness, self._busy = list[float](), list[float]()
-
-    @property
-    def count(self) -> int:
-        """Periods that are over."""
-        return len(self._lateness)
+        self.count, self._lateness, self._busy = 0, list[float](), list[float]()
 
     def wait(self) -> float:
         """Waits for the next deadline; returns by how much [s] it is missed."""
-        deadline = self._first + self.period * (self.count + 1)
+        self.count += 1
         self._busy.append(self.clock.now() - self._began)
-        self.clock.wait_until(deadline)
+        self.clock.wait_until(self._first + self.period * self.count)
         self._began = self.clock.now()
-        self._lateness.append(self._began - deadline)
+        self._lateness.append(self._began - self._first - self.period * self.count)
         return self._lateness[-1]
 
     @property

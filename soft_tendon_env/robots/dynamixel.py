@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from time import perf_counter
-from typing import Annotated, Literal, NamedTuple, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple
 
 import dynamixel_sdk as sdk
 import numpy as np
@@ -23,7 +23,6 @@ from soft_tendon_env.tools.checks import checked_array, checked_number, checked_
 from soft_tendon_env.tools.configuration import Configuration, shown
 from soft_tendon_env.tools.types import Array, Positive
 
-Result = TypeVar("Result")
 PROTOCOL = 2.0
 TICKS = 4096 / (2.0 * math.pi)
 """Positions in a radian."""
@@ -174,47 +173,48 @@ class DynamixelRobot:
             raise ConnectionError(f"{port} cannot be opened: {error}") from error
         if not opened:
             raise ConnectionError(f"{port} cannot be opened at {baud} bits/s")
-        for own in self._ids:
-            self._asked(f"motor {own}", partial(self._packets.ping, self._port, own))
+        for motor in self._ids:
+            self._asked(f"motor {motor}", partial(self._packets.ping, self._port, motor))
 
-    def _present(self, tries: int) -> tuple[Array, Array]:
-        """Present currents and positions (n_a,) in steps. Raises ConnectionError."""
+    def _present(self, tries: int) -> Array:
+        """Present currents and positions (2, n_a) in steps. Raises ConnectionError."""
         self._asked("the motors", lambda: (None, self._reader.txRxPacket(), 0), tries)
         found = []
-        for own in self._ids:
-            if not self._reader.isAvailable(own, *PRESENT):
-                raise NoAnswerError(f"motor {own} on {self._where} does not answer")
-            current, position = self._reader.getData(own, PRESENT.address, 2), self._reader.getData(own, PRESENT.address + 6, 4)
-            found.append((_signed(current, 2), _signed(position, 4)))
+        for motor in self._ids:
+            if not self._reader.isAvailable(motor, *PRESENT):
+                raise NoAnswerError(f"motor {motor} on {self._where} does not answer")
+            current, position = (self._reader.getData(motor, PRESENT.address + place, size) for place, size in ((0, 2), (6, 4)))
+            found.append((np.int16(np.uint16(current)), np.int32(np.uint32(position))))  # two's complement
         self._heard = perf_counter()
-        values = np.array(found, dtype=np.float64).T
-        return values[0], values[1]
+        return np.array(found, dtype=np.float64).T
 
     def _send(self, ticks: Array) -> None:
         """Send the goals (n_a,) in steps. Raises ConnectionError."""
         self._sender.clearParam()
-        for own, goal in zip(self._ids, ticks, strict=True):
-            self._sender.addParam(own, int(goal).to_bytes(self._goal.size, "little", signed=True))
+        for motor, goal in zip(self._ids, ticks, strict=True):
+            self._sender.addParam(motor, int(goal).to_bytes(self._goal.size, "little", signed=True))
         self._asked("the motors", lambda: (None, self._sender.txPacket(), 0), 1)
         self._heard = perf_counter()
 
-    def _set(self, own: int, register: Register, value: int) -> None:
+    def _set(self, motor: int, register: Register, value: int) -> None:
         """Set a register of one byte of a motor. Raises ConnectionError."""
-        self._asked(f"motor {own}", lambda: (None, *self._packets.write1ByteTxRx(self._port, own, register.address, value)))
+        self._asked(f"motor {motor}", lambda: (None, *self._packets.write1ByteTxRx(self._port, motor, register.address, value)))
 
     def _broadcast(self, register: Register, value: int) -> None:
         """Set a register of one byte of all motors, which do not answer: one that is lost keeps nobody waiting."""
         write = self._packets.write1ByteTxOnly
         self._asked("the motors", lambda: (None, write(self._port, sdk.BROADCAST_ID, register.address, value), 0), 1)
 
-    def _asked(self, who: str, call: Callable[[], tuple[Result, int, int]], tries: int = TRIES) -> Result:
+    def _asked(self, who: str, call: Callable[[], tuple[Any, int, int]], tries: int = TRIES) -> Any:
         """Value that a call of the SDK returns with its result and error, tried several times if need be; a port that is lost does not stay
         in use. Raises ConnectionError, a NoAnswerError where the port is there."""
         for _ in range(tries):
             try:
                 value, result, error = call()
-            except Exception as lost:  # OSError, and termios.error, which is none
+            except BaseException as lost:  # OSError, termios.error, which is none, and KeyboardInterrupt
                 self._port.is_using = False
+                if not isinstance(lost, Exception):
+                    raise
                 raise ConnectionError(f"{self._where} is lost: {lost}") from lost
             if result == sdk.COMM_SUCCESS:
                 break
@@ -222,11 +222,6 @@ class DynamixelRobot:
             why = self._packets.getRxPacketError(error) if result == sdk.COMM_SUCCESS else self._packets.getTxRxResult(result)
             raise NoAnswerError(f"{who} on {self._where}: {why}")
         return value
-
-
-def _signed(value: int, size: int) -> int:
-    """A number of so many bytes in two's complement."""
-    return value - (1 << 8 * size) if value >> (8 * size - 1) else value
 
 
 def _whole(steps: Array) -> Array:

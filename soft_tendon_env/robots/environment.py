@@ -17,9 +17,8 @@ from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.single import TendonRodEnv
 from soft_tendon_env.robots.clock import Timing
 from soft_tendon_env.robots.log import RobotLog
-from soft_tendon_env.robots.measured_arm import MeasuredArm, misfit
+from soft_tendon_env.robots.measured_arm import REST, MeasuredArm, Rest, misfit
 from soft_tendon_env.robots.protocol import Robot, check_robot
-from soft_tendon_env.robots.reach import Rest, reach_of
 from soft_tendon_env.robots.safety import RobotStopped, SafeRobot, Stop
 from soft_tendon_env.tools.checks import checked_count, checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
@@ -29,8 +28,6 @@ SETTLE = 1.0
 """Time [s] in which an arm is brought to where episodes begin."""
 PATIENCE = 3
 """Control periods without a new reading, or behind the deadlines, after which an arm is let go."""
-REST = Rest()
-"""Rest unless a user says otherwise."""
 
 
 class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
@@ -75,8 +72,8 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         fastest = None if rate is None else checked_number("rate", rate, 1e-9, "a positive number, or None")
         rise = checked_number("settle", settle, 0.0, "a number of seconds, at least 0")
         checked_type("rest", rest, Rest, "such as Rest(speed=0.005, wait=60.0)")
-        sensors, watched = episodes.sensors.size, (reach_of(episodes.model), episodes.period)
-        self._safe = SafeRobot(robot, limits, sensors, *watched, fastest, checked_count("patience", patience, 1))
+        sensors, length = episodes.sensors.size, np.inf if episodes.model.scene.effects.moving_base is not None else episodes.model.length
+        self._safe = SafeRobot(robot, limits, sensors, length, episodes.period, fastest, checked_count("patience", patience, 1))
         self._log = None if log is None else RobotLog(Path(log), robot.command_unit, self._safe.senses, len(limits), sensors)
         if fastest is not None:  # the pretension is not there before the rate has led to it
             rise = max(rise, float(np.abs(episodes.start_command - self._safe.slack).max()) / fastest)

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Mapping
 
 import numpy as np
+import scipy.fft
 
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.episodes import Episodes
@@ -15,40 +16,53 @@ from soft_tendon_env.envs.observation import HISTORY
 from soft_tendon_env.envs.tasks import TIP
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.motion.tape import Tape
+from soft_tendon_env.model.step_control import slowest_vibration
 from soft_tendon_env.policies.estimators import PARAMETERS
 from soft_tendon_env.policies.regimes import TARGET_GROUPS
 from soft_tendon_env.robots.clock import Pacer
-from soft_tendon_env.robots.log import RobotLog
+from soft_tendon_env.robots.log import ReplayRobot, RobotLog
 from soft_tendon_env.robots.protocol import COMMANDS, Measurement, Robot
-from soft_tendon_env.robots.reach import WOBBLE, Rest, motion_of, window_of
-from soft_tendon_env.robots.replay import ReplayRobot
 from soft_tendon_env.robots.safety import SafeRobot
+from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.messages import describe
-from soft_tendon_env.tools.types import Array
+from soft_tendon_env.tools.types import Array, NotNegative, Positive
 
 FIELDS: Mapping[str, str] = {**dict.fromkeys(TIP, "tip_pose"), **PARAMETERS}
 """Fields of a Measurement by the observation groups that are made of them."""
-READINGS, LOOKS = 20, 10
-"""Least number of readings of which the speed is measured, and how often in its window an arm is looked at, whether it rests; it does when
-it did twice on end."""
+READINGS, LOOKS = 20, 10  # of which a speed is measured at least, and looks in its window; an arm rests when it did twice on end
+WINDOW = 2.0  # [s] at least over which the speed is measured: at 50 Hz and with noise of 2 mm, it shows a drift of 1.5 mm/s
+WOBBLE = 0.15  # [s] whose way at the greatest speed of rest is the greatest spread of rest: of fast small motion, as of filtered sensors
+STANDS_OUT = 33.0  # power of a mode over the median of all that is motion: one of 10,000 modes of white noise has as much
+
+
+class Rest(Configuration):
+    """Greatest speed of an arm at rest, and the longest time for which it is waited for.
+
+    Attributes:
+        speed: of the tip, root mean square over the window, as a share of the arm's length per second.
+        wait: time [s] under the first command.
+    """
+
+    speed: Positive = 0.005
+    wait: NotNegative = 60.0
+
+
+REST = Rest()
+"""Rest unless a user says otherwise."""
 
 
 class MeasuredArm(Arms):
     """One row, the robot. `place` brings it to rest where episodes begin, and makes that the zero of lengths and strains.
 
-    Args:
-        episodes: of the environment, begun never.
-        robot: see SafeRobot.
-        is_there: the first episode finds it at rest under the first command, and its sensors have their zeros.
-        rise: time [s] in which the command rises from slack.
-        rest: see Rest.
-        log: of every period, or None.
+    is_there: the first episode finds it at rest under the first command, and its sensors have their zeros. rise: time [s] in which the
+    command rises from slack.
     """
 
     def __init__(self, episodes: Episodes, robot: SafeRobot, is_there: bool, rise: float, rest: Rest, log: RobotLog | None) -> None:
         super().__init__(episodes.model, 1, episodes.period, np.empty(0), episodes.sensors)
         self.robot, self.pacer, self._log, self._rise, self._rest = robot, Pacer(robot.clock, episodes.period), log, rise, rest
-        self._window, self._is_there, self._has_zeros = window_of(episodes.model), is_there, is_there
+        self._window = max(WINDOW, np.pi / slowest_vibration(episodes.model))  # [s], half a swing, which stands still where it turns
+        self._is_there = self._has_zeros = is_there
         self._command, self._actuation = episodes.start_command, episodes.actuation
         self.zero: dict[str, Array] = {}
         """Values by field that are added to what the robot measures, so that it reads as the model at rest."""
@@ -149,3 +163,15 @@ def misfit(robot: Robot, episodes: Episodes) -> str:
         return f"without {', '.join(missing)}, which is observed.{hint}"
     odd = [name for name in groups if name not in {*FIELDS, *TARGET_GROUPS, HISTORY}]
     return f"unable to measure the observation groups {', '.join(odd)}" if odd else ""
+
+
+def motion_of(position: Array, period: float) -> tuple[float, float]:
+    """Speed [m/s], and distance from the mean [m], root mean square, of a point measured at positions (m, 3) [m] one period [s] apart.
+
+    Differences of noisy samples are mostly noise: 1 mm at 50 Hz makes 70 mm/s. So the motion is that of the cosine modes that stand out of
+    the noise, whose power is about the same in all modes.
+    """
+    power = scipy.fft.dct(position, axis=0, norm="ortho")[1:] ** 2 / len(position)
+    power = np.sum(power, axis=1, where=power > STANDS_OUT * np.median(power, axis=0))
+    rate = np.pi * np.arange(1, len(position)) / (len(position) * period)
+    return float(np.sqrt(np.sum(rate**2 * power))), float(np.sqrt(np.sum(power)))

@@ -71,12 +71,9 @@ def load_robot(name: str, options: Mapping[str, Any]) -> Robot:
     module, _, attribute = name.partition(":")
     try:
         made = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"robot is {name!r}: it should be MODULE:CLASS; {error}") from error
-    try:
         robot: Robot = made(**options)
-    except TypeError as error:
-        raise ValueError(f"robot {name} cannot be made with the options {shown(dict(options))}: {error}") from error
+    except (ImportError, AttributeError, TypeError) as error:
+        raise ValueError(f"robot is {name!r} with the options {shown(dict(options))}: it should be MODULE:CLASS; {error}") from error
     check_robot(robot)
     return robot
 

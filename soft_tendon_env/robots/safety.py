@@ -19,23 +19,18 @@ import numpy as np
 
 from soft_tendon_env.robots.clock import Clock
 from soft_tendon_env.robots.protocol import Measurement, Robot, checked_measurement
-from soft_tendon_env.robots.reach import check_tip
 from soft_tendon_env.tools.checks import checked_array
 from soft_tendon_env.tools.messages import UserError, first_line
 from soft_tendon_env.tools.types import Array
 
-RAMP, RAMP_STEPS = 0.03, 6
-"""Time [s] in which tendons go slack, sudden enough to be safe, and not a blow; and the commands on the way."""
-TRYING = 1.0
-"""Time [s] for which slack is tried where it cannot be sent; a port that comes back does so within less."""
-HANGING = 0.1
-"""Time [s] for which slack waits for another call of the robot; one that takes longer hangs."""
-LOOK = 1e-3
-"""Least time [s] between two looks of the watchdog, which looks four times in a period."""
-ROUNDING = 0.1
-"""Share of the range of commands by which motors may round beyond its ends."""
-ENDS = ("SIGTERM", "SIGHUP")
-"""Signals that end the process, as `kill` and a closed terminal send them; they act as Ctrl-C does."""
+RAMP, RAMP_STEPS = 0.03, 6  # [s] in which tendons go slack, sudden enough to be safe and not a blow, and the commands on the way
+TRYING = 1.0  # [s] for which slack is tried where it cannot be sent; a port that comes back does so within less
+HANGING = 0.1  # [s] for which slack waits for another call of the robot; one that takes longer hangs
+LOOK = 1e-3  # [s] at least between two looks of the watchdog, which looks four times in a period
+ROUNDING = 0.1  # share of the range of commands by which motors may round beyond its ends
+STRETCH = 1.25  # greatest distance of the tip from the base, in lengths of the arm: rubber stretches, trackers err by millimetres
+UNITS = {"cm": 100.0, "mm": 1000.0}  # in which trackers send positions, by how many there are in a metre
+ENDS = ("SIGTERM", "SIGHUP")  # signals of `kill` and of a closed terminal, which act as Ctrl-C does
 
 
 class RobotStopped(UserError):
@@ -44,16 +39,12 @@ class RobotStopped(UserError):
 
 @dataclass
 class Stop:
-    """Course of an emergency stop, or of the end of a run.
-
-    cause: why; slack: whether the last command, which lets the tendons go, was sent; seconds: from the cause to then [s]; failures: what
-    the robot raised meanwhile.
-    """
+    """Course of an emergency stop, or of the end of a run."""
 
     cause: str
-    slack: bool = False
-    seconds: float = 0.0
-    failures: list[str] = field(default_factory=list)
+    slack: bool = False  # whether the last command, which lets the tendons go, was sent
+    seconds: float = 0.0  # from the cause to then [s]
+    failures: list[str] = field(default_factory=list)  # what the robot raised meanwhile
 
 
 class SafeRobot:
@@ -63,23 +54,22 @@ class SafeRobot:
         robot: see Robot.
         limits: (n_a, 2) of commands.
         sensors: number of strain sensors; where there are none, strains that the robot senses are left out.
-        reach: greatest distance of the tip from the base [m].
+        length: of the arm [m], infinite where its base moves.
         period: of control [s].
         rate: greatest change of a command in a second; None: any.
         patience: periods without a new reading, or behind the deadlines, after which the arm is let go.
     """
 
-    def __init__(self, robot: Robot, limits: Array, sensors: int, reach: float, period: float, rate: float | None, patience: int) -> None:
+    def __init__(self, robot: Robot, limits: Array, sensors: int, length: float, period: float, rate: float | None, patience: int) -> None:
         self.robot = robot
         self.slack = np.zeros(len(limits)) if robot.command_unit == "N" else limits[:, 0].copy()  # no tension, or all that can be let out
         self.senses = tuple(name for name in robot.senses if sensors or not name.startswith("strain"))
         self.clock: Clock = getattr(robot, "clock", None) or Clock()
-        self._limits, self._sensors, self._reach, self._period = limits, sensors, reach, period
+        self._limits, self._sensors, self._reach, self._period = limits, sensors, STRETCH * length, period
         self._most, self._patience = np.inf if rate is None else rate * period, patience * period
         self._allowed = f": patience is {patience} control periods of {1e3 * period:g} ms"
-        self._closed = False
         self.stopped: Stop | None = Stop("it has not begun", slack=True)
-        self._sent, self._fresh = self.slack.copy(), 0.0
+        self._sent, self._fresh, self._closed = self.slack.copy(), 0.0, False
         self._newest: Measurement | None = None
         self._lock = threading.Lock()  # of the robot's calls
         self._told: SimpleQueue[tuple[str, threading.Event]] = SimpleQueue()
@@ -94,19 +84,17 @@ class SafeRobot:
             for number in (getattr(signal, name) for name in ENDS if hasattr(signal, name)):
                 if signal.getsignal(number) is signal.SIG_DFL:  # else it is ignored, as under nohup, or somebody handles it
                     self._handlers[number] = signal.signal(number, signal.default_int_handler)
-        self._newest, self._fresh = None, self.clock.now()
-        self.stopped = None
+        self._newest, self._fresh, self.stopped = None, self.clock.now(), None
 
     def read(self) -> Measurement:
         """The newest measurement. Raises RobotStopped, also after a reading that fails, that cannot be, or is as old as the watchdog's
         patience."""
         self._refuse()
         try:
-            given = self._alone(self.robot.read, TRYING)
-            found = checked_measurement(given, self.senses, self.slack.size, self._sensors)
+            found = checked_measurement(self._alone(self.robot.read, TRYING), self.senses, self.slack.size, self._sensors)
             if self._newest is None or found.time > self._newest.time:
                 if found.tip_pose is not None:
-                    check_tip(found.tip_pose[:3, 3], self._reach)
+                    self._check_tip(found.tip_pose[:3, 3])
                 self._newest, self._fresh = found, self.clock.now()
         except Exception as error:
             self.fail(f"reading failed: {first_line(error)}", error)
@@ -128,9 +116,8 @@ class SafeRobot:
             if found is not None:
                 found, slop = checked_array("what write returns", found, self.slack.shape), ROUNDING * (greatest - least)
                 if not ((found >= np.minimum(least, self.slack) - slop) & (found <= greatest + slop)).all():
-                    raise ValueError(
-                        f"it returned {found.tolist()}: it should return what was sent, in {self.robot.command_unit}, or nothing"
-                    )
+                    text = f"it should return what was sent, in {self.robot.command_unit}, or nothing"
+                    raise ValueError(f"it returned {found.tolist()}: {text}")
         except Exception as error:
             self.fail(f"writing failed: {first_line(error)}", error)
         if self.stopped is not None:  # while the call hung
@@ -143,6 +130,10 @@ class SafeRobot:
         """Stops where a period begins so late [s] that the loop does not catch up any more. Raises RobotStopped."""
         if late > self._patience:
             self.fail(f"the loop is {1e3 * late:.0f} ms behind its deadlines{self._allowed}")
+
+    def fail(self, cause: str, error: Exception | None = None) -> NoReturn:
+        """Stops, and raises RobotStopped with the first cause."""
+        raise RobotStopped(self.stop(cause).cause) from error
 
     def stop(self, cause: str) -> Stop:
         """Lets the tendons go slack, and waits until they are, or cannot be. The first cause counts; later calls wait, and try again."""
@@ -203,11 +194,11 @@ class SafeRobot:
 
     def _send(self, command: Array, slackens: bool = False) -> Any:
         """Sends a command (n_a,), clipped to the limits and slack; returns what `write` does. After a stop nothing but slack is sent."""
-        held = np.clip(command, np.minimum(self._limits[:, 0], self.slack), self._limits[:, 1])
 
         def send() -> Any:
             if self.stopped is not None and not slackens:
                 return None
+            held = np.clip(command, np.minimum(self._limits[:, 0], self.slack), self._limits[:, 1])
             found = self.robot.write(held.copy())
             self._sent = held
             return found
@@ -223,15 +214,21 @@ class SafeRobot:
             if is_free:
                 self._lock.release()
 
+    def _check_tip(self, tip: Array) -> None:
+        """Raises ValueError for a measured tip (3,) beyond reach."""
+        if (far := float(np.linalg.norm(tip))) > self._reach:
+            units = [name for name, factor in UNITS.items() if 0.1 * self._reach < far / factor <= self._reach]
+            hint = f"it seems to be in {' or '.join(units)}" if units else "is it in the scene's world frame?"
+            raise ValueError(
+                f"measurement.tip_pose puts the tip {far:.3g} m from the base, and the arm reaches {self._reach:.3g} m: {hint}"
+            )
+
     def _too_old(self) -> str:
         """Cause of a stop where the newest measurement is too old; "": it is not."""
         age = self.clock.now() - self._fresh
         return "" if self.stopped is not None or age <= self._patience else f"no reading for {1e3 * age:.0f} ms{self._allowed}"
 
     def _refuse(self) -> None:
+        """Raises RobotStopped after a stop."""
         if self.stopped is not None:
             self.fail(self.stopped.cause)
-
-    def fail(self, cause: str, error: Exception | None = None) -> NoReturn:
-        """Stops, and raises RobotStopped with the first cause."""
-        raise RobotStopped(self.stop(cause).cause) from error

@@ -32,9 +32,8 @@ EARLY = 1e-9  # [s] by which a command may arrive before its time: clocks are su
 
 
 class SimulatedRobot:
-    """Simulated arm, at rest under the tensions nearest to zero until it is first read or commanded.
-
-    It is simulated up to the present whenever it is read or commanded. Every field of Measurement is sensed but tensions.
+    """Simulated arm, at rest under the tensions nearest to zero until it is first read or commanded, and simulated up to the present
+    whenever it is. Every field of Measurement is sensed but tensions.
 
     Args:
         model_error: names of soft_tendon_env.evaluation.MODEL_ERRORS, with commas between.

@@ -97,18 +97,6 @@ def test_what_does_not_fit_is_said(options, changes, message, arm_of_test, drawi
     assert "environment: robot is Arm, " in str(error.value) and message in str(error.value)
 
 
-def test_stable_baselines_learns_on_a_robot():
-    sb3 = pytest.importorskip("stable_baselines3")
-    options = {**SMALL, "observation": "measurable", "sensors": 3}
-    robot = SimulatedRobot(**SMALL, sensors=3, randomize={"noise": {"position": 1e-3}}, real_time=False)
-    env = RobotEnv(gym.make("TendonRod-Reach-v0", max_episode_steps=20, **options), robot, settle=0.1)
-    replay = {"replay_buffer_class": sb3.HerReplayBuffer, "learning_starts": 40, "batch_size": 8}
-    agent = sb3.SAC("MultiInputPolicy", env, seed=0, device="cpu", policy_kwargs={"net_arch": [8]}, **replay)
-    agent.learn(60)
-    assert agent.num_timesteps == 60 and env.stopped is None
-    env.close()
-
-
 def test_robots_begin_at_rest_and_are_not_copied(arm_of_test, drawing):
     env = RobotEnv(drawing(), arm_of_test())
     env.reset(seed=0)

@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -242,17 +241,3 @@ def test_a_late_period_does_not_move_the_next_deadlines():
     real = Clock()
     start, pacer = real.now(), Pacer(real, 0.01)
     assert min(pacer.wait() for _ in range(3)) >= 0.0 and real.now() >= start + 0.03
-
-
-class Ending(gym.Wrapper):
-    """Ends episodes after five steps."""
-
-    def step(self, action):
-        observation, reward, terminated, _, info = self.env.step(action)
-        return observation, reward, terminated, self.env.robot.counts["write"] >= 6, info
-
-
-def test_an_episode_that_ends_early_is_told(arm_of_test, drawing, pulling):
-    arm = arm_of_test()
-    report = run_policy(pulling(), Ending(RobotEnv(drawing(), arm, settle=0.0)), 0.6)
-    assert report.stop.cause == "the episode ended after 5 of 30 control periods" and not report.finished and arm.closed
