@@ -103,11 +103,11 @@ def run(arguments: Sequence[str]) -> None:
 def _connected(settings: Run, env: gym.Env[Any, Any], options: dict[str, Any]) -> gym.Env[Any, Any]:
     """The environment, with these options, and its robot. Raises ValueError, TypeError, OSError, and closes the robot then."""
     of_arm = {name: options[name] for name in OF_ARM if name in options and settings.robot == SIMULATED}
-    connected: Robot | RobotEnv = load_robot(settings.robot, {**of_arm, **settings.robot_options})
+    robot = load_robot(settings.robot, {**of_arm, **settings.robot_options})
+    connected: Robot | RobotEnv = DryRobot(robot) if settings.dry_run else robot
     try:
         safe = {"rate": settings.rate, "settle": settings.settle, "patience": settings.patience}
         rest = Rest(speed=settings.rest_speed, wait=settings.rest_wait)
-        connected = DryRobot(connected) if settings.dry_run else connected
         connected = RobotEnv(env, connected, rest=rest, log=settings.out, **safe)  # type: ignore[arg-type] # each is of its type
         if settings.record is None:
             return connected

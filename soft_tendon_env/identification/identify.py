@@ -106,7 +106,7 @@ def identify(
         measurement=measurement,
         error_fit=errors[0],
         error_held_out=errors[1],
-        before=tuple(mean_of_finite(part.errors(np.zeros(len(chosen)))) for part in (fitted, unseen)),
+        before=(mean_of_finite(fitted.errors(0.0 * found.x)), mean_of_finite(unseen.errors(0.0 * found.x))),
         noise=found.sigma,
         findings=(*findings(found, spread.unseen, fitted, noise), *finer),
         data=tuple(os.fspath(file) for file in files),

@@ -77,11 +77,11 @@ def read_parameters(asked: Sequence[str], scene: Scene, markers: MarkerSet) -> t
     """Parameters of what is asked for, `KEY`, `KEY=LOW..HIGH` or `KEY~SIGMA`. Raises ValueError in one line."""
     measured, found = _of_measurement(scene, markers), list[Parameter]()
     for text in asked:
-        key, *given = _parsed(text)
+        key, bounds, prior = _parsed(text)
         if key.split(".")[0] not in MEASUREMENT:
-            found.append(_of_scene(key, scene, *given))
+            found.append(_of_scene(key, scene, bounds, prior))
         elif matches := [one for name, one in measured.items() if re.match(rf"{re.escape(key)}(\.|$)".replace(r"\*", r"[^.]+"), name)]:
-            found += [_given(one, *given) for one in matches]
+            found += [_given(one, bounds, prior) for one in matches]
         else:
             raise ValueError(f"parameter {key!r} is none of the measurement: {not_among(key, measured)}")
     keys = [key for one in found for key in (one.of_scene.keys if one.of_scene else (one.name,))]

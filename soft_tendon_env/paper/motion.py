@@ -4,7 +4,7 @@ The last is the package's tip tracker in TendonRod-TipPose-v0, on the same circl
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -127,7 +127,7 @@ def track(scene: str, feedforward: bool, circle: Circle, duration: float) -> Mot
     feedforward: whether the controller is told the tensions that would hold the target at rest, as in the catalogue.
     """
     count = round(duration / PERIOD)
-    options = {"scene": scene, "target": circle.model_dump(), "tension_limits": LIMITS, "control_period": PERIOD}
+    options: dict[str, Any] = {"scene": scene, "target": circle.model_dump(), "tension_limits": LIMITS, "control_period": PERIOD}
     env = gym.make(IDS["TipPose"], preview=(PERIOD, 2.0 * PERIOD), max_episode_steps=count, **options)
     episodes = episodes_of(env)
     model, limits, aim = episodes.model, episodes.limits, TipPose(0.1 * episodes.model.length)

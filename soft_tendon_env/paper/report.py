@@ -62,7 +62,9 @@ def box(axes: Any, title: str, **paths: np.ndarray) -> None:
 def draw_tensions(axes: Axes, time: np.ndarray, tension: np.ndarray, title: str) -> None:
     """Tensions (m, n_a) [N] against time [s]."""
     lines = axes.plot(time, tension, linewidth=1.0)
-    axes.legend(lines, range(1, len(lines) + 1), frameon=False, ncols=5, fontsize="small", title="tendon", title_fontsize="small")
+    axes.legend(
+        lines, [f"{i + 1}" for i in range(len(lines))], frameon=False, ncols=5, fontsize="small", title="tendon", title_fontsize="small"
+    )
     axes.set(xlabel="time [s]", ylabel="tension [N]", title=title)
     axes.grid(alpha=0.3)
 

@@ -14,6 +14,7 @@ of the closed loop at its equilibrium for a target at rest. "Later" is the secon
 """
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -155,13 +156,16 @@ def real_parts_around(model: ste.Model, left_inverse: LeftInverse) -> list[float
     """
     parts = []
     for pose in COURSE.sample(CIRCLE.period / PLACES * np.arange(PLACES, dtype=np.float64)).tip_pose:
-        standing = TipPoseTarget(pose, np.zeros(6), np.zeros(6))
         q = ste.tension_for_tip_pose(model, pose).q
         for inverse in dict.fromkeys((energy_left_inverse, left_inverse)):
-            loop = ClosedLoop(model, law_of(inverse, lambda t, standing=standing: standing))
+            loop = ClosedLoop(model, law_of(inverse, partial(_standing, pose)))
             q = loop.equilibrium(q)
         parts.append(loop.largest_real_part(q))
     return parts
+
+
+def _standing(pose: np.ndarray, t: float) -> TipPoseTarget:
+    return TipPoseTarget(pose, np.zeros(6), np.zeros(6))
 
 
 def variants(numbers: dict[str, dict[str, float]], real_parts: dict[str, list[float]]) -> str:

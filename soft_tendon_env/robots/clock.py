@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-SPIN = 5e-4
-"""Time [s] before a deadline at which sleeping ends: the scheduler wakes a process late by less than that, where it is idle."""
+SPIN = 5e-4  # [s] before a deadline at which sleeping ends: the scheduler wakes a process late by less, where it is idle
 
 
 class Clock:

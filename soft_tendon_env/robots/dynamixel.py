@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from time import perf_counter
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import dynamixel_sdk as sdk
 import numpy as np
@@ -23,45 +23,25 @@ from soft_tendon_env.tools.checks import checked_array, checked_number, checked_
 from soft_tendon_env.tools.configuration import Configuration, shown
 from soft_tendon_env.tools.types import Array, Positive
 
-PROTOCOL = 2.0
-TICKS = 4096 / (2.0 * math.pi)
-"""Positions in a radian."""
+TICKS = 4096 / (2.0 * math.pi)  # positions in a radian
 WATCHDOG_UNIT = 0.02  # [s]
-MODES = {"current": 0, "position": 4}
-"""Operating modes: current control, extended position control."""
-TRIES = 3
-"""How often a motor is asked before a run: an answer may be lost on a bus that works."""
+MODES = {"current": 0, "position": 4}  # current control, extended position control
+TRIES = 3  # how often a motor is asked before a run: an answer may be lost on a bus that works
+OPERATING_MODE, CURRENT_LIMIT, TORQUE_ENABLE, BUS_WATCHDOG = 11, 38, 64, 98  # addresses of registers
+GOALS = {"current": (102, 2), "position": (116, 4)}  # address and size
+PRESENT = (126, 10)  # of current (2 bytes), velocity (4) and position (4), side by side
 
 
 class NoAnswerError(ConnectionError):
     """Raised where a motor does not answer, or with an error."""
 
 
-class Register(NamedTuple):
-    """Entry of a motor's control table: address and number of bytes."""
-
-    address: int
-    size: int
-
-
-OPERATING_MODE, CURRENT_LIMIT, TORQUE_ENABLE, BUS_WATCHDOG = Register(11, 1), Register(38, 2), Register(64, 1), Register(98, 1)
-GOAL_CURRENT, GOAL_POSITION = Register(102, 2), Register(116, 4)
-PRESENT = Register(126, 10)
-"""Present current (2 bytes), velocity (4) and position (4), side by side."""
-
-
 class MotorSettings(Configuration):
-    """Settings of Dynamixel motors and their bus.
+    """Settings of Dynamixel motors and their bus."""
 
-    Attributes:
-        current_unit: ampere of a step of current: 0.00269 for X motors of 430 and 540, 0.001 for 330.
-        baud: bits a second.
-        watchdog: time [s] without a word on the bus after which the motors stop, 0.02 to 2.54.
-    """
-
-    current_unit: Positive = 0.00269
-    baud: Annotated[int, Field(ge=1)] = 1_000_000
-    watchdog: Annotated[float, Field(ge=WATCHDOG_UNIT, le=127 * WATCHDOG_UNIT)] = 0.1
+    current_unit: Positive = 0.00269  # [A] of a step of current: 0.00269 for X motors of 430 and 540, 0.001 for 330
+    baud: Annotated[int, Field(ge=1)] = 1_000_000  # [bits/s]
+    watchdog: Annotated[float, Field(ge=WATCHDOG_UNIT, le=127 * WATCHDOG_UNIT)] = 0.1  # [s] of silence after which the motors stop
 
 
 MOTORS = MotorSettings()
@@ -107,7 +87,7 @@ class DynamixelRobot:
         self.senses: tuple[str, ...] = ("tension", "tendon_length", *(("tip_pose",) if tip_pose else ()))
         self._ids, self._tip_pose = tuple(ids), tip_pose
         self._open(port, settings.baud)
-        self._goal = GOAL_CURRENT if mode == "current" else GOAL_POSITION
+        self._goal = GOALS[mode]
         self._sender = sdk.GroupSyncWrite(self._port, self._packets, *self._goal)
         self._reader = sdk.GroupSyncRead(self._port, self._packets, *PRESENT)
         self._most = np.zeros(len(ids))
@@ -115,7 +95,7 @@ class DynamixelRobot:
             self._reader.addParam(motor)
             self._set(motor, TORQUE_ENABLE, 0)
             self._set(motor, OPERATING_MODE, MODES[mode])
-            limit = partial(self._packets.read2ByteTxRx, self._port, motor, CURRENT_LIMIT.address)
+            limit = partial(self._packets.read2ByteTxRx, self._port, motor, CURRENT_LIMIT)
             self._most[i] = self._asked(f"motor {motor}", limit)
         self._zero = self._present(TRIES)[1]
         if mode == "position":
@@ -166,7 +146,7 @@ class DynamixelRobot:
 
     def _open(self, port: str, baud: int) -> None:
         """Open the port, and look for the motors. Raises ConnectionError."""
-        self._where, self._port, self._packets = port, sdk.PortHandler(port), sdk.PacketHandler(PROTOCOL)
+        self._where, self._port, self._packets = port, sdk.PortHandler(port), sdk.PacketHandler(2.0)
         try:
             opened = self._port.openPort() and self._port.setBaudRate(baud)
         except OSError as error:
@@ -183,7 +163,7 @@ class DynamixelRobot:
         for motor in self._ids:
             if not self._reader.isAvailable(motor, *PRESENT):
                 raise NoAnswerError(f"motor {motor} on {self._where} does not answer")
-            current, position = (self._reader.getData(motor, PRESENT.address + place, size) for place, size in ((0, 2), (6, 4)))
+            current, position = (self._reader.getData(motor, PRESENT[0] + place, size) for place, size in ((0, 2), (6, 4)))
             found.append((np.int16(np.uint16(current)), np.int32(np.uint32(position))))  # two's complement
         self._heard = perf_counter()
         return np.array(found, dtype=np.float64).T
@@ -192,18 +172,18 @@ class DynamixelRobot:
         """Send the goals (n_a,) in steps. Raises ConnectionError."""
         self._sender.clearParam()
         for motor, goal in zip(self._ids, ticks, strict=True):
-            self._sender.addParam(motor, int(goal).to_bytes(self._goal.size, "little", signed=True))
+            self._sender.addParam(motor, int(goal).to_bytes(self._goal[1], "little", signed=True))
         self._asked("the motors", lambda: (None, self._sender.txPacket(), 0), 1)
         self._heard = perf_counter()
 
-    def _set(self, motor: int, register: Register, value: int) -> None:
+    def _set(self, motor: int, register: int, value: int) -> None:
         """Set a register of one byte of a motor. Raises ConnectionError."""
-        self._asked(f"motor {motor}", lambda: (None, *self._packets.write1ByteTxRx(self._port, motor, register.address, value)))
+        self._asked(f"motor {motor}", lambda: (None, *self._packets.write1ByteTxRx(self._port, motor, register, value)))
 
-    def _broadcast(self, register: Register, value: int) -> None:
+    def _broadcast(self, register: int, value: int) -> None:
         """Set a register of one byte of all motors, which do not answer: one that is lost keeps nobody waiting."""
         write = self._packets.write1ByteTxOnly
-        self._asked("the motors", lambda: (None, write(self._port, sdk.BROADCAST_ID, register.address, value), 0), 1)
+        self._asked("the motors", lambda: (None, write(self._port, sdk.BROADCAST_ID, register, value), 0), 1)
 
     def _asked(self, who: str, call: Callable[[], tuple[Any, int, int]], tries: int = TRIES) -> Any:
         """Value that a call of the SDK returns with its result and error, tried several times if need be; a port that is lost does not stay

@@ -73,10 +73,10 @@ class MeasuredArm(Arms):
         self.robot.begin()
         self.pacer.start()
         self.zero = {}
-        is_recorded = isinstance(self.robot.robot, ReplayRobot)
-        if is_recorded:
+        if isinstance(self.robot.robot, ReplayRobot):
             self.robot.robot.begin()
-        if self._is_there or is_recorded:
+            self._is_there = True
+        if self._is_there:
             self.robot.write(self._command)
             held = [self.robot.read()]
         else:
