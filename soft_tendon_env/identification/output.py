@@ -51,22 +51,15 @@ def _as_json(found: Estimate) -> dict[str, Any]:
         one.name: {"value": value, "low": low, "high": high, "before": one.value, "prior": one.prior, "identified": bool(seen)}
         for one, value, low, high, seen in rows
     }
-    errors = zip(("fit", "held_out"), (found.error_fit, found.error_held_out), found.errors, found.before, strict=True)
-    return plain(
-        {
-            "parameters": parameters,
-            "error_mm": {
-                name: {"mean": 1e3 * mean, "before": 1e3 * before, "each": {one: 1e3 * error for one, error in each.items()}}
-                for name, each, mean, before in errors
-            },
-            "noise_mm": 1e3 * found.noise,
-            "findings": list(found.findings),
-            "measurement": found.measurement._asdict(),
-            "randomize": randomize(found),
-            "data": {Path(file).name: digest(Path(file)) for file in found.data},
-            **origin(),
-        }
-    )
+    errors = {
+        name: {"mean": 1e3 * mean, "before": 1e3 * before, "each": {one: 1e3 * error for one, error in each.items()}}
+        for name, each, mean, before in zip(
+            ("fit", "held_out"), (found.error_fit, found.error_held_out), found.errors, found.before, strict=True
+        )
+    }
+    told = {"noise_mm": 1e3 * found.noise, "findings": found.findings, "measurement": found.measurement._asdict()}
+    data = {Path(file).name: digest(Path(file)) for file in found.data}
+    return plain({"parameters": parameters, "error_mm": errors, **told, "randomize": randomize(found), "data": data, **origin()})
 
 
 def randomize(found: Estimate) -> dict[str, Any]:

@@ -28,20 +28,12 @@ TURNED = {"gravity": ("acceleration",), "tip_load": ("force", "moment"), "fluid"
 """Vectors of effects in the world frame, which turn against the base when the mount does."""
 INSIDE = {"actuators", "tendon_elasticity", "tendon_friction", "nonlinear_elasticity", "viscoelastic_memory"}
 """Effects that know nothing of the world frame."""
-DIFFERENCES = (1e-4, 1e-3)
-"""Changes of a dimensionless coordinate for central differences, whose error is their square: of holds, whose equilibria are exact to
-1e-10, and with motions, whose steps are to their tolerance."""
-ROTATION = 1e-3 / math.radians(0.5)
-"""Share of the rod's length as whose error of position one of orientation by a radian counts: usual trackers err by 1 mm on 1 m and 0.5
-degrees."""
+DIFFERENCES = (1e-4, 1e-3)  # of coordinates, central: of holds, which are exact to 1e-10, and with motions, to the steps' tolerance
+ROTATION = 1e-3 / math.radians(0.5)  # lengths of the rod that count as a radian: trackers err by 1 mm on 1 m and 0.5 degrees
 
 
 class NoHoldError(ValueError):
     """Raised where the arm has no equilibrium for a hold, or its motion cannot be simulated."""
-
-
-class _NotHeld(Exception):
-    """Raised where a command holds the arm nowhere."""
 
 
 class Measurement(NamedTuple):
@@ -205,30 +197,22 @@ class Readings:
         """Coordinates (n,) at every sample of a recording under commands (samples, n_a). Raises NoHoldError."""
         one = self.recordings[i]
         try:
-            q, tension = _at_rest(model, command[0], self._rests[i], bool(one.period))
-            self._rests[i] = q
+            if model.command_unit == "N":
+                rest, tension = static_equilibrium(model, command[0], self._rests[i], settle=bool(one.period)), command[0]
+            else:
+                rest, tension = commanded_equilibrium(model, command[0])
+            if not rest.converged:
+                raise NoHoldError(rest.reason)
+            self._rests[i] = rest.q
             if not one.period:
-                return [q]
-            start = Simulation(model).reset(q, tension=tension)
+                return [rest.q]
+            start = Simulation(model).reset(rest.q, tension=tension)
             return list(simulate(model, command[:-1], one.period * (len(command) - 1), one.period, start).q)
-        except (SimulationDiverged, _NotHeld, StrainLimitError) as error:
+        except (SimulationDiverged, NoHoldError, StrainLimitError) as error:
             text = f"hold {one.name!r} has no equilibrium: {error}"
             if one.period:
-                text = (
-                    f"motion {one.name!r} cannot be simulated: {error}. Its samples are {one.period:.3g} s apart, if their unit is right."
-                )
-            raise NoHoldError(f"{one.where}: {text}") from error
-
-
-def _at_rest(model: Model, command: Array, guess: Array | None, settle: bool) -> tuple[Array, Array]:
-    """Coordinates (n,) at rest under a command (n_a,), and the tensions (n_a,) [N]. Raises _NotHeld, StrainLimitError."""
-    if model.command_unit == "N":
-        found, tension = static_equilibrium(model, command, guess, settle=settle), command
-    else:
-        found, tension = commanded_equilibrium(model, command)
-    if not found.converged:
-        raise _NotHeld(found.reason)
-    return found.q, tension
+                text = f"motion {one.name!r} cannot be simulated: {error}. Its samples are {one.period:.3g} s apart, if their unit is right"
+            raise NoHoldError(f"{one.where}: {text}.") from error
 
 
 def mean_of_finite(values: Array) -> float:

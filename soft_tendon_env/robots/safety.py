@@ -71,7 +71,7 @@ class SafeRobot:
         self.stopped: Stop | None = Stop("it has not begun", slack=True)
         self._sent, self._fresh, self._closed = self.slack.copy(), 0.0, False
         self._newest: Measurement | None = None
-        self._lock = threading.Lock()  # of the robot's calls
+        self._lock, self._hangs = threading.Lock(), False  # of the robot's calls, and whether one does not return
         self._told: SimpleQueue[tuple[str, threading.Event]] = SimpleQueue()
         self._handlers = dict[int, Any]()
         threading.Thread(target=self._watch, name="watchdog", daemon=True).start()
@@ -207,7 +207,8 @@ class SafeRobot:
 
     def _alone(self, call: Callable[[], Any], longest: float) -> Any:
         """Result of a call of the robot, after the one that goes on, for which it waits at most `longest` [s]."""
-        is_free = self._lock.acquire(timeout=longest)
+        is_free = self._lock.acquire(timeout=0.0 if self._hangs else longest)
+        self._hangs = not is_free
         try:
             return call()
         finally:
