@@ -2,7 +2,6 @@
 
 import json
 import re
-import signal
 import sys
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import pytest
 
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.cli.run import _tell_of_reach
-from soft_tendon_env.robots import SimulatedRobot, load_robot
+from soft_tendon_env.robots import load_robot
 
 ARM = ["--scene", "three_tendon", "--fidelity", "fast"]
 STEPPED = ["--robot-options", '{"real_time": false, "model_error": "stiffness-20%,latency-20ms"}']
@@ -52,39 +51,6 @@ def test_a_robot_that_does_not_answer_ends_it_in_one_line(tmp_path, capsys):
     assert report["stop"]["slack"] and report["rms"]["position_error"] is None
     said = capsys.readouterr().out
     assert "position error" not in said and f"written: {out}\n" not in said and not out.exists()  # there was none
-
-
-class Interrupted(SimulatedRobot):
-    """A simulated arm at whose 200th reading somebody presses Ctrl-C."""
-
-    count = 0
-
-    def read(self):
-        self.count += 1
-        if self.count == 200:
-            signal.raise_signal(signal.SIGINT)
-        return super().read()
-
-
-def test_whoever_presses_ctrl_c_is_told_how_the_tendons_went(tmp_path, capsys):
-    out, robot = tmp_path / "run.csv", ["--robot", f"{__name__}:Interrupted", "--robot-options"]
-    options = '{"scene": "three_tendon", "fidelity": "fast", "sensors": 3, "real_time": false}'
-    with pytest.raises(SystemExit) as exit:
-        main(["run", "filtered:tracking", *ARM, *robot, options, "--seconds", "9", "--out", str(out)])
-    said = capsys.readouterr()
-    assert exit.value.code == 130 and said.err.endswith("\nstopped\n") and out.read_text().count("\n") > 20
-    told = rf"written: {out.with_suffix('.json')}\nwritten: {out}\ninterrupted: tendons slack after \d+ ms\n\n$"
-    assert re.search(told, said.out)
-
-
-def test_a_log_that_is_there_is_refused_before_anything_moves(tmp_path, capsys):
-    out = tmp_path / "run.csv"
-    out.write_text("hold,time\n")
-    for path, message in ((out, "is there already, and no log is overwritten"), (tmp_path / "a.parquet", "should be a file *.csv")):
-        with pytest.raises(SystemExit) as exit:
-            main(["run", "no policy", "--out", str(path)])
-        assert exit.value.code == 2 and message in capsys.readouterr().err
-    assert out.read_text() == "hold,time\n"
 
 
 @pytest.mark.cases(
