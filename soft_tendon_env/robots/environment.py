@@ -24,10 +24,8 @@ from soft_tendon_env.tools.checks import checked_count, checked_number, checked_
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
-SETTLE = 1.0
-"""Time [s] in which an arm is brought to where episodes begin."""
-PATIENCE = 3
-"""Control periods without a new reading, or behind the deadlines, after which an arm is let go."""
+SETTLE = 1.0  # [s] in which an arm is brought to where episodes begin
+PATIENCE = 3  # control periods without a new reading, or behind the deadlines, after which an arm is let go
 
 
 class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):

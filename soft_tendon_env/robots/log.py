@@ -1,17 +1,8 @@
 """Log of a run: one row a control period, in CSV, as `soft-tendon identify` and `ReplayRobot` read it.
 
-    hold                 name of the motion, the file's, with a number behind it where there are several
-    time                 beginning of the period [s], from that of the run
-    tension_0 ...        sent, and held over the period; displacement_0 ... where the arm is driven by them
-    commanded_0 ...      asked for by the policy, before limits of size and rate
-    measured_time        of the measurement, on the robot's clock [s]
-    tip_x ..., tip_qw ...           measured position [m] and unit quaternion of the tip, world frame; a marker named `tip`
-    tip_wx ..., tip_vx ...          body twist, angular [rad/s] and linear [m/s]
-    measured_tension_0 ..., tendon_length_0 ...     [N], [m]
-    strain_0_torsion ..., strain_rate_0_torsion ... at every sensor: torsion, bend_y, bend_z [1/m], stretch, shear_y, shear_z
-
-A motion's first row, one period before time 0, has the command under which the arm was held until then, and what it measures at rest.
-What is measured has the zeros of the arm at rest. Columns of what an arm does not sense are not there.
+Columns: `hold`, the motion's name; `time` [s] at which the period begins; `measured_time` on the robot's clock; commands that were sent
+(`tension_0` or `displacement_0`, ...) and `commanded_0`, ..., which the policy asked for; and what is sensed, see `columns_of`, with the
+zeros of the arm at rest. A motion's first row, one period before time 0, has the command under which the arm rested until then.
 """
 
 import contextlib

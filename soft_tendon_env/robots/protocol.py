@@ -1,8 +1,5 @@
-"""Interface of a real arm: measurements that are read, and commands of its tendons that are written.
-
-A class of one's own needs two names and three methods; docs/how_to/robots.md has one in twenty lines. What it raises ends a run safely, see
-safety.py.
-"""
+"""Interface of a real arm: measurements that are read, and commands of its tendons that are written. docs/how_to/robots.md has a class of
+one's own in twenty lines. What it raises ends a run safely, see safety.py."""
 
 import importlib
 from collections.abc import Mapping
@@ -16,11 +13,9 @@ from soft_tendon_env.tools.extensions import look_in_this_folder
 from soft_tendon_env.tools.types import Array
 
 Unit = Literal["N", "m"]
-"""Unit of commands: tensions, or displacements by which actuators pull tendons in."""
 COMMANDS: Mapping[Unit, str] = {"N": "tension", "m": "displacement"}
-"""Quantity that is commanded, by its unit."""
-RIGID = 1e-3
-"""Tolerance of the entries of a measured pose: rotations that are sent with four digits, or as float32, keep it."""
+"""Quantities that are commanded: tensions, or displacements by which actuators pull tendons in."""
+RIGID = 1e-3  # tolerance of the entries of a measured pose: rotations that are sent with four digits, or as float32, keep it
 
 
 class Measurement(NamedTuple):
