@@ -30,7 +30,7 @@ LOOK = 1e-3  # [s] at least between two looks of the watchdog, which looks four 
 ROUNDING = 0.1  # share of the range of commands by which motors may round beyond its ends
 STRETCH = 1.25  # greatest distance of the tip from the base, in lengths of the arm: rubber stretches, trackers err by millimetres
 UNITS = {"cm": 100.0, "mm": 1000.0}  # in which trackers send positions, by how many there are in a metre
-ENDS = ("SIGTERM", "SIGHUP")  # signals of `kill` and of a closed terminal, which act as Ctrl-C does
+ENDS = ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")  # of `kill`, a closed terminal, Ctrl-\ and Ctrl-Z, which act as Ctrl-C does
 
 
 class RobotStopped(UserError):

@@ -41,6 +41,7 @@ def out_of_reach():
         ({}, at(8, out_of_reach), ValueError, "ValueError, the target is out of reach", 7),
         ({}, at(8, lambda: signal.raise_signal(signal.SIGINT)), KeyboardInterrupt, "interrupted", 7),
         ({}, at(8, lambda: signal.raise_signal(signal.SIGTERM)), KeyboardInterrupt, "interrupted", 7),
+        ({}, at(8, lambda: signal.raise_signal(signal.SIGTSTP)), KeyboardInterrupt, "interrupted", 7),
     ],
 )
 def test_every_end_lets_the_tendons_go(faults, then, raised, cause, sent, arm_of_test, drawing, pulling, columns_of_log, tmp_path):
