@@ -1,7 +1,7 @@
 """Strain parametrisations of the rod: statics-based (implicit) and explicit polynomial bases, and which of the six strains exist."""
 
 from collections.abc import Iterable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator
 from pydantic_core.core_schema import ValidationInfo
@@ -56,12 +56,9 @@ class Snapshots(Configuration):
     digest: str | None = Field(default=None, pattern="^[0-9a-f]{16}$")
 
 
-def _kind_of_fields(passive: Any) -> str:
-    return "modes" if isinstance(passive, tuple | list) else "snapshots"
-
-
 PassiveStrain = Annotated[
-    Annotated[tuple[Modes, ...], Tag("modes")] | Annotated[Snapshots, Tag("snapshots")], Discriminator(_kind_of_fields)
+    Annotated[tuple[Modes, ...], Tag("modes")] | Annotated[Snapshots, Tag("snapshots")],
+    Discriminator(lambda passive: "modes" if isinstance(passive, tuple | list) else "snapshots"),
 ]
 
 
