@@ -26,7 +26,7 @@ def make_arm(scene: Scene, grid: Grid, strain: StaticsBased | Loaded | Explicit 
         text = "is given, but the loads inside of a strain have to stand still beside the arm's base, which moves: leave it out"
         raise ConfigurationError([Problem(("strain", "include_loads"), text)])
     own = make_strain(scene, grid, here) if strain is None or isinstance(strain, Explicit) else _under_loads(scene, strain.law, grid)
-    return Arm(rod=make_rod(scene, grid, scene.strain.free, here, seen), tendons=here.shape.tendons, strain=own, effects=effects)
+    return Arm(rod=make_rod(scene, grid, scene.strain.free, here, seen), tendons=here.tendons, strain=own, effects=effects)
 
 
 def effects_inside(scene: Scene) -> bool:
@@ -64,13 +64,6 @@ def mode_fields(modes: tuple[Modes, ...], grid: Grid) -> Array:
     return np.array(fields).reshape(len(fields), *grid.points.shape, 6)
 
 
-def passive_fields(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> Array:
-    """Fields of the passive coordinates at the points: (fields, intervals, 2, 6)."""
-    if isinstance(strain.passive, Snapshots):
-        return fields_of(scene).at(grid.points, strain.passive.fields)
-    return mode_fields(strain.passive, grid)
-
-
 def explicit_strain(strain: ExplicitStrain, grid: Grid, here: AtPoints) -> Explicit:
     """Arrays of an explicit basis: its fields at the points, and their stiffness and damping."""
     fields = mode_fields(strain.modes, grid)
@@ -98,9 +91,12 @@ def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid, here: AtPo
     """Arrays of the strain law: which tensions are independent, and the passive fields that are left beside them."""
     exists = np.array([name in strain.strains for name in STRAINS], dtype=float)
     compliance = exists / here.elasticity
-    actuation = actuation_fields(here)
+    actuation = actuation_columns(here.geometry, here.curvature, STRAIGHT)
     mixing = independent_tensions(_inner(actuation, actuation, compliance, grid), strain.rank_tolerance)
-    passive = passive_fields(scene, strain, grid)
+    if isinstance(strain.passive, Snapshots):
+        passive = fields_of(scene).at(grid.points, strain.passive.fields)
+    else:
+        passive = mode_fields(strain.passive, grid)
     if strain.passive_coordinates == "orthogonal":
         passive = _orthogonal_to(actuation, passive, compliance, grid, strain.rank_tolerance)
     active = mixing.shape[1]
@@ -142,11 +138,6 @@ def with_every_tension(arm: Arm) -> Arm:
     return arm.replaced(strain=strain.replaced(**everywhere, law=law) if isinstance(strain, Loaded) else law)
 
 
-def actuation_fields(here: AtPoints) -> Array:
-    """Actuation fields Phi_a of the stress-free arm: (n_a, intervals, 2, 6)."""
-    return actuation_columns(here.shape.geometry, here.shape.curvature, STRAIGHT)
-
-
 def actuation_columns(geometry: Array, k: Array, p: Array) -> Array:
     """Actuation columns Phi_a (.., 6) of tendons of this geometry (.., 5), see `tendon_geometry`, at strains k, p (.., 3)."""
     d, chord = chords(geometry, k, p)
@@ -180,19 +171,15 @@ def independent_tensions(gram: Array, tolerance: float) -> Array:
 
 def _orthogonal_to(actuation: Array, passive: Array, compliance: Array, grid: Grid, tolerance: float) -> Array:
     """The parts of the passive fields orthogonal to the actuation fields and to each other, of unit energy; dependent ones dropped."""
-
-    def product(left: Array, right: Array) -> float:
-        return float(_inner(left[None], right[None], compliance, grid)[0, 0])
-
     basis: list[Array] = []
     found: list[Array] = []
     for i, field in enumerate([*actuation, *passive]):
         rest = field
         for _ in range(2):  # the second pass removes the rounding of the first
             for b in basis:
-                rest = rest - b * product(b, rest)
-        left = np.sqrt(product(rest, rest))
-        if left > tolerance * np.sqrt(product(field, field)):
+                rest = rest - b * _inner(b[None], rest[None], compliance, grid)[0, 0]
+        before, left = (float(np.sqrt(_inner(own[None], own[None], compliance, grid)[0, 0])) for own in (field, rest))
+        if left > tolerance * before:
             basis.append(rest / left)
             found += [basis[-1]] * (i >= len(actuation))
     return np.array(found).reshape(-1, *passive.shape[1:])

@@ -15,7 +15,6 @@ ARMS = {
     "explicit": ("three_tendon", EXPLICIT),
     "damped by a fluid": ("three_tendon", {"effects.fluid.density": 1000.0}),
 }
-FORCES = np.eye(3)[:, :2]
 
 
 @pytest.fixture(params=ARMS)
@@ -82,14 +81,6 @@ def test_at_rest_more_steps_make_them_those_of_the_linear_motion(build):
     wanted = differences(model, q, 0.0 * q, tension)[0]
     errors = [off(model, simulation.rollout(tension[None], PERIOD, steps=steps).by_state[0], wanted) for steps in (8, 16, 32)]
     assert errors[1] < errors[0] / 3.0 and errors[2] < errors[1] / 3.0 and errors[2] < 1e-4
-
-
-def test_forces_are_inputs_like_those_of_the_tendons(moving):
-    """The tendons' own, asked for as forces, have the Jacobian of the tensions."""
-    state, tension = moving.state, np.array([0.5, 0.3, 0.8])
-    B = moving.model.terms(state.q, state.q_dot).actuation
-    found = moving.rollout(tension[None], PERIOD, forces=B)
-    np.testing.assert_allclose(found.by_force, found.by_tension, atol=1e-6 * np.abs(found.by_tension).max())
 
 
 @pytest.mark.cases(
