@@ -124,12 +124,10 @@ def static_derivatives(model: Model, keys: Iterable[str], tension: ArrayLike) ->
 
 def _beside(model: Model, parameter: Parameter, step: float) -> list[tuple[float, Model]]:
     """Weights, and models whose parameter is that many steps off. Raises ConfigurationError."""
-    for weights in SIDES:
-        try:
+    for weights in SIDES[:-1]:
+        with contextlib.suppress(ConfigurationError):  # beyond a bound
             return [(weight, model.with_numbers(parameter.changes(parameter.value + k * step))) for k, weight in weights.items()]
-        except ConfigurationError as problem:
-            found = problem
-    raise found
+    return [(weight, model.with_numbers(parameter.changes(parameter.value + k * step))) for k, weight in SIDES[-1].items()]
 
 
 def _twists(pose: Array, slopes: Array) -> Array:

@@ -79,11 +79,8 @@ def model_on_needed(scene: Scene) -> Model:
 
 
 class QuadratureTest:
-    """A scene on several quadratures, and the tensions that they are compared at.
-
-    What the arm comes upon in places only, as obstacles, is left out: an arm that just touches one on the one quadrature and just misses
-    it on the other is as far off with any number of intervals.
-    """
+    """A scene on several quadratures, and the tensions that they are compared at. Obstacles are left out: an arm that just touches one on
+    the one quadrature and just misses it on the other is as far off with any number of intervals."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene.model_copy(update={"effects": scene.effects.everywhere()})

@@ -25,7 +25,7 @@ from soft_tendon_env.tools.checks import checked_array, checked_count, checked_n
 from soft_tendon_env.tools.types import Array
 
 SAMPLES_AT_ONCE = 100
-STEPS_LOGGED = 64  # for which a log has room at first
+STEPS_LOGGED = 4096  # of a period that is linearised
 MOST_STEPS = 2 * 10**6  # of one call, whose commands and samples are kept
 
 
@@ -106,9 +106,8 @@ class Simulation:
         effects: ArrayLike | None = None,
         tension: ArrayLike | None = None,
     ) -> State:
-        """Resets to q, q_dot (n,) at a time [s]; returns the state. Raises ValueError, TypeError, StrainLimitError.
+        """Resets to q, q_dot (n,), by default zero, at a time [s]; returns the state. Raises ValueError, TypeError, StrainLimitError.
 
-        By default q and q_dot are zero, the stress-free shape, which is not at rest where loads act: see `reset_at_rest`.
         effects (m,): the effects' internal states, see State; by default those of an arm that tensions (n_a,) [N], by default zero, have
         held at q since long before.
         """
@@ -154,12 +153,10 @@ class Simulation:
         advance.tip_pose(self.model.arm, motion, self._scratch.work, self._sample.tip_pose[0])
 
     def step(self, command: ArrayLike, duration: float) -> StepReport:
-        """Integrates over `duration` [s] in equal steps of at most the scene's, under a constant command (n_a,).
+        """Integrates over `duration` [s] in equal steps of at most the scene's, under a constant command (n_a,), see `Model.command_unit`.
 
-        A command is a tension [N], or what the scene's effects take in its place, see `Model.command_unit`. Beyond `tension_limits` it is
-        taken as it is, with a TensionLimitWarning.
-
-        Raises ValueError or TypeError before anything changes, `SimulationDiverged` with the state before the failing step.
+        Beyond `tension_limits` it is taken as it is, with a TensionLimitWarning. Raises ValueError or TypeError before anything changes,
+        `SimulationDiverged` with the state before the failing step.
         """
         u = checked_array("command", command, (self.model.tendon_count,))
         duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
@@ -179,18 +176,13 @@ class Simulation:
         goes slack, both sides are mixed; where one side jumps or fails, the other one counts. What a delayed command that repeats the last
         one changes later is missing. Raises what `step` raises, LinAlgError where both sides fail.
         """
-        return linearized(self.model, *self._period(command, duration))
-
-    def _period(self, command: ArrayLike, duration: float) -> tuple[Period, State]:
-        """The period that `step` would take from here, and the state at its end."""
         start, step = self._motion.copy(), self._step
         try:
-            while (steps := self.step(command, duration).steps) > len(self._scratch.taken):
-                self._scratch = make_scratch(self.model.arm, self._method.columns, steps)
-                self._take(start.copy(), step)
+            if (steps := self.step(command, duration).steps) > STEPS_LOGGED:
+                raise ValueError(f"duration should be of at most {STEPS_LOGGED} integrator steps, not {steps}")
             inputs = np.concatenate([start.q, start.q_dot, start.state, np.asarray(command, dtype=np.float64)])
             taken = self._scratch.taken[:steps].copy() if steps else np.array([[0.0, self._method.columns]])
-            return Period(start, inputs, taken), self.state
+            return linearized(self.model, Period(start, inputs, taken), self.state)
         finally:
             self._take(start.copy(), step)
 

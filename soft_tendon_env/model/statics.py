@@ -41,10 +41,9 @@ class Equilibrium(NamedTuple):
     """A static equilibrium, n coordinates.
 
     Where `converged` is false, q is the last equilibrium on the path from the unloaded arm to the full load, and `reason` says why the
-    path goes no further. `residual` is the angle [rad] by which the unbalanced force would bend a rod as stiff as this one and
-    otherwise unloaded, in the sense of energy: sqrt(f^T G^-1 f / (E_1 + q^T G q)), with E_1 from a rod bent by one radian.
-    `stable`: small disturbances do not grow, because the energy has a minimum there (a flat one, where a symmetric arm has buckled to
-    any side) or, for loads without a potential, because the motions M q_ddot + D q_dot + S q = 0 do not.
+    path goes no further. `residual` is the angle [rad] by which the unbalanced force would bend a rod as stiff as this one:
+    sqrt(f^T G^-1 f / (E_1 + q^T G q)), with E_1 from a rod bent by one radian. `stable`: the energy has a minimum (a flat one, where a
+    symmetric arm has buckled to any side) or, for loads without a potential, motions M q_ddot + D q_dot + S q = 0 do not grow.
     `tip_error`: redundant tendons share coordinates, and what the tensions do besides, to the bent arm alone, is left out of the strain:
     the distance from tip_pose to the tip with all of the tensions in the strain, where the arm rests if no effects act outside of it.
     """
@@ -64,12 +63,11 @@ def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None
     """Static equilibrium of the arm under constant tensions (n_a,) [N] and the scene's effects, as a slowly loaded arm reaches it.
 
     Tensions and effects grow together from nothing, and the branch of stable equilibria that begins at the unloaded arm is followed
-    to its end. Loads inside of the strain are there from the beginning of the branch. Where the branch ends before the full load (at a
-    limit point, a bifurcation, at flutter under loads that follow the arm, at the strain limit) the result is not `converged`, and tells
-    the load reached and the reason.
+    to its end; loads inside of the strain are there from its beginning. Where it ends before the full load (at a limit point, a
+    bifurcation, at flutter, at the strain limit) the result is not `converged`, and tells the load reached and the reason.
 
     guess: coordinates (n,) to start Newton's method from at the full load, in place of the branch: the equilibrium next to them is
-        found, stable or not, and whether the branch leads there is the caller's business. Where there is none the branch is followed.
+        found, stable or not, whether the branch leads there or not. Where there is none the branch is followed.
     settle: where the branch ends let the arm go, with damping and without inertia, to where it comes to rest, and load it further.
 
     Beyond `tension_limits` tensions are taken as they are, with a TensionLimitWarning. Raises ValueError or TypeError for arrays of wrong

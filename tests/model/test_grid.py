@@ -72,14 +72,6 @@ def test_node_inertia_sums_to_the_rod_without_the_base_node_and_takes_up_the_pay
     assert np.count_nonzero(difference) == 6
 
 
-@pytest.mark.no_jit
-def test_places_are_intervals_and_distances():
-    _, grid = grid_of("three_tendon", 2)
-    interval, distance = grid.locate(np.array([0.0, 0.1, 0.15, 0.2, 0.3]))
-    assert interval.tolist() == [0, 0, 1, 1, 1]
-    np.testing.assert_allclose(distance, [0.0, 0.1, 0.0, 0.05, 0.15], atol=1e-15)
-
-
 @pytest.mark.cases("name", ("paper", "three_tendon"))
 @pytest.mark.cases("lead", ((), (3,), (2, 3)))
 def test_packed_and_unpacked_are_inverse(name, lead):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
-from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.mechanics.types import Loaded
 from soft_tendon_env.model.statics import static_equilibrium
@@ -108,9 +107,3 @@ def test_a_motion_into_buckling_ends_with_its_cause(build):
     with pytest.raises(ste.SimulationDiverged, match="buckles under the loads inside"):
         simulation.step(2.0 * BENT, 20.0)
     assert np.isfinite(simulation.state.q).all()
-
-
-def test_presets_keep_the_loads_inside():
-    scene = ste.load_scene("paper").replace({**INSIDE, **GRAVITY})
-    for fidelity in (None, "fast", "fine", "scene"):
-        assert at_fidelity(scene, fidelity).strain.include_loads

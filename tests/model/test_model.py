@@ -5,7 +5,7 @@ import pytest
 
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.file import load_scene, scene_names
+from soft_tendon_env.scene.file import load_scene
 
 TEN = np.zeros(10)
 OF_Q = {  # every public method of coordinates
@@ -79,19 +79,6 @@ def test_a_singular_mass_matrix_is_warned_of():
     with pytest.warns(UserWarning, match="6 coordinates are too many for 1 quadrature intervals per piece: the mass matrix is singular"):
         model = build_model(scene)
     assert np.diag(model.terms(np.zeros(6), np.zeros(6)).mass).min() == 0.0
-
-
-@pytest.mark.cases("name", scene_names())
-def test_sizes_of_shipped_scenes(name, build):
-    model = build(name)
-    scene = load_scene(name)
-    n, n_a = model.coordinate_count, model.tendon_count
-    expected = {"paper_16dof": 16, "paper_19dof": 19, "paper_22dof": 22, "paper_48dof": 48, "four_tendon": 3, "catheter": 3}
-    assert n_a == len(scene.tendons) and n == expected.get(name, n_a)
-    terms = model.terms(np.zeros(n), np.zeros(n))
-    shapes = [(n, n), (n,), (n, n), (n, n), (n, n_a), (n,), (n,), (4, 4), (6, n), (6,), (n, n), (n, n)]
-    assert [value.shape for value in terms] == shapes
-    np.testing.assert_allclose(model.length, sum(segment.length for segment in scene.segments), rtol=1e-15)
 
 
 def test_methods_leave_their_arguments_alone_and_repeat_themselves(paper):

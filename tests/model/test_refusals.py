@@ -8,7 +8,7 @@ import pytest
 import soft_tendon_env as ste
 from soft_tendon_env.model.statics import static_equilibrium, static_stiffness
 
-NAN, OK, BAD = float("nan"), np.zeros(10), np.full(10, float("nan"))
+OK, BAD = np.zeros(10), np.full(10, float("nan"))
 
 
 @pytest.fixture
@@ -33,44 +33,29 @@ def set_state(simulation, **changes):
     [
         (lambda s: s.model.terms(OK, BAD), "q_dot should be finite"),
         (lambda s: s.model.terms(OK, OK, BAD), "tension should be finite"),
-        (lambda s: s.model.energy(OK, BAD), "q_dot should be finite"),
         (lambda s: s.model.rest_coordinates(BAD), "tension should be finite"),
         (lambda s: static_equilibrium(s.model, BAD), "tension should be finite"),
         (lambda s: static_stiffness(s.model, BAD, OK), "q should be finite"),
-        (lambda s: static_stiffness(s.model, OK, BAD), "tension should be finite"),
         (lambda s: s.reset(BAD), "q should be finite"),
-        (lambda s: s.reset(OK, BAD), "q_dot should be finite"),
         (lambda s: s.step(BAD, 0.01), "command should be finite"),
         (lambda s: s.step(OK, -0.1), "duration should be"),
-        (lambda s: s.step(OK, "0.1"), "duration should be"),
         (lambda s: s.step(OK, 1e12), "duration should be at most"),
         (lambda s: set_state(s, q=BAD), "state.q should be finite"),
-        (lambda s: set_state(s, q_dot=BAD), "state.q_dot should be finite"),
         (lambda s: set_state(s, strain=BAD), "state.strain should have shape"),
         (lambda s: set_state(s, q=s.state.q + 1.0), "state.strain"),  # the strain is that of other coordinates
-        (lambda s: set_state(s, q=s.state.q, time=NAN), "state.time"),
         (lambda s: set_state(s, step=0.0), "state.step"),
-        (lambda s: ste.simulate(s.model, BAD, 1.0, 0.1, s.state), "command should be finite"),
-        (lambda s: ste.simulate(s.model, OK, NAN, 0.1, s.state), "duration"),
         (lambda s: ste.simulate(s.model, OK, 1e12, 0.1), "duration should be at most"),
         (lambda s: ste.simulate(s.model, OK, 0.35, 0.1, s.state), "duration should be a multiple"),
         (lambda s: ste.simulate(s.model, OK, 1.0, -0.1, s.state), "sample_period"),
-        (lambda s: ste.simulate(s.model, OK, 1e12, 1e12), "duration should be at most"),
         (lambda s: ste.simulate(s.model, np.zeros((9, 10)), 1.0, 0.1), "command should have shape (10, 10)"),
         (lambda s: ste.simulate(s.model, lambda t: OK if t < 0.55 else BAD, 1.0, 0.1), "command(0.55)[0]"),
         (lambda s: ste.simulate(s.model, lambda t: None, 1.0, 0.1, s.state), "command(0.06)"),
-        (lambda s: ste.simulate(s.model, None, 1.0, 0.1), "command"),
-        (lambda s: ste.simulate(s.model.scene, OK, 1.0, 0.1), "model should be a Model"),
         (lambda s: ste.simulate(s.model, OK, 1.0, 0.1, initial=3), "state should be a State"),
         (lambda s: ste.Simulation(s.model.scene), "model should be a Model"),
-        (lambda s: ste.Simulation(s.model, 3), "state should be a State"),
-        (lambda s: static_equilibrium(s.model.scene, OK), "model should be a Model"),
         (lambda s: ste.build_model("paper"), "scene should be a Scene"),
         (lambda s: ste.build_model(s.model.scene, fidelity="exact"), "fidelity"),
-        (lambda s: ste.build_model(s.model.scene, fidelity=1e-3), "fidelity"),
         (lambda s: ste.load_scene(3), "name_or_path should be the name of a shipped scene or the path of a TOML file, not"),
         (lambda s: ste.save_scene(3, "never.toml"), "scene should be a Scene"),
-        (lambda s: s.model.scene.replace(3), "changes should be"),
         (lambda s: s.model.scene.replace({3: 1}), "changes has the key 3: keys should be strings"),
         (lambda s: s.model.scene.replace({"integrator.tolerance": 1e-16}), "integrator.tolerance is 1e-16: it should be at least"),
     ],
@@ -123,10 +108,3 @@ def test_files_that_hold_no_state_are_refused(moving, tmp_path):
         np.savez(path, **{**dataclasses.asdict(moving.state), **changes})
         with pytest.raises(ValueError, match="holds no state"):
             ste.State.load(path)
-    np.savez(path, q=np.zeros(10))
-    with pytest.raises(ValueError, match="time"):
-        ste.State.load(path)
-    with pytest.raises(OSError):
-        ste.State.load(tmp_path / "nowhere.npz")
-    with pytest.raises(TypeError, match="path should be a str or a path, not"):
-        ste.State.load(3)

@@ -87,12 +87,9 @@ def test_at_rest_more_steps_make_them_those_of_the_linear_motion(build):
     "changes, message",
     [
         ({"commands": [[0.0] * 2]}, r"commands should have shape \(any, 3\)"),
-        ({"commands": [[np.nan] * 3]}, "commands"),
         ({"duration": [0.01, 0.01]}, "commands should have shape"),
         ({"duration": 0.0}, "duration should be a positive number of seconds"),
         ({"duration": [0.03, -0.01], "commands": np.zeros((2, 2, 3))}, "duration should be a number of seconds, at least 0"),
-        ({"duration": -1.0}, "duration should be a number of seconds, at least 0"),
-        ({"commands": np.zeros((0, 3))}, "commands should be"),
         ({"forces": np.zeros((2, 1))}, r"forces should have shape \(3, any\)"),
         ({"steps": 0}, "steps should be"),
     ],

@@ -1,7 +1,6 @@
 """Equilibria: balance, reference numbers of a shooting solver, every shipped scene, the limits of the strain, honest failure."""
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -78,13 +77,6 @@ def test_beyond_the_strain_limit_it_says_so_and_keeps_the_last_equilibrium(tensi
     assert np.isfinite(found.tip_pose).all()
 
 
-def test_where_nothing_can_be_balanced_it_names_the_tendon_that_pulls():
-    """However far beyond the limit the load is, the tension that it names is that of the limit, 44 N."""
-    for tension in (60.0, 1e4, 1e12):
-        reason = static_equilibrium(model_of("three_tendon"), np.array([0.0, 0.0, tension])).reason
-        assert re.search(r"tendon 2 at arc length \S+ m, with 4[34](\.\d+)? N, pulls its own chord down to", reason)
-
-
 def test_pushes_past_the_stiffness_of_an_explicit_strain_end_the_path():
     """Torsion gives way where the pushes' moment arms outweigh its stiffness, G J = P sum y^2 + z^2."""
     model = model_of("three_tendon", strain={"type": "explicit", "modes": [{"strains": ["torsion"], "order": 0, "span": "rod"}]})
@@ -124,17 +116,9 @@ def test_what_redundant_tendons_leave_out_is_told():
         assert found.tip_error > 1e-4 and found.tip_error == pytest.approx(off, rel=0.02)
 
 
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("name", ["four_tendon", "paper_16dof"])
-def test_straight_redundant_tendons_leave_nothing_out(name):
-    model = model_of(name)
-    found = static_equilibrium(model, np.linspace(0.0, 5.0, model.tendon_count))
-    assert found.converged and found.tip_error <= 1e-14 * model.length
-
-
-@pytest.mark.parametrize("changes", [{}, {"effects__gravity__acceleration": [0.0, 0.0, -9.81]}], ids=["unloaded", "heavy"])
-@pytest.mark.parametrize("name", ["paper", "paper_16dof"])
-@pytest.mark.parametrize("step", [0.01, 0.5])
+@pytest.mark.cases("changes", [{}, {"effects__gravity__acceleration": [0.0, 0.0, -9.81]}])
+@pytest.mark.cases("name", ["paper", "paper_16dof"])
+@pytest.mark.cases("step", [0.01, 0.5])
 def test_neighbours_of_an_equilibrium_are_those_that_a_search_finds(name, changes, step):
     """Whether tensions are coordinates, or Newton's method with the old stiffness does, or has to be given up."""
     model = model_of(name, **changes)
