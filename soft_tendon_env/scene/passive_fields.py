@@ -43,24 +43,17 @@ class FieldsWarning(UserWarning):
 class PassiveFields:
     """Wrench fields along a rod, piecewise Legendre polynomials, the leading ones of a proper orthogonal decomposition.
 
-    Attributes:
-        arm: tables of segments and tendons that they were made for, see `arm_of`.
-        tension_limits: (n_a, 2) [N], within which tensions were drawn.
-        borders: arc lengths [m] between the polynomials, (pieces + 1,).
-        coefficients: (fields, pieces, 6, orders), moments [N m] and forces [N] of unit energy: int F^T Sigma^-1 F dX = 1.
-        effects: the loads, none or those up to whose size they were drawn, see Effects.sample_smaller.
-        singular_values: (fields,), as shares of the first.
-        errors: largest tip distance [m] from full physics on motions that the fields were not made from: by kind of motion, for each of
-            the numbers of fields in "fields".
+    The coefficients are moments [N m] and forces [N] of unit energy: int F^T Sigma^-1 F dX = 1. The errors are the largest tip distances
+    [m] from full physics on motions that the fields were not made from.
     """
 
-    arm: Mapping[str, Any]
-    tension_limits: Array
-    borders: Array
-    coefficients: Array
-    effects: Effects
-    singular_values: Array
-    errors: Mapping[str, tuple[float, ...]]
+    arm: Mapping[str, Any]  # tables of segments and tendons that they were made for, see `arm_of`
+    tension_limits: Array  # (n_a, 2) [N], within which tensions were drawn
+    borders: Array  # (pieces + 1,) arc lengths [m] between the polynomials
+    coefficients: Array  # (fields, pieces, 6, orders)
+    effects: Effects  # the loads, none or those up to whose size they were drawn, see Effects.sample_smaller
+    singular_values: Array  # (fields,), as shares of the first
+    errors: Mapping[str, tuple[float, ...]]  # by kind of motion, for each of the numbers of fields in "fields"
 
     @functools.cached_property
     def digest(self) -> str:
@@ -90,10 +83,10 @@ class PassiveFields:
 
     def misfit(self, scene: Scene) -> str:
         """Difference between the scene and that which they were made for, in words; empty where they fit."""
-        for i, (own, wanted) in enumerate(zip(self.arm["segments"], scene.segments, strict=True)):
-            for name in MATERIAL:
-                if not own[name] / ALIKE <= getattr(wanted, name) <= own[name] * ALIKE:
-                    return f"{name} of {own[name]:g} in segment {i}, not {getattr(wanted, name):g}"
+        for i, segment in enumerate(scene.segments):
+            for name, own in ((name, self.arm["segments"][i][name]) for name in MATERIAL):
+                if not own / ALIKE <= getattr(segment, name) <= own * ALIKE:
+                    return f"{name} of {own:g} in segment {i}, not {getattr(segment, name):g}"
         for i, (tendon, (low, high)) in enumerate(zip(scene.tendons, self.tension_limits, strict=True)):
             (least, greatest), more = tendon.tension_limits, (ALIKE - 1.0) * (high - low)
             if least < low - more or greatest > high + more:

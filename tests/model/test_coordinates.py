@@ -96,11 +96,3 @@ def test_mode_fields_are_legendre_polynomials_on_their_span():
     second_half = grid.points > 0.5
     np.testing.assert_allclose(by_piece[7][..., 0], np.where(second_half, 4 * grid.points - 3, 0.0), atol=1e-15)
     np.testing.assert_array_equal(by_piece[4][..., 1], second_half)
-
-
-def test_borders_cut_the_rod_into_pieces():
-    modes = [{"strains": ["bend_y"], "order": 0, "span": "piece"}]
-    scene, grid = scene_and_grid("three_tendon", strain={"type": "explicit", "modes": modes, "borders": [0.1, 0.2]})
-    strain = make_strain(scene, grid)
-    assert strain.size == 3
-    np.testing.assert_array_equal((strain.first, strain.last), ([0, 1, 2], [1, 2, 3]))

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
-from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.mechanics.types import Loaded
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.strain_limits import StrainLimitError
@@ -54,23 +53,6 @@ def test_the_net_force_is_the_gradient_of_the_energy(build, random_state):
         ahead, behind = (model.energy(q + s * step, still) for s in (1, -1))
         gain = (ahead.elastic + ahead.load - behind.elastic - behind.load) / (2e-5 * unit[j])
         assert terms.elastic_force[j] - terms.external_force[j] == pytest.approx(gain, abs=1e-7 * np.abs(terms.elastic_force).max())
-
-
-@pytest.mark.parametrize(
-    "changes", [{"segments.0.density": 250.0}, {"effects.tip_load.mass": 0.03}, {"segments.0.young_modulus": 1.3e6}], ids=str
-)
-def test_a_row_hangs_by_its_own_material(changes, build):
-    """The load inside of its strain is that of its own masses, and answered with its own stiffness."""
-    intervals = {"quadrature.intervals": 8}
-    arms = Arms(build("paper", {**INSIDE, **GRAVITY, **intervals}), 2, 0.02, np.zeros(0), np.zeros(0))
-    arms.set_model(1, arms.model.with_numbers(changes))
-    arms.place(np.arange(2), np.tile(PULL, (2, 1)))
-    for row, model in enumerate((arms.model, build("paper", {**INSIDE, **GRAVITY, **intervals, **changes}))):
-        np.testing.assert_allclose(arms.reading.tip_pose[row], model.tip_pose(PULL), atol=1e-10)
-    assert np.linalg.norm(np.diff(arms.reading.tip_pose[:, :3, 3], axis=0)) > 1e-3
-    found = static_equilibrium(arms.model_of(1), PULL, settle=True)
-    assert found.converged
-    np.testing.assert_array_equal(found.q, PULL)
 
 
 def test_what_follows_the_tip_stays_outside(build):

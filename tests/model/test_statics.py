@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.model.build import build_model
+from soft_tendon_env.model.equilibrium_residual import Balance
 from soft_tendon_env.model.load_continuation import RESIDUAL
-from soft_tendon_env.model.statics import ChordSolver, static_equilibrium, static_stiffness
+from soft_tendon_env.model.statics import ChordSolver, static_equilibrium
 from soft_tendon_env.scene.file import load_scene, scene_names
 
 REFERENCE = Path(__file__).parents[1] / "data" / "statics.json"
@@ -63,7 +64,7 @@ def test_tip_follows_from_the_stiffness(name):
     u = np.linspace(1.0, 4.0, model.tendon_count)
     change = np.random.default_rng(1).normal(size=u.size)
     q, ahead, behind = (static_equilibrium(model, u + h * change).q for h in (0.0, 1e-3, -1e-3))
-    predicted = np.linalg.solve(static_stiffness(model, q, u), model.terms(q, np.zeros_like(q), u).actuation @ change)
+    predicted = np.linalg.solve(Balance(model, u).linearised(q, 1.0).stiffness, model.terms(q, np.zeros_like(q), u).actuation @ change)
     np.testing.assert_allclose(predicted, (ahead - behind) / 2e-3, atol=1e-5 * np.abs(predicted).max())
 
 

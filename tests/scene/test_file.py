@@ -12,13 +12,6 @@ from soft_tendon_env.scene.routing import ConvergingRouting, TableRouting
 from soft_tendon_env.scene.scene import extrapolation_columns, scene_to_dict, tendon_ends, tendon_offset
 from soft_tendon_env.tools.configuration import ConfigurationError
 
-PAPER = ("paper", "paper_16dof", "paper_19dof", "paper_22dof", "paper_48dof")
-OTHERS = ("three_tendon", "four_tendon", "two_segment_six", "catheter", "helical", "underwater", "paper_among_obstacles")
-
-
-def test_names_of_the_scenes_that_ship():
-    assert set(scene_names()) == {*PAPER, *OTHERS}
-
 
 @pytest.mark.cases("name", scene_names())
 def test_shipped_scene_loads_and_round_trips(name, tmp_path):
