@@ -127,13 +127,8 @@ def with_every_tension(arm: Arm) -> Arm:
     strain, count = arm.strain, arm.tendons.size
     assert not isinstance(strain, Explicit)
     size = count + strain.law.size - strain.law.active
-    everywhere = {
-        "size": size,
-        "first": np.zeros(size, dtype=np.int64),
-        "last": np.full(size, arm.rod.packs),
-        "tip": np.full(size, arm.rod.packs),
-    }
-    each = np.arange(count)
+    first, last, each = np.zeros(size, dtype=np.int64), np.full(size, arm.rod.packs), np.arange(count)
+    everywhere = {"size": size, "first": first, "last": last, "tip": last}
     law = strain.law.replaced(**everywhere, row=np.arange(count + 1), coordinate=each, mixing=np.ones(count), mixed=0, active=count)
     return arm.replaced(strain=strain.replaced(**everywhere, law=law) if isinstance(strain, Loaded) else law)
 
@@ -148,9 +143,8 @@ def actuation_columns(geometry: Array, k: Array, p: Array) -> Array:
 def independent_tensions(gram: Array, tolerance: float) -> Array:
     """Basis of the independent tensions, tensions of the strain law by coordinate: (n_a, rank).
 
-    The identity where the actuation fields are independent. Otherwise the columns are an orthonormal basis of the tensions that
-    strain the straight arm, made from the projector on them (which is unique) by taking the tendons in order: the same tendons
-    give the same coordinates on every machine.
+    The identity where the actuation fields are independent; otherwise orthonormal, made from the projector on the tensions that strain the
+    straight arm by taking the tendons in order: the same tendons give the same coordinates on every machine.
     """
     scale = np.sqrt(np.diag(gram))
     scale[scale == 0] = 1.0  # a tendon that strains nothing: all that it would strain is rigid

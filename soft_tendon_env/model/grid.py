@@ -238,8 +238,7 @@ def tendon_geometry(scene: Scene, grid: Grid) -> Array:
 
 
 def chords(geometry: Array, k: Array, p: Array) -> tuple[Array, Array]:
-    """Offsets and chords (.., 3), the derivatives of the paths in the section's frame, of tendons of this geometry (.., 5), see
-    `tendon_geometry`, at strains k, p (.., 3)."""
+    """Offsets and chords (.., 3), the paths' derivatives in the section, of tendons of a geometry (.., 5) at strains k, p (.., 3)."""
     d, d_prime = np.zeros((2, *geometry.shape[:-1], 3))
     d[..., 1:], d_prime[..., 1:] = geometry[..., 0:2], geometry[..., 2:4]
     return d, np.cross(k, d) + p + d_prime

@@ -53,8 +53,7 @@ def tension_for_tip_pose(
 ) -> InverseEquilibrium:
     """Inverse statics for a tip pose (4, 4): tensions within limits, of least effort |u| (locally) where there are many.
 
-    What cannot be reached is approached as nearly as possible, with `reachable` False and a `reason`; it raises nothing. A radian counts as
-    half the rod's length.
+    What cannot be reached is approached as nearly as possible, with a `reason`. A radian counts as half the rod's length.
 
     limits: (least, greatest) [N], each a number or (n_a,); the scene's tension_limits if None.
     start: tensions (n_a,) near the solution, when following a path: one local search from there instead of several from afar.

@@ -69,8 +69,7 @@ class StaticsBased(Configuration):
 
     Attributes:
         strains: those that the rod has; the others are rigid (torsion and bending alone make a Kirchhoff rod).
-        passive: fields beside those of the tendons: moments [N m] for torsion and bending, forces [N] for the others. Legendre `Modes`, or
-            a table with type "snapshots": those of the arm's own, see `Snapshots`.
+        passive: fields of moments [N m] and forces [N] beside those of the tendons: Legendre `Modes`, or a table with type "snapshots".
         passive_coordinates: "orthogonal" takes from the passive fields what the tendons span already, "raw" leaves them.
         rank_tolerance: combinations of fields below this relative size count as dependent and get no coordinate.
         borders: arc lengths [m] that cut the rod into further pieces.
