@@ -66,6 +66,7 @@ def calibrated(scene: Scene, tolerance: float) -> Scene:
     checked_type("scene", scene, Scene, "see load_scene")
     tolerance = checked_number("tolerance", tolerance, 1e-12, "a positive length in metres")
     refuse_obstacles(scene)
+    check_tolerance(scene, tolerance)
     calibration = calibrate(scene, usual_inputs(scene), made_fields(scene))
     return recommended(scene, calibration, tolerance).setting.of(scene)
 
@@ -76,6 +77,13 @@ def refuse_obstacles(scene: Scene) -> None:
         if effect.is_contact:
             text = "cannot be calibrated: no error on some motions holds for others where the arm touches something; take a preset"
             raise ConfigurationError([Problem(("effects", name), f"{text}, or calibrate the arm without this table")])
+
+
+def check_tolerance(scene: Scene, tolerance: float) -> None:
+    """Raises ConfigurationError where a tolerance [m] is below the error of the reference motions: a calibration could not tell."""
+    if tolerance < (least := REFERENCE * rod_length(scene)):
+        what = f"{length_text(tolerance)} cannot be told from full physics, whose own error is {length_text(least)}"
+        raise ConfigurationError([Problem((), f"{what}: the tolerance should be at least that")])
 
 
 def recommended(scene: Scene, calibration: Calibration, tolerance: float) -> Point:

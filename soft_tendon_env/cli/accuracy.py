@@ -11,6 +11,7 @@ from soft_tendon_env.accuracy.calibration import (
     MARGIN,
     REFERENCE,
     calibrate,
+    check_tolerance,
     made_fields,
     own_fields,
     recommended,
@@ -87,6 +88,8 @@ def run(arguments: Sequence[str]) -> None:
         scene = named.replace({"effects": named.effects.on_arm()})
         if scene != named:
             say(f"{scene.name!r} is measured under given tensions, without what lies between commands and tensions")
+        if tolerance is not None:
+            check_tolerance(scene, tolerance)
         given = None if settings.input is None else [read_input(Path(settings.input), scene)]
         inputs = given or usual_inputs(scene, settings.motions, settings.seeds)
         out = writable_folder(Path(settings.out))

@@ -92,6 +92,6 @@ def test_without_matplotlib_it_says_so(command, tmp_path, capsys, monkeypatch):
 
 def test_a_tolerance_out_of_reach_ends_in_one_line(command, tmp_path, capsys):
     with pytest.raises(SystemExit) as exit:
-        command("accuracy", "three_tendon", "--motion", "redrawn", "--seeds", "1", "2", "--within", "0.6um", "--out", tmp_path)
+        command("accuracy", "three_tendon", "--motion", "redrawn", "--seeds", "1", "2", "--within", "9.1um", "--out", tmp_path)
     assert "soft-tendon accuracy: error: " in str(exit.value.code) and "the best there is keeps within" in str(exit.value.code)
     assert not list(tmp_path.glob("*.toml"))
