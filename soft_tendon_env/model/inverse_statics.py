@@ -27,7 +27,7 @@ RANDOM_STARTS = 6
 POSITION_TOLERANCE = 1e-4  # of the rod's length
 ANGLE_WEIGHT = 0.5  # of the rod's length: an arc bent by an angle moves its tip by half its length times that
 OPTIONS = {"method": "trf", "ftol": 1e-8, "xtol": 1e-8, "gtol": 1e-14, "max_nfev": 60}
-"""Of the search for each mu; "dogbox" needs fewer steps, but stalls where many tendons reach their limits."""
+"""Settings of the search for each mu; "dogbox" needs fewer steps, but stalls where many tendons reach their limits."""
 RIGID = 1e-6  # deviation of R^T R from the identity up to which a matrix counts as a rotation
 
 

@@ -38,6 +38,9 @@ class State:
     effects: Array = field(default_factory=lambda: np.zeros(0))
     names: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"State(at {self.time:g} s, {self.q.size} coordinates, {self.effects.size} internal states)"
+
     def save(self, path: str | Path) -> None:
         """Saves the state to an .npz file."""
         with open(path, "wb") as file:

@@ -122,7 +122,7 @@ def ranges_of(scene: Scene, wanted: Mapping[str, Any]) -> tuple[Range, ...]:
 
 
 def _entries(scene: Scene) -> dict[str, Any]:
-    """What the tables of the arm say by dotted keys, with those of effects that do nothing by default."""
+    """Entries of the arm's tables by dotted keys, with those of effects that do nothing by default."""
     table = scene_to_dict(scene, {*TABLES})
     return dict(_leaves({**table, "effects": {**_idle_effects(EFFECTS), **table["effects"]}}))
 
