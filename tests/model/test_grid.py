@@ -6,7 +6,6 @@ import pytest
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.model.grid import (
     GAUSS,
-    LARGEST_PANEL,
     at_points,
     discretisation,
     make_grid,
@@ -48,16 +47,6 @@ def test_points_integrate_cubics_exactly():
         np.testing.assert_allclose((grid.weights * grid.points**power).sum(), 1 / (power + 1), rtol=1e-14)
     assert abs((grid.weights * grid.points**4).sum() - 0.2) > 1e-8
     np.testing.assert_allclose(GAUSS, 0.5 + 0.5 * np.polynomial.legendre.leggauss(2)[0], rtol=1e-15)
-
-
-@pytest.mark.cases("intervals", (*range(1, 16), 24, 48, 512))
-def test_newton_cotes_is_positive_and_exact_for_its_degree(intervals):
-    weights, nodes = newton_cotes(intervals), np.linspace(0, 1, intervals + 1)
-    assert (weights > 0).all()
-    panels = -(-intervals // LARGEST_PANEL)
-    smallest = intervals // panels
-    for power in range(smallest + 2 - smallest % 2):  # even panels are exact for one degree more
-        np.testing.assert_allclose(weights @ nodes**power, 1 / (power + 1), rtol=1e-13)
 
 
 def test_node_inertia_sums_to_the_rod_without_the_base_node_and_takes_up_the_payload():

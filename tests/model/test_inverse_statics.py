@@ -54,15 +54,6 @@ def test_round_trip(name):
         np.testing.assert_array_equal(found.q, static_equilibrium(model, found.tension).q)
 
 
-def test_a_warm_start_follows_a_path(paper):
-    found = tension_for_tip_pose(paper, circle(0.0), limits=(-20.0, 20.0))
-    for angle in np.linspace(0.02, 0.4, 20):
-        found = tension_for_tip_pose(paper, circle(angle), limits=(-20.0, 20.0), start=found.tension)
-        assert found.reachable
-    afresh = tension_for_tip_pose(paper, circle(0.4), limits=(-20.0, 20.0))
-    np.testing.assert_allclose(found.tension, afresh.tension, atol=1e-3)
-
-
 def test_a_position_alone_leaves_the_axis_free(paper):
     found = tension_for_tip_position(paper, circle(1.0)[:3, 3])
     assert found.reachable and found.angle_error == 0.0

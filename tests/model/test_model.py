@@ -67,11 +67,6 @@ def test_strains_at_places_are_those_at_the_points_and_their_derivative(name, bu
     assert model.strain_at(q, [])[1].shape == (0, 6, q.size)
 
 
-def test_an_explicit_basis_has_no_rest_coordinates(build):
-    with pytest.raises(ValueError, match="no coordinates that equal tensions; use static_equilibrium"):
-        build("paper_48dof").rest_coordinates(TEN)
-
-
 def test_a_singular_mass_matrix_is_warned_of():
     """The only node with mass is the tip, which the linear fields do not turn: they have no inertia, not even on the diagonal."""
     strain = {"type": "explicit", "modes": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 1, "span": "rod"}]}

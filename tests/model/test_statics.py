@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.model.build import build_model
-from soft_tendon_env.model.equilibrium_residual import Balance
 from soft_tendon_env.model.load_continuation import RESIDUAL
 from soft_tendon_env.model.statics import ChordSolver, static_equilibrium
 from soft_tendon_env.scene.file import load_scene, scene_names
@@ -55,17 +54,6 @@ def test_effects_and_tensions_together(name, loads):
     force, elastic = unbalanced(model, found.q, u)
     assert found.converged and found.iterations <= 8
     assert np.abs(force).max() < 1e-8 * np.abs(elastic).max()
-
-
-@pytest.mark.parametrize("name", ["paper", "four_tendon", "paper_48dof"])
-def test_tip_follows_from_the_stiffness(name):
-    """dq/du = S^-1 B, against equilibria next to each other."""
-    model = model_of(name, effects__gravity__acceleration=[0.0, 0.0, -3.0])
-    u = np.linspace(1.0, 4.0, model.tendon_count)
-    change = np.random.default_rng(1).normal(size=u.size)
-    q, ahead, behind = (static_equilibrium(model, u + h * change).q for h in (0.0, 1e-3, -1e-3))
-    predicted = np.linalg.solve(Balance(model, u).linearised(q, 1.0).stiffness, model.terms(q, np.zeros_like(q), u).actuation @ change)
-    np.testing.assert_allclose(predicted, (ahead - behind) / 2e-3, atol=1e-5 * np.abs(predicted).max())
 
 
 @pytest.mark.parametrize(("tension", "reached"), [(400.0, 255.8), (1e4, 255.8), (-400.0, 319.7)])

@@ -52,12 +52,6 @@ def test_what_is_no_parameter_is_refused_by_name(scene, name, message):
         scene_parameters(scene, [name])
 
 
-@pytest.mark.cases("names", ["segments.0.density", [5], None])
-def test_names_are_several_texts(scene, names):
-    with pytest.raises(TypeError, match="dotted key"):
-        scene_parameters(scene, names)
-
-
 def test_ranges_are_of_values_factors_offsets_and_entries_of_vectors(scene):
     wanted = {
         "segments.*.density": {"factor": [0.5, 2.0]},

@@ -11,7 +11,7 @@ import tomli_w
 from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene, save_scene
-from soft_tendon_env.scene.passive_fields import FieldsWarning, fields_of, find_fields, read_fields, rounded
+from soft_tendon_env.scene.passive_fields import FieldsWarning, fields_of, find_fields, read_fields
 from soft_tendon_env.scene.scene import scene_to_dict
 from soft_tendon_env.tools.configuration import ConfigurationError
 
@@ -34,11 +34,6 @@ def test_saved_fields_read_back_equal(shipped, tmp_path):
     assert again.digest == shipped.digest and again.errors == dict(shipped.errors) and again.effects == shipped.effects
     np.testing.assert_array_equal(again.coefficients, shipped.coefficients)
     assert [file.name for file in tmp_path.iterdir()] == ["arm.fields.json"]
-
-
-def test_rounding_keeps_nine_digits_of_the_largest():
-    coefficients = np.array([1.23456789012, 1e-4 / 3.0, 1e-12]).reshape(1, 1, 1, 3)
-    np.testing.assert_allclose(rounded(coefficients).ravel(), [1.23456789, 3.333e-5, 0.0], rtol=1e-12, atol=1e-15)
 
 
 def test_a_file_beside_a_scene_is_named_relative_to_it(shipped, tmp_path, monkeypatch):
