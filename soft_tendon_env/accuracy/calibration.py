@@ -46,12 +46,12 @@ class Calibration(NamedTuple):
     @property
     def front(self) -> list[Point]:
         """The Pareto front of cost and largest tip error, cheapest first."""
-        return pareto_front(self.points, lambda point: (point.cost, point.error))
+        return pareto_front(self.points, lambda point: (point.cost, point.tip_error))
 
     def within(self, point: Point) -> float:
         """Tolerance [m] that a setting is good for: MARGIN times its largest error, the reference's own added."""
-        uncertain = [bar if np.isfinite(bar) else 0.0 for bar in self.reference.errors]
-        return MARGIN * worst(np.add(point.errors, uncertain))
+        uncertain = [bar if np.isfinite(bar) else 0.0 for bar in self.reference.tip_errors]
+        return MARGIN * worst(np.add(point.tip_errors, uncertain))
 
 
 def calibrated(scene: Scene, tolerance: float) -> Scene:
@@ -93,7 +93,7 @@ def recommended(scene: Scene, calibration: Calibration, tolerance: float) -> Poi
         best = min(map(calibration.within, calibration.points), default=np.inf)
         text = f"no setting keeps the tip of {scene.name!r} within {length_text(tolerance)} of full physics"
         raise ConfigurationError([Problem((), f"{text}: the best there is keeps within {length_text(best)}")])
-    return min(good, key=lambda point: (point.cost, point.error))
+    return min(good, key=lambda point: (point.cost, point.tip_error))
 
 
 def usual_inputs(scene: Scene, motions: Sequence[Motion] = CALIBRATED, seeds: Sequence[int] | None = None) -> list[Array]:

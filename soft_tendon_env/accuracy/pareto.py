@@ -27,20 +27,20 @@ QUADRATURES = 3  # numbers of intervals that every strain field is tried with
 class Point(NamedTuple):
     """A setting, what it costs and how far its motions are from full physics.
 
-    errors: largest distance [m] of the tip over each motion, inf where the model has no such motion, nan where full physics has none.
+    tip_errors: largest distance [m] of the tip over each motion, inf where the model has no such motion, nan where full physics has none.
     cost: CPU seconds of a simulated second by the cost model.
     """
 
     setting: Setting
     coordinates: int
-    errors: tuple[float, ...]
+    tip_errors: tuple[float, ...]
     evaluations: float  # of a simulated second
     cost: float
 
     @property
-    def error(self) -> float:
+    def tip_error(self) -> float:
         """Largest distance of the tip [m] over all motions."""
-        return worst(self.errors)
+        return worst(self.tip_errors)
 
 
 def worst(errors: Iterable[float]) -> float:
@@ -101,6 +101,6 @@ def explore(scene: Scene, inputs: Sequence[Array], reference: Reference, fields:
         return []
 
     strains = run_all(fine, list(strain_fields(scene, fields).items()), processors(), "strain fields", unit="field", threads=True)
-    kept = pareto_front((point for points in strains for point in points), lambda point: (point.cost, point.error))
+    kept = pareto_front((point for points in strains for point in points), lambda point: (point.cost, point.tip_error))
     others = [point.setting._replace(tolerance=tolerance) for point in kept for tolerance in tolerances[:-1]]
     return [*kept, *run_all(measured, others, processors(), "tolerances", unit="setting", threads=True)]

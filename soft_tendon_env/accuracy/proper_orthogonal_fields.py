@@ -29,7 +29,8 @@ from soft_tendon_env.tools.parallel import processors, run_all
 from soft_tendon_env.tools.types import Array
 from soft_tendon_env.tools.user_cache import new_data_folder
 
-KINDS: tuple[Motion, ...] = (*USUAL, "wild")
+KINDS, TRAINED = USUAL, (*USUAL, "wild")
+"""Kinds of motions that fields are tested on, and that snapshots are taken of."""
 RUNS, FIRST_SEED = 10, 1000
 """Motions of each kind that snapshots are taken of, and the first of their seeds."""
 WILD = 0.2  # weight of samples of wild motions, which are several times as large as the others
@@ -85,7 +86,7 @@ def snapshots(scene: Scene) -> tuple[Array, Grid]:
         weight = WILD if kind == "wild" else 1.0
         return None if found is None else weight * residual_wrenches(model, found.q[1:]).reshape(len(found.q) - 1, -1)
 
-    runs = [(kind, run) for run in range(RUNS) for kind in KINDS]
+    runs = [(kind, run) for run in range(RUNS) for kind in TRAINED]
     wrenches = run_all(residuals, runs, processors(), "snapshots of full physics", unit="motion", threads=True)
     if not (found := [wrench for wrench in wrenches if wrench is not None]):
         raise ConfigurationError([Problem((), "full physics diverges under every motion that passive fields are made from")])

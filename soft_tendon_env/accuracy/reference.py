@@ -42,11 +42,11 @@ class Reference(NamedTuple):
     """Motions of full physics.
 
     tips: positions [m] of the tip every HOLD, the start first, (rows + 1, 3) for every input; None where full physics has no such motion.
-    errors: [m], what each still changed by when it was last refined.
+    tip_errors: [m], what each still changed by when it was last refined.
     """
 
     tips: tuple[Array | None, ...]
-    errors: tuple[float, ...]
+    tip_errors: tuple[float, ...]
     level: Level
 
 
@@ -89,7 +89,7 @@ def distance(found: Array | None, reference: Array | None) -> float:
 
 def reference_motions(scene: Scene, inputs: Sequence[Array], tolerance: float) -> Reference:
     """Motions of full physics under inputs (rows, n_a) [N], each row held for HOLD, each refined until it does not change by more than
-    `tolerance` [m], or to the finest of LEVELS, where errors say how far it is. The level is that of the last to be refined.
+    `tolerance` [m], or to the finest of LEVELS, where tip_errors say how far it is. The level is that of the last to be refined.
     """
     found: list[Array | None] = [None] * len(inputs)
     changes, rest = [np.inf] * len(inputs), list(range(len(inputs)))

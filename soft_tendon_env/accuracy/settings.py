@@ -47,6 +47,11 @@ class Setting(NamedTuple):
         integrator = {"tolerance": self.tolerance, "max_halvings": scene.integrator.max_halvings}
         return scene.replace({"strain": self.strain, "quadrature": quadrature, "integrator": integrator})
 
+    @property
+    def integrator(self) -> str:
+        """The integrator in words."""
+        return f"tolerance {1e6 * self.tolerance:.3g} um"
+
 
 def strain_fields(scene: Scene, fields: PassiveFields | None) -> dict[str, dict[str, Any]]:
     """Tables of the strain fields that are tried, by name; fields: the arm's own, where there are any."""

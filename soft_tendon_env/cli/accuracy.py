@@ -135,7 +135,7 @@ def preset_setting(name: str, model: Model) -> Setting:
 
 def report(settings: Accuracy, scene: Scene, reference: Reference, costs: Sequence[tuple[Point, float]], has_fields: bool) -> str:
     """The Pareto front and the presets as a table, each with its measured CPU time, and the accuracy of the reference."""
-    bar = 1e3 * max(filter(np.isfinite, reference.errors), default=np.nan)
+    bar = 1e3 * max(filter(np.isfinite, reference.tip_errors), default=np.nan)
     level = reference.level
     parts = "" if level.cuts == 1 else f" in {level.cuts} parts"
     lost = sum(motion is None for motion in reference.tips)
@@ -157,7 +157,7 @@ def report(settings: Accuracy, scene: Scene, reference: Reference, costs: Sequen
 def row(point: Point, time: float) -> tuple[str, ...]:
     """Cells of the table, below HEADER."""
     setting = point.setting
-    numbers = (number(1e3 * value) for value in (time, point.cost, point.error))
+    numbers = (number(1e3 * value) for value in (time, point.cost, point.tip_error))
     sizes = str(point.coordinates), str(setting.intervals), f"{1e6 * setting.tolerance:.3g}"
     return setting.name, *sizes, f"{point.evaluations:.0f}", *numbers
 
@@ -166,7 +166,7 @@ def record(point: Point, time: float) -> dict[str, object]:
     """Columns of the CSV file, in SI units."""
     setting = {key: value for key, value in point.setting._asdict().items() if key not in ("name", "strain")}
     costs = {"evaluations": point.evaluations, "cost": point.cost, "cpu_time": time}
-    return {"strain_field": point.setting.name, "coordinates": point.coordinates, **setting, **costs, "tip_error": point.error}
+    return {"strain_field": point.setting.name, "coordinates": point.coordinates, **setting, **costs, "tip_error": point.tip_error}
 
 
 def write_recommended(scene: Scene, point: Point, fields: PassiveFields | None, tolerance: float, out: Path) -> None:
@@ -190,10 +190,10 @@ def checked(scene: Scene, point: Point, motions: Sequence[Motion], count: int, t
     inputs = [motion_tensions(scene, motion, FIRST_UNSEEN + seed) for seed in range(rounds) for motion in motions][:count]
     reference = reference_motions(scene, inputs, REFERENCE * rod_length(scene))
     model = build_model(point.setting.of(scene), "scene")
-    errors = np.array(measure(model, point.setting, inputs, reference).errors)
+    errors = np.array(measure(model, point.setting, inputs, reference).tip_errors)
     there = ~np.isnan(errors)
     within = int(np.count_nonzero(errors[there] <= tolerance))
-    bar = max(filter(np.isfinite, reference.errors), default=np.nan)
+    bar = max(filter(np.isfinite, reference.tip_errors), default=np.nan)
     low, high = (number(1e3 * value) for value in (np.median(errors[there]), errors[there].max()))
     return (
         f"checked on {there.sum()} other motions: {within} of {there.sum()} within {length_text(tolerance)}; "

@@ -95,7 +95,7 @@ def draw_front(title: str, costs: Sequence[tuple[Point, float]], tolerance: floa
     """Draw a Pareto front of tip errors against measured CPU times: a line, dots by strain field, presets as crosses with their names, the
     tolerance [m] as a dashed line. Raises OSError."""
     figure, axes = plt.subplots(figsize=(8, 5), constrained_layout=True)
-    shown = [(point, 1e3 * time, 1e3 * point.error) for point, time in costs if np.isfinite(point.error)]
+    shown = [(point, 1e3 * time, 1e3 * point.tip_error) for point, time in costs if np.isfinite(point.tip_error)]
     front = [own for own in shown if own[0].setting.strain]
     axes.plot([cpu for _, cpu, _ in front], [error for _, _, error in front], color="0.7", zorder=0)
     for name in dict.fromkeys(point.setting.name for point, _, _ in front):

@@ -72,7 +72,7 @@ def test_the_setting_holds_on_motions_that_it_was_not_calibrated_on(tolerance):
     scene = calibrated(ARM, tolerance)
     inputs = short(ARM, range(100, 108))
     reference = reference_motions(ARM, inputs, 0.02 * tolerance)
-    errors = measure(build_model(scene), Setting("", {}, 0, 0.0), inputs, reference).errors
+    errors = measure(build_model(scene), Setting("", {}, 0, 0.0), inputs, reference).tip_errors
     assert max(errors) <= tolerance and scene.segments == ARM.segments and scene.name == ARM.name
 
 

@@ -34,7 +34,7 @@ def test_a_front_has_what_nothing_beats_in_both():
 
 
 def test_more_cost_buys_less_error_and_every_setting_is_a_scene(points):
-    errors = [point.error for point in pareto_front(points, lambda point: (point.cost, point.error))]
+    errors = [point.tip_error for point in pareto_front(points, lambda point: (point.cost, point.tip_error))]
     assert len(errors) > 3 and errors == sorted(errors, reverse=True) and errors[0] > 30.0 * errors[-1]
     for point in points[::5]:
         model = build_model(point.setting.of(ARM))
@@ -47,11 +47,11 @@ def test_errors_are_distances_from_the_reference(inputs):
     model, setting = full_physics(ARM, LEVELS[0]), Setting("", {}, 12, 1e-5)
     own = tips(model, inputs[0])
     found = measure(model, setting, [inputs[0]] * 2, Reference((own, own + [0.0, 0.0018, 0.0024]), (0.0, 0.0), LEVELS[0]))
-    assert found.errors == (0.0, pytest.approx(0.003))
+    assert found.tip_errors == (0.0, pytest.approx(0.003))
     assert found.evaluations == 700.0, "4 columns take 7 evaluations every 10 ms"
     stuck, beyond = model_on(ARM.replace({"integrator.max_halvings": 0}), 8), np.full_like(inputs[0], 1e5)
     found = measure(stuck, setting, [beyond, beyond], Reference((own, None), (0.0, 0.0), LEVELS[0]))
-    assert found.errors[0] == np.inf and np.isnan(found.errors[1]) and found.error == np.inf
+    assert found.tip_errors[0] == np.inf and np.isnan(found.tip_errors[1]) and found.tip_error == np.inf
 
 
 def test_packs_are_full():
@@ -84,9 +84,9 @@ def test_the_error_bar_bounds_the_error():
     motions = [motion_tensions(ARM, kind, 0, 0.5) for kind in ("redrawn", "smooth")]
     rough, fine = (reference_motions(ARM, motions, tolerance) for tolerance in (1e-3, 1e-8))
     assert LEVELS.index(rough.level) < LEVELS.index(fine.level)
-    for before, after, bar in zip(rough.tips, fine.tips, rough.errors, strict=True):
+    for before, after, bar in zip(rough.tips, fine.tips, rough.tip_errors, strict=True):
         assert before.shape == (0.5 / HOLD + 1, 3) and 0.0 < distance(before, after) <= 1.05 * bar
-    assert max(fine.errors) < 1e-6
+    assert max(fine.tip_errors) < 1e-6
 
 
 def test_a_loaded_arm_begins_at_rest_and_a_motion_that_there_is_not_is_none():
