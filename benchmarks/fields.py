@@ -17,7 +17,7 @@ from _results import markdown_table, write_csv, write_page, write_picture
 from tqdm import tqdm
 
 import soft_tendon_env as ste
-from soft_tendon_env.accuracy.reference import backbones, distances, motion, reference_motions
+from soft_tendon_env.accuracy.reference import distance, reference_motions, tips
 from soft_tendon_env.accuracy.test_inputs import MOTIONS, USUAL, motion_tensions
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.scene.file import SHIPPED
@@ -88,7 +88,7 @@ def measured(name: str, scene: Scene, seeds: range, seconds: float) -> Iterator[
     exact = {}
     for kind in KINDS:
         tolerance = (REFERENCE if kind in USUAL else WILD_REFERENCE) * rod_length(scene)
-        exact[kind] = reference_motions(scene, inputs[kind], tolerance).backbones
+        exact[kind] = reference_motions(scene, inputs[kind], tolerance).tips
     for label, strain in strains(scene):
         model = model_on(scene.replace({"strain": strain, "integrator": {"step": STEP, "columns": COLUMNS}}), INTERVALS)
         errors = [largest_error(model, inputs[kind], exact[kind]) for kind in KINDS]
@@ -98,9 +98,8 @@ def measured(name: str, scene: Scene, seeds: range, seconds: float) -> Iterator[
 
 def largest_error(model: ste.Model, inputs: list[np.ndarray], exact: tuple) -> float:
     """Over the motions that full physics has; inf where the model has one of them not."""
-    found = [motion(model, tensions) for tensions in inputs]
-    pairs = [(q, reference) for q, reference in zip(found, exact, strict=True) if reference is not None]
-    return max((np.inf if q is None else distances(backbones(model, q), reference)[0] for q, reference in pairs), default=np.nan)
+    errors = [distance(tips(model, tensions), reference) for tensions, reference in zip(inputs, exact, strict=True)]
+    return max((error for error in errors if not np.isnan(error)), default=np.nan)
 
 
 def draw(rows: list[tuple[str, ...]], picture: Path) -> None:
