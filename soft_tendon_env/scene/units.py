@@ -18,7 +18,8 @@ METAL, IN_MPA = 5e3, 5e5
 """Density [kg/m^3] of metals, and of rubbers full of them; a number that no metal's modulus in MPa reaches, and such rubbers' in Pa do."""
 SOFT, STRAINED, STIFF_STRAINED = 1e7, 10.0, 2.0
 """Modulus [Pa] of rubbers, and strains of a section at the tensions' limits that are far beyond what these, and stiffer ones, can take."""
-PLACES = 9  # along tendons
+CRUSHED, LEAST_BENT, PLACES = 30.0, 1.5e-3, 9
+"""Strain by its own weight that not even gel in water has; angle [rad] that tensions bend arms of metres; places along tendons."""
 
 
 class UnitsWarning(UserWarning):
@@ -50,6 +51,9 @@ def _unlikely(scene: Scene) -> Iterator[str]:
             yield f"segments[{i}].young_modulus is {E:g} Pa{of}{_asked(E, 5e10 if density > METAL else 5e5, MODULI)}"
         if not DENSITY[0] <= density <= DENSITY[1]:
             yield f"segments[{i}].density is {density:g} kg/m^3{_asked(density, 1e3, DENSITIES)}"
+        elif MODULUS[0] <= E and 9.81 * density * length / E > CRUSHED:
+            yield f"a rod {length:g} m long with segments[{i}].young_modulus, {E:g} Pa, is crushed by its own weight: is it mm, or MPa?"
+    bent = 0.0
     for i, tendon in enumerate(scene.tendons):
         start, end = tendon_ends(scene, tendon)
         places = start + (end - start) * (np.arange(PLACES) + 0.5) / PLACES
@@ -66,3 +70,6 @@ def _unlikely(scene: Scene) -> Iterator[str]:
         if tendon.tension_limits != usual and strain > (STRAINED if modulus.min() < SOFT else STIFF_STRAINED):
             yield f"tendons[{i}].tension_limits are up to {pull:g} N, which strain the rod by {strain:.0%}: is it mN, or a modulus in kPa?"
             return
+        bent = max(bent, float((4.0 * pull * offset / (np.pi * modulus * radius**4)).mean() * (end - start)))
+    if 0.0 < bent < LEAST_BENT and 1.0 < length <= LENGTH[1]:
+        yield f"tensions within their limits bend the rod by at most {bent:.2g} rad: are lengths in mm?"

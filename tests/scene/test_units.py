@@ -44,6 +44,8 @@ def said(scene):
         (SILICONE, {"radius": 1e3, "offset": 0.1}, ["the rod has a radius of 12 m on a length of 0.25 m: is it mm?"]),
         (WIRE, {"modulus": 1e-6}, ["young_modulus is 60000 Pa, and its density, 6450 kg/m^3, that of a metal: is it MPa?"]),
         (WIRE, {"limit": 1e3}, ["tension_limits are up to 20000 N", "is it mN"]),
+        ({**SILICONE, "length": 0.012, "radius": 4e-4, "offset": 2e-4, "limit": 0.01}, MM, ["bend the rod by at most", "lengths in mm?"]),
+        ({**SILICONE, "length": 0.012, "radius": 4e-4, "offset": 2e-4}, {**MM, "modulus": 2e-3}, ["crushed by its own weight"]),
     ],
 )
 def test_other_units_get_a_word(base, factor, words):
