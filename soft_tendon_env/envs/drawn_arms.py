@@ -1,8 +1,7 @@
-"""Arms that are drawn for episodes: the scene's with other numbers, each made by the ordinary maker on the scene's grid.
+"""Arms that are drawn for episodes: a bank of the scene's with other numbers, each made by the ordinary maker on the scene's grid.
 
-An episode that begins with a seed draws the numbers of its arm from it. Those that follow without a seed share a bank, since making an arm
-takes longer than a reset: one in FRESH draws numbers of its own, the others take one of BANK arms, which are the same wherever the ranges
-are. What an episode draws depends on the seed and on how many episodes came after it alone.
+Making an arm takes longer than a reset. So an environment has BANK arms, which follow from its scene and its ranges alone. An episode takes
+the one whose number its generator draws.
 """
 
 from collections.abc import Callable, Mapping
@@ -10,20 +9,20 @@ from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
-from soft_tendon_env.envs.randomization import SHORT, Randomization, own_stream
+from soft_tendon_env.envs.randomization import Randomization
+from soft_tendon_env.envs.targets import Setting
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.scene.parameters import scene_with_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
-BANK, FRESH = 64, 32
-RECENT = 128
-"""Arms besides that are kept, the latest: the same seeds come again, as those of a validation."""
-MOST_DRAWS = 200
-"""How often an arm is drawn that begins inside of drawn obstacles, or whose target lies inside, before that is an error."""
-FIRST = [key for key, _ in SHORT.values()]
-"""Keys whose numbers an episode's generator itself draws; others come from a stream of their own."""
+BANK = 64
+"""Arms of an environment that draws numbers of its scene."""
+MOST_DRAWS = 20
+"""How often an arm of the bank is drawn that begins inside of drawn obstacles, before that is an error."""
+DRAWS = 4
+"""Numbers that an episode takes from its generator before anything else, of which the first chooses the arm."""
 
 
 class Drawn(NamedTuple):
@@ -32,86 +31,66 @@ class Drawn(NamedTuple):
     numbers: Mapping[str, float]  # of the scene, by dotted keys
     model: Model
     rest: Array  # (n,) coordinates at which it rests
+    setting: Setting  # among which targets are drawn for it
 
 
 class DrawnArms:
-    """Drawn arms of rows of episodes.
+    """The bank of an environment; `of_row` are the arms of the present episodes.
 
-    `of_row` are those of the present episodes; `redraws`: whether obstacles are drawn, and drawn again where the arm would begin inside of
-    one.
+    Arms that need no search for where they rest are made at once, others when they are first drawn.
     """
 
-    def __init__(self, randomize: Randomization, model: Model, rows: int, rest: Callable[[Model], Array]) -> None:
-        """rest: coordinates (n,) at which an arm rests, or ConfigurationError.
+    def __init__(
+        self, randomize: Randomization, model: Model, rows: int, settle: Callable[[Model], tuple[Array, Setting]], usual: Drawn
+    ) -> None:
+        """settle: where an arm rests, and among what, or ConfigurationError; usual: the scene's own arm.
 
         Raises ConfigurationError where an end of a range cannot be, or the softest and heaviest arm does not rest.
         """
-        self._model, self._rest, self._ranges = model, rest, randomize.ranges(model.scene)
-        self._has_others = any(own.name not in FIRST for own in self._ranges)
-        self.redraws = any(key.startswith("effects.contact.") for own in self._ranges for key in own.keys)
-        self._generators: list[Any] = [None] * rows
-        self._made: dict[int | bytes, Drawn] = {}
-        self.of_row = [Drawn({}, model, rest(model))] * rows
-        self._check_ends()
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_made": {}}
-
-    def _check_ends(self) -> None:
+        self._model, self._settle, self._ranges = model, settle, randomize.ranges(model.scene)
         for own in self._ranges:
             for end in {own.least, own.greatest}:
                 self._model_with(own.changes(end), own.name)
-        soft = np.array([own.name.endswith(".young_modulus") for own in self._ranges])
-        for shares in (np.zeros(soft.size), np.ones(soft.size), 1.0 - soft) if self._ranges and not self.redraws else ():
-            self._make(shares)
+        self._redraws = any(key.startswith("effects.contact.") for own in self._ranges for key in own.keys)
+        self._size = BANK if any(own.least < own.greatest for own in self._ranges) else 1
+        self._bank: dict[int, Drawn] = {} if self._ranges else {0: usual}
+        if self._ranges and not self._redraws:
+            soft = np.array([own.name.endswith(".young_modulus") for own in self._ranges])
+            for shares in (np.zeros(soft.size), np.ones(soft.size), 1.0 - soft):
+                self._made(shares)
+        for number in range(0 if model.arm.effects.load or usual.rest.any() else self._size):
+            self._arm(number)
+        self.of_row = [usual] * rows
 
-    def draw(self, row: int, generator: np.random.Generator, check: Callable[[Model], None]) -> Drawn:
-        """The arm of an episode of a row.
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_bank": {} if self._ranges else self._bank}  # whose arms can be made again
 
-        check: raises ConfigurationError where an arm will not do; another one is then drawn, if obstacles are. Raises ConfigurationError.
-        """
-        stream = own_stream(generator) if self._has_others else generator
-        first = generator.random(len(FIRST)).tolist()  # always, so that what is drawn besides stays the same
-        if not self._ranges:
-            return self.of_row[row]
-
-        def shares() -> bytes:
-            of_key = dict(zip(FIRST, first, strict=True))
-            return np.array([of_key[own.name] if own.name in of_key else stream.random() for own in self._ranges]).tobytes()
-
-        follows, self._generators[row] = self._generators[row] is generator, generator
-        turn, number = divmod(int(first[0] * 2.0**53) % (FRESH * BANK), BANK)  # of its last bits, which change no number
-        key = number if follows and turn else shares()
-        for last in range(MOST_DRAWS if self.redraws else 1, 0, -1):
-            try:
-                drawn = self._arm(key)
-                check(drawn.model)
-                break
-            except ConfigurationError:
-                if last == 1:
-                    raise
-                key = shares()
-        self.of_row[row] = drawn
+    def draw(self, row: int, generator: np.random.Generator) -> Drawn:
+        """The arm of an episode of a row."""
+        drawn = self.of_row[row] = self._arm(int(generator.random(DRAWS)[0] * self._size))
         return drawn
 
-    def _arm(self, key: int | bytes) -> Drawn:
-        """The arm of that number in the bank, or the one with numbers so far between the ends of the ranges, see `_make`."""
-        if key not in self._made:
-            recent = [own for own in self._made if isinstance(own, bytes)]
-            if len(recent) == RECENT:
-                del self._made[recent[0]]
-            shares = np.random.default_rng([BANK, key]).random(len(self._ranges)) if isinstance(key, int) else np.frombuffer(key)
-            self._made[key] = self._make(shares)
-        return self._made[key]
+    def _arm(self, number: int) -> Drawn:
+        """The arm of that number. Raises ConfigurationError."""
+        if number not in self._bank:
+            stream = np.random.default_rng([BANK, number])
+            for last in range(MOST_DRAWS if self._redraws else 1, 0, -1):
+                try:
+                    self._bank[number] = self._made(stream.random(len(self._ranges)))
+                    break
+                except ConfigurationError:
+                    if last == 1:
+                        raise
+        return self._bank[number]
 
-    def _make(self, shares: Array) -> Drawn:
+    def _made(self, shares: Array) -> Drawn:
         """The arm with numbers so far, 0 to 1, between the ends of every range. Raises ConfigurationError."""
         changes: dict[str, float] = {}
         for own, share in zip(self._ranges, shares.tolist(), strict=True):
             changes |= own.changes(own.least + (own.greatest - own.least) * share)
         model = self._model_with(changes)
         try:
-            return Drawn(changes, model, self._rest(model))
+            return Drawn(changes, model, *self._settle(model))
         except ConfigurationError as error:
             _fail(f"can make arms that {error.problems[0].text}: {_listed(changes)}")
 

@@ -6,7 +6,7 @@ row and for many, bit for bit. Read `begin` and `step` first.
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -38,18 +38,8 @@ from soft_tendon_env.model.step_control import cause_of, step_control
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
-THRESHOLD, EVERYWHERE = 0.01, 7.0
-"""Distance within which a goal is reached, in lengths of the rod, unless options say otherwise, and that beyond which all goals are."""
-
-
-class Snapshot(NamedTuple):
-    """Strain, tensions and poses of all rows in one step, copied, for recordings of rows that are reset in the same step."""
-
-    strain: Array  # (rows, m) as the kernels have it
-    tension: Array  # (rows, n_a) [N]
-    tip_pose: Array  # (rows, 4, 4)
-    target_pose: Array  # (rows, 4, 4)
-    target_backbone: Array  # (rows, stations, 3) [m]
+THRESHOLD = 0.01
+"""Distance within which a goal is reached, in lengths of the rod, unless options say otherwise."""
 
 
 class Episodes:
@@ -58,7 +48,7 @@ class Episodes:
     After `begin` or `step`: `errors` (name to (rows,)), `terms` (likewise), `reward` (rows,), `diverged` (rows,);
     `observation()` and `info()` make what environments return. `step_count` (rows,), `tension` (rows, n_a) [N] applied at last and
     `target` (TargetSamples of rows, 1 + previews, `ahead` (1 + previews,) [s] of now) are the present ones, and `observed` what the
-    observation is made of. `arms.reading` and `arms.rows` are written in place at every step; `last` is what `remember` kept.
+    observation is made of. `arms.reading` and `arms.rows` are written in place at every step.
 
     From the options: `limits` of tensions (n_a, 2) [N], `start_tension` (n_a,) [N] at reset and `start_command` (n_a,) that holds it,
     `sensors` (s,) arc lengths [m] of strain sensors, `goal_bound` the largest coordinate [m] of goals, `threshold` [m] of reached ones.
@@ -73,7 +63,7 @@ class Episodes:
         self.goal_bound, self.sensors = GOAL_BOUND * model.length, sensor_places(options, scene)
         stations = np.linspace(0.0, model.length, STATIONS + 1)[1:] if task.shapes else np.empty(0)
         self.arms = Arms(model, rows, self.period, stations, self.sensors, threads)
-        self._contacts = Contacts(self.arms, options.contact_sections) if model.scene.effects.contact else None
+        self._contacts = Contacts(self.arms) if model.scene.effects.contact else None
         self._make_draws(options, task)
         self._make_actuation(options, rows)
         if task.goal is None:
@@ -93,7 +83,6 @@ class Episodes:
         self.target, error, _ = self._courses.now_and_ahead(self.step_count, reading.tip_pose)
         self.observed = self._seen(reading, error, self._contact(self._all))
         self.history = History(rows, options.history, self.layout.kept) if options.history else None
-        self.last: Snapshot | None = None
 
     def _make_draws(self, options: Options, task: Task) -> None:
         """Make what episodes begin with: starts and targets."""
@@ -103,9 +92,8 @@ class Episodes:
         self.starts = starts = Starts(options, self.arms)
         self.limits, (self.start_tension, self.start_command, _) = starts.limits, starts.rest
         self.threshold = THRESHOLD * self.model.length if options.threshold is None else options.threshold
-        away = self.threshold if task.goal is not None and self.threshold <= EVERYWHERE * self.model.length else 0.0
-        self._draws = TargetDraws(starts.setting, self._courses, self.period, not starts.drawn.redraws, away)
-        self._usual = starts.beginning(options.start, self._draws.settled(options.target or TARGETS[task.target](type=task.target)))
+        self._draws = TargetDraws(starts.setting, self._courses, self.period, self.threshold if task.goal else 0.0)
+        self._usual = Beginning(self._draws.settled(options.target or TARGETS[task.target](type=task.target)))
 
     def _make_actuation(self, options: Options, rows: int) -> None:
         """Make the actuators, and what they did last."""
@@ -117,12 +105,7 @@ class Episodes:
         self._action, self._action_change = np.tile(self.actuation.start_action, (rows, 1)), np.zeros_like(self.tension)
 
     def attach(self, arms: Arms) -> None:
-        """Take other arms of the same model in place of the simulated ones, as measured ones: their readings have noise of their own.
-
-        Raises ConfigurationError where episodes do not begin at rest.
-        """
-        if self.options.start != "rest":
-            raise ConfigurationError([Problem(("start",), f"is {self.options.start!r}: robots begin at rest")], "environment")
+        """Take other arms of the same model in place of the simulated ones, as measured ones: their readings have noise of their own."""
         self.arms, self._sensors, self._simulated = arms, None, False
 
     @cached_property
@@ -147,12 +130,12 @@ class Episodes:
         found = {}
         for row in members.tolist() if given else ():
             own, target = given[row], self._usual.target
-            if not self._simulated and (own.state or own.start not in (None, "rest")):
+            if not self._simulated and (own.state or own.start):
                 raise ConfigurationError([Problem((), "should have no state or start: robots begin at rest")], "options")
             if (wanted := own.goal or own.target) is not None:
                 check_target(wanted, self.task, self.model.scene)
                 target = self._draws.settled(wanted)
-            found[row] = self.starts.beginning(own.start or self.options.start, target, own.state)
+            found[row] = self.starts.beginning(target, own.start, own.state)
         return found
 
     def begin(self, members: Indices, generators: Sequence[np.random.Generator], beginnings: Mapping[int, Beginning] | None = None) -> None:
@@ -160,7 +143,7 @@ class Episodes:
         hows = [(beginnings or {}).get(row, self._usual) for row in members.tolist()]
         rows, begun = list(zip(members.tolist(), hows, generators, strict=True)), dict[int, Begun]()
         for row, how, generator in rows:
-            begun[row] = self.starts.begin(row, how, generator, self._draws.inside)
+            begun[row] = self.starts.begin(row, how, generator)
             self.actuation.begin(row, generator, begun[row].shape.command)
         tension, command, q = (np.array(parts) for parts in zip(*(own.shape for own in begun.values()), strict=True))
         self.arms.place(members, q, tension)
@@ -291,11 +274,6 @@ class Episodes:
         if self.task.goal:
             info["is_success"] = goal_distance(*self._goals) <= self.threshold
         return info
-
-    def remember(self) -> None:
-        """Keep where the rows stand in `last`."""
-        rows, reading = self.arms.rows, self.arms.reading
-        self.last = Snapshot(rows.xi.copy(), self.tension.copy(), reading.tip_pose.copy(), self.target_pose, self.target_backbone)
 
     def cause(self, row: int) -> str:
         """Why the last step of a row failed."""

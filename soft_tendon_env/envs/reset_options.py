@@ -5,13 +5,11 @@ from typing import Any
 import numpy as np
 from pydantic import Field, InstanceOf, field_validator, model_validator
 
-from soft_tendon_env.envs.options import NamedTarget, Start
+from soft_tendon_env.envs.options import NamedTarget
 from soft_tendon_env.envs.targets.set_points import Hold
 from soft_tendon_env.model.state import State
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
 
-GOALS = (3,), (4, 4)
-"""Shapes of a goal."""
 MASK = "reset_mask"
 """Key of the rows that a vector environment resets, (rows,) bool; the others go on."""
 
@@ -21,16 +19,16 @@ class ResetOptions(Configuration):
 
     Attributes:
         state: `State` in which the arm begins, with its rates, the internal states of effects and its time; of an arm like this episode's.
-            Commands before are those of "rest".
+            Commands before are those of the default start.
         start: tensions [N], one per tendon, at whose static equilibrium the episode begins and which have held the arm there since long
-            before; or "rest" or "random", as the argument `start`.
+            before; by default those nearest to zero.
         goal: position of the tip to reach, three numbers [m] in the world frame (Reach), or its pose, 4 x 4 (Reach, TipPose).
         target: target of this episode, as the argument `target`.
         episode_steps: steps after which the episode is truncated, where that is sooner than otherwise.
     """
 
     state: InstanceOf[State] | None = None
-    start: Start | None = None
+    start: tuple[float, ...] | None = None
     goal: Hold | None = None
     target: NamedTarget | None = None
     episode_steps: int | None = Field(default=None, ge=1)
@@ -38,10 +36,13 @@ class ResetOptions(Configuration):
     @field_validator("goal", mode="before")
     @classmethod
     def _as_hold(cls, goal: Any) -> Any:
-        if _shape(goal) not in GOALS:
-            raise ValueError("should be a position of three numbers [m], or a pose, 4 x 4")
-        values: Any = np.asarray(goal)
-        return Hold(position=values) if values.ndim == 1 else Hold(pose=values)
+        try:
+            place = np.asarray(goal, dtype=np.float64)
+            return {(3,): lambda: Hold(position=place), (4, 4): lambda: Hold(pose=place)}[place.shape]()
+        except (KeyError, TypeError, ValueError) as error:
+            if isinstance(error, ConfigurationError):
+                raise
+            raise ValueError("should be a position of three numbers [m], or a pose, 4 x 4") from None
 
     @model_validator(mode="after")
     def _one_of_each(self) -> "ResetOptions":
@@ -54,8 +55,8 @@ class ResetOptions(Configuration):
 def reset_options(options: Any, rows: int | None = None) -> dict[int, ResetOptions]:
     """The options of a reset by row; `rows` of a vector environment, None for one environment, which is row 0.
 
-    A vector environment takes for every key one value for all rows, or a sequence of one per row, None for what is usual.
-    Raises TypeError where they are no table, ConfigurationError.
+    A vector environment takes for every key a sequence of one value per row, None for what is usual. Raises ConfigurationError, TypeError
+    where they are no table.
     """
     if not isinstance(options, dict | None):
         raise TypeError(f"options should be a dict or None, not {type(options).__name__}")
@@ -63,29 +64,10 @@ def reset_options(options: Any, rows: int | None = None) -> dict[int, ResetOptio
     if unknown := [str(key) for key in options or () if key not in allowed]:
         raise ConfigurationError([Problem((key,), f"is no option of reset: {not_among(key, allowed)}") for key in unknown], "options")
     given = {key: value for key, value in (options or {}).items() if value is not None and key != MASK}
-    if not options:
-        return {}
     if rows is None:
-        return {0: ResetOptions.parse(given, "options")}
-    by_row = {key: _by_row(key, value, rows) for key, value in given.items()}
-    tables = [{key: values[row] for key, values in by_row.items() if values[row] is not None} for row in range(rows)]
-    return {row: ResetOptions.parse(table, f"options of row {row}") for row, table in enumerate(tables)}
-
-
-def _by_row(key: str, value: Any, rows: int) -> list[Any]:
-    """Values of a key, one per row. Raises ConfigurationError."""
-    shape = _shape(value)
-    if not isinstance(value, list | tuple | np.ndarray) or key == "start" and len(shape) == 1 or key == "goal" and shape in GOALS:
-        return [value] * rows
-    if len(value) != rows:
-        raise ConfigurationError([Problem((key,), f"has {len(value)} entries: it should be one value, or one per row, {rows}")], "options")
-    return list(value)
-
-
-def _shape(value: Any) -> tuple[int, ...]:
-    """Shape of an array of numbers; () of anything else."""
-    try:
-        array = np.asarray(value)
-    except ValueError:  # rows that are not alike
-        return ()
-    return array.shape if array.dtype.kind in "iuf" else ()
+        return {0: ResetOptions.parse(given, "options")} if given else {}
+    for key, value in given.items():
+        if not isinstance(value, list | tuple | np.ndarray) or len(value) != rows:
+            raise ConfigurationError([Problem((key,), f"should have one value per row, {rows}, each None for what is usual")], "options")
+    tables = [{key: values[row] for key, values in given.items() if values[row] is not None} for row in range(rows)]
+    return {row: ResetOptions.parse(table, f"options of row {row}") for row, table in enumerate(tables)} if given else {}

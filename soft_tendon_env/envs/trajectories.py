@@ -8,7 +8,6 @@ from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.kernels import TargetTable, targets_ahead
 from soft_tendon_env.envs.targets import Course, PoseCourse, TargetSamples
 from soft_tendon_env.envs.targets.set_points import FixedPose
-from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.tools.types import Array
 
 CHUNK = 256
@@ -83,13 +82,9 @@ class TargetTrajectories:
         fresh = np.concatenate([[True], moved])  # targets that stay are read once
         reading, good = self._arms.read_samples(q[fresh], q_dot[fresh])
         if not good.all():
-            self._arms.model.tip_pose(q[fresh][~good][0])  # says which tendon is at its limit
-            raise StrainLimitError("the target has no strain that could be found")
+            self._arms.model.tip_pose(q[fresh][~good][0])  # raises: it says which tendon is at its limit
         found = np.cumsum(fresh) - 1
-        tip_pose, tip_twist, length, backbone = (
-            field[found] for field in (reading.tip_pose, reading.tip_twist, reading.tendon_length, reading.backbone)
-        )
-        return TargetSamples(tip_pose, tip_twist, q, length, backbone)
+        return TargetSamples(reading.tip_pose[found], reading.tip_twist[found], q, reading.tendon_length[found], reading.backbone[found])
 
     def now_and_ahead(self, step_count: Indices, tip_pose: Array) -> tuple[TargetSamples, Array, Array]:
         """The targets (rows, 1 + previews, ..) of rows at their step counts (rows,), the SE(3) logarithms (rows, 1 + previews, 6) to them
@@ -103,8 +98,7 @@ class TargetTrajectories:
     def until(self, step_count: Indices, periods: int) -> TargetSamples:
         """The targets (rows, 1 + periods, ..) of now and of the periods ahead. Raises ValueError beyond the longest preview."""
         if periods > self._longest:
-            most = f"{self._longest} control periods, {self._longest * self._period:g} s: the longest preview"
-            raise ValueError(f"targets are known for {most}, and asked for {periods} ahead")
+            raise ValueError(f"targets are known for the longest preview, {self._longest} control periods, not for {periods}")
         place = (step_count[:, None] + np.arange(1 + periods)) % self._room
         row = np.arange(len(place))[:, None]
         return self._targets(self._table.pose[row, place], self._table.other[row, place])

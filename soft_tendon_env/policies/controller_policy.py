@@ -129,9 +129,6 @@ def make_policy(
             there = f"{believed.coordinate_count} coordinates where the environment's has {episodes.model.coordinate_count}"
             raise ValueError(f"the controller's model has {there}, which are observed: it should have the same strain parametrisation")
         interface = interface._replace(model=believed)
-    if episodes.options.start == "random" and interface.actions.increment is not None and "command" not in interface.layout.slices:
-        text = "lacks command: where episodes begin under random tensions and actions are increments, nothing else tells the command"
-        raise ConfigurationError([Problem(("observation",), text)], "environment")
     displaced = [name for name, effect in believed.scene.effects.chosen().items() if effect.command_unit != "N"]
     if without or displaced:  # what a controller decides are tensions, of which ControllerPolicy makes commands
         believed = model_without(believed, sorted({*without, *displaced}))

@@ -4,9 +4,8 @@ import os
 import socket
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -121,28 +120,19 @@ def is_open(port: int) -> bool:
 
 
 def open_viewer(port: int) -> None:
-    """Open the Rerun viewer in a process of its own and wait until it listens. Raises gymnasium.error.Error."""
+    """Open the Rerun viewer in a process of its own, which no Ctrl-C reaches, and wait until it listens. Raises gymnasium.error.Error."""
     if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in DISPLAYS):
         raise Error(
             f"the Rerun viewer needs a display, and none of {', '.join(DISPLAYS)} is set: "
             'use render_mode="rgb_array" or RecordRollout, or start a viewer first (`rerun --headless`)'
         )
-    with tempfile.TemporaryFile() as said:
-        process = _start([sys.executable, "-m", "rerun_cli", "--port", str(port), "--bind", "127.0.0.1", "--expect-data-soon"], said)
-        end = time.monotonic() + OPENS_WITHIN
-        while not is_open(port) and process.poll() is None and time.monotonic() < end:
-            time.sleep(0.05)
-        time.sleep(SETTLES)
-        if process.poll() is not None or not is_open(port):
-            said.seek(0)
-            lines = said.read().decode(errors="replace").split("\n")
-            reason = next((line for line in reversed(lines) if line.startswith("Error")), "it did not answer")
-            raise Error(f"the Rerun viewer did not open: {reason}; `rerun` in a terminal says more")
-
-
-def _start(command: Sequence[str], said: Any) -> subprocess.Popen[bytes]:
-    """A process that outlives this one and that no Ctrl-C meant for this one reaches; its messages go to a file."""
+    command = [sys.executable, "-m", "rerun_cli", "--port", str(port), "--bind", "127.0.0.1", "--expect-data-soon"]
+    quiet: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
     environment = {**os.environ, "RERUN_APP_ONLY": "true"}  # no questions about analytics
-    return subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said, env=environment, start_new_session=True
-    )
+    process = subprocess.Popen(command, env=environment, start_new_session=True, **quiet)
+    end = time.monotonic() + OPENS_WITHIN
+    while not is_open(port) and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.05)
+    time.sleep(SETTLES)
+    if process.poll() is not None or not is_open(port):
+        raise Error("the Rerun viewer did not open; `rerun` in a terminal says why")

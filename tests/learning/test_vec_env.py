@@ -66,7 +66,7 @@ def timeless(value):
     return type(value)(map(timeless, value)) if isinstance(value, list | tuple) else value
 
 
-IN_TIME, TERMINATED, TRUNCATED = (False, True), (True, False), (True, True)
+IN_TIME, TERMINATED = (False, True), (True, False)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,6 @@ IN_TIME, TERMINATED, TRUNCATED = (False, True), (True, False), (True, True)
         (SHAPE, {"max_episode_steps": 7, **FAST}, {IN_TIME}),
         (REACH, {"max_episode_steps": 7, "reward": "dense", **FAST}, {IN_TIME}),
         (TIP_POSE, {"max_episode_steps": 6, **WILD}, {IN_TIME, TERMINATED}),
-        (REACH, {"max_episode_steps": 6, "on_divergence": "truncate", **WILD}, {IN_TIME, TRUNCATED}),
     ],
 )
 def test_rows_are_what_single_environments_are(id, options, ends, same):

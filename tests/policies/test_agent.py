@@ -336,8 +336,8 @@ def test_what_a_module_of_ones_own_registers_is_asked_for(tmp_path, trained, cha
 
 
 def test_an_agent_takes_along_its_arm_and_its_interface_but_not_what_it_learned(tmp_path):
-    learned = {"target": "circle", "reward": {"position": 1.0}, "randomize": {"payload": 0.1}, "threshold": 0.02, "on_divergence": "raise"}
-    kept = {**SMALL, "action": "increment", "preview": [0.1], "contact_sections": 3, "control_period": 0.01, "tension_limits": [0.0, 9.0]}
+    learned = {"target": "circle", "reward": {"position": 1.0}, "randomize": {"payload": 0.1}, "threshold": 0.02}
+    kept = {**SMALL, "action": "increment", "preview": [0.1], "control_period": 0.01, "tension_limits": [0.0, 9.0]}
     (tmp_path / "model.zip").touch()
     (tmp_path / "config.json").write_text(json.dumps({"options": {**learned, **kept}}))
     assert Agent(str(tmp_path / "model.zip"), "TipPose").options({}) == kept

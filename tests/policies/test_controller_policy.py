@@ -86,12 +86,6 @@ def test_episodes_under_random_tensions_are_controlled_from_these_on(short, prob
     assert began.min() > 0.1
 
 
-def test_a_command_that_nothing_tells_is_asked_for(short):
-    env = short("single", IDS["TipPose"], start="random", action="increment", **observation_options("tracking", "TipPose"))
-    with pytest.raises(ConfigurationError, match="observation lacks command: where episodes begin under random tensions and actions are"):
-        make_policy("tracking", env)
-
-
 def test_increments_come_as_near_as_they_can(short, probed, begun):
     """And the next situation tells the tensions that were asked for, not those that were decided."""
     env = short("single", IDS["TipPose"], action="increment", tension_rate=10.0)
