@@ -6,7 +6,7 @@ row and for many, bit for bit. Read `begin` and `step` first.
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -15,15 +15,16 @@ from numpy.typing import ArrayLike, NDArray
 from soft_tendon_env.envs.actuation import Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.contacts import NO_CONTACT, Contacts
+from soft_tendon_env.envs.drawn_arms import Drawn
 from soft_tendon_env.envs.kernels import ContactReading
 from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, stress_free_strain, units_of
 from soft_tendon_env.envs.options import GOAL_BOUND, Options, check_fit, check_target, groups_of, resolved_scene, sensor_places
 from soft_tendon_env.envs.randomization import Measured, Sensors
 from soft_tendon_env.envs.reset_options import ResetOptions
 from soft_tendon_env.envs.rewards import Reward, Weight, goal_distance, goal_reward
-from soft_tendon_env.envs.starts import Beginning, Begun, Starts
+from soft_tendon_env.envs.starts import Starts
 from soft_tendon_env.envs.target_draws import TargetDraws
-from soft_tendon_env.envs.targets import TARGETS, TargetSamples
+from soft_tendon_env.envs.targets import TARGETS, Course, Target, TargetSamples
 from soft_tendon_env.envs.tasks import STATIONS, Task
 from soft_tendon_env.envs.tracking import CONTACT_ERRORS, Tracking, TrackingError, norm
 from soft_tendon_env.envs.trajectories import TargetTrajectories
@@ -38,8 +39,17 @@ from soft_tendon_env.model.step_control import cause_of, step_control
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
+MANY = 16
+"""Rows from which on all motions that targets come from are computed when an environment is made, since its first resets need most."""
 THRESHOLD = 0.01
 """Distance within which a goal is reached, in lengths of the rod, unless options say otherwise."""
+
+
+class Beginning(NamedTuple):
+    """How an episode of a row is to begin."""
+
+    target: Target | Course  # one that is drawn, or the course of one that is not
+    state: State | None = None  # in which the arm begins; None: at rest
 
 
 class Episodes:
@@ -94,6 +104,8 @@ class Episodes:
         self.threshold = THRESHOLD * self.model.length if options.threshold is None else options.threshold
         self._draws = TargetDraws(starts.setting, self._courses, self.period, self.threshold if task.goal else 0.0)
         self._usual = Beginning(self._draws.settled(options.target or TARGETS[task.target](type=task.target)))
+        if self.size >= MANY and not any(key.startswith("effects.contact.") for key in options.randomize.numbers):
+            self._draws.fill_bank(self._usual.target)
 
     def _make_actuation(self, options: Options, rows: int) -> None:
         """Make the actuators, and what they did last."""
@@ -130,40 +142,35 @@ class Episodes:
         found = {}
         for row in members.tolist() if given else ():
             own, target = given[row], self._usual.target
-            if not self._simulated and (own.state or own.start):
-                raise ConfigurationError([Problem((), "should have no state or start: robots begin at rest")], "options")
+            if own.state is not None and not self._simulated:
+                raise ConfigurationError([Problem((), "should have no state: robots begin at rest")], "options")
+            if own.state is not None and not self.options.randomize.of_arm:
+                checked_motion(self.model, own.state)
             if (wanted := own.goal or own.target) is not None:
                 check_target(wanted, self.task, self.model.scene)
                 target = self._draws.settled(wanted)
-            found[row] = self.starts.beginning(target, own.start, own.state)
+            found[row] = Beginning(target, own.state)
         return found
 
     def begin(self, members: Indices, generators: Sequence[np.random.Generator], beginnings: Mapping[int, Beginning] | None = None) -> None:
         """New episodes for the rows `members`, each drawn from its generator; `beginnings` of rows that do not begin as usual."""
         hows = [(beginnings or {}).get(row, self._usual) for row in members.tolist()]
-        rows, begun = list(zip(members.tolist(), hows, generators, strict=True)), dict[int, Begun]()
-        for row, how, generator in rows:
-            begun[row] = self.starts.begin(row, how, generator)
-            self.actuation.begin(row, generator, begun[row].shape.command)
-        tension, command, q = (np.array(parts) for parts in zip(*(own.shape for own in begun.values()), strict=True))
-        self.arms.place(members, q, tension)
+        rows, drawn, (_, command, _) = list(zip(members.tolist(), hows, generators, strict=True)), dict[int, Drawn](), self.starts.rest
+        for row, _, generator in rows:
+            drawn[row] = self.starts.begin(row, generator)
+            self.actuation.begin(row, generator, command)
+        motions = {row: checked_motion(drawn[row].model, how.state) for row, how, _ in rows if how.state is not None}
+        tensions, commands = (np.tile(own, (members.size, 1)) for own in (self.start_tension, command))
+        self.arms.place(members, np.array([own.rest for own in drawn.values()]), tensions)
         self.step_count[members] = 0
-        self._keep(members, tension, command, self.actions.action(command, command), np.zeros_like(command))
-        if motions := {row: own.motion for row, own in begun.items() if own.motion is not None}:
+        self._keep(members, tensions, commands, self.actions.action(commands, commands), np.zeros_like(commands))
+        if motions:
             self._put(motions)
         for row, how, generator in rows:
-            self._draws.begin(row, how.target, generator, begun[row].setting, self.arms.reading.tip_pose[row, :3, 3])
+            self._draws.begin(row, how.target, generator, drawn[row].setting, self.arms.reading.tip_pose[row, :3, 3])
             if self._sensors is not None:  # after the target, which is the same with and without noise
                 self._sensors.begin(row, int(generator.integers(2**63)))
         self._observe(members)
-
-    def put(self, states: Mapping[int, State]) -> None:
-        """Put rows into states: their arms alone, while targets, last actions, commands that are on their way and counts of steps stay, and
-        a history begins anew. Raises TypeError or ValueError before anything changes, where a state is none of its row's arm."""
-        if not self._simulated:
-            raise TypeError("the state of a robot cannot be set")
-        self._put({row: checked_motion(self.arms.model_of(row), state) for row, state in states.items()})
-        self._observe(np.array([*states], dtype=np.int64), moved=False)
 
     def _put(self, motions: dict[int, tuple[Motion, float]]) -> None:
         """Put rows into motions, each with the step [s] to try next."""
@@ -200,22 +207,22 @@ class Episodes:
         parts = (_replaced(old, members, own) for old, own in zip(before, new, strict=True))
         self.tension, self._applied, self._action, self._action_change = parts
 
-    def _observe(self, members: Indices, moved: bool = True) -> None:
-        """Compare the arms with their targets, after the rows `members` moved on or were put elsewhere: observation, errors, reward."""
+    def _observe(self, members: Indices) -> None:
+        """Compare the arms with their targets, after the rows `members` moved on: observation, errors, reward."""
         self._courses.prepare(self.step_count, members)
         reading = self.arms.reading
         self.target, error, off = self._courses.now_and_ahead(self.step_count, reading.tip_pose)
         measured: Reading | Measured = reading
         measured_error = error
         if self._sensors is not None:
-            measured = self._sensors.measured(reading, self.step_count, members if moved else members[:0])
+            measured = self._sensors.measured(reading, self.step_count, members)
             measured_error = np.empty_like(error)
             pose_errors(measured.tip_pose, self.target.tip_pose, measured_error)
         contact = self._contact(members)
         self.observed = self._seen(measured, measured_error, contact)
         self.present = self.layout.present(self.observed)
         if self.history is not None:
-            self.history.keep(self.present, self.step_count if moved else np.zeros_like(self.step_count), members)
+            self.history.keep(self.present, self.step_count, members)
         tracking = Tracking(self.arms, reading, error[:, 0], off[0], off[1], self.target, self._applied, self._action_change, contact)
         self.errors = {error.name: error.value(tracking) for error in self._measures}
         self.diverged = self.arms.outcome.status != OK

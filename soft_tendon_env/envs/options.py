@@ -185,14 +185,5 @@ def check_target(target: Target, task: Task, scene: Scene) -> None:
     target.check(scene)
 
 
-def check_start(start: tuple[float, ...], scene: Scene) -> None:
-    """Raises ConfigurationError unless tensions to begin under are one per tendon and within its limits."""
-    if len(start) != len(scene.tendons):
-        _fail("start", f"has {len(start)} entries: it should have one per tendon, {len(scene.tendons)}")
-    for i, (tension, (least, greatest)) in enumerate(zip(start, (own.tension_limits for own in scene.tendons), strict=True)):
-        if not least <= tension <= greatest:
-            _fail(f"start[{i}]", f"is {tension:g}: it should be within the limits of the tendon, {least:g} to {greatest:g} N")
-
-
 def _fail(key: str, text: str) -> NoReturn:
     raise ConfigurationError([Problem((key,), text)], "environment")

@@ -1,4 +1,4 @@
-"""Options of `reset`: the state, shape, goal, target and length with which episodes begin, of one environment or row by row."""
+"""Options of `reset`: the state, goal, target and length with which episodes begin, of one environment or row by row."""
 
 from typing import Any
 
@@ -19,16 +19,13 @@ class ResetOptions(Configuration):
 
     Attributes:
         state: `State` in which the arm begins, with its rates, the internal states of effects and its time; of an arm like this episode's.
-            Commands before are those of the default start.
-        start: tensions [N], one per tendon, at whose static equilibrium the episode begins and which have held the arm there since long
-            before; by default those nearest to zero.
+            Commands before are those of an arm at rest.
         goal: position of the tip to reach, three numbers [m] in the world frame (Reach), or its pose, 4 x 4 (Reach, TipPose).
         target: target of this episode, as the argument `target`.
         episode_steps: steps after which the episode is truncated, where that is sooner than otherwise.
     """
 
     state: InstanceOf[State] | None = None
-    start: tuple[float, ...] | None = None
     goal: Hold | None = None
     target: NamedTarget | None = None
     episode_steps: int | None = Field(default=None, ge=1)
@@ -46,9 +43,8 @@ class ResetOptions(Configuration):
 
     @model_validator(mode="after")
     def _one_of_each(self) -> "ResetOptions":
-        for one, other in (("state", "start"), ("goal", "target")):
-            if getattr(self, one) is not None and getattr(self, other) is not None:
-                raise ConfigurationError([Problem((one,), f"is given, and {other} too: give one of the two")])
+        if self.goal is not None and self.target is not None:
+            raise ConfigurationError([Problem(("goal",), "is given, and target too: give one of the two")])
         return self
 
 

@@ -108,14 +108,8 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
 
     @property
     def state(self) -> State:
-        """A copy of the arm's state, as `Simulation` has it. Set, it is taken whole, see `Episodes.put`; TypeError or ValueError leave the
-        environment as it was."""
+        """A copy of the arm's state, as `Simulation` has it."""
         return self.episodes.state(0)
-
-    @state.setter
-    def state(self, state: State) -> None:
-        self._refuse("state", self._begun)
-        self.episodes.put({0: state})
 
     def target_at(self, times: ArrayLike) -> TargetSamples:
         """The episode's target at times (m,) [s] from its beginning, past or future."""

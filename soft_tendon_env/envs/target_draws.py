@@ -16,31 +16,19 @@ from soft_tendon_env.tools.types import Array
 
 MOST_DRAWS = 200
 """How often targets are drawn inside of obstacles before that is an error, and goals that are reached already before they are taken."""
-BANK = 16
-"""Motions in a bank, each to and fro, with as many beginnings as it has control periods: with more, first resets take above 3 ms a row."""
+BANK = 64
+"""Motions in a bank, each with as many beginnings as it has control periods."""
 BANK_SEED = 2**64
 """Seed of the first motion of a bank; the others follow, one apart: beyond all seeds of `reset` that have a purpose."""
 CHECKS = 100
 """Times in an episode of the usual length at which a target is checked not to lie inside of obstacles."""
 
 
-class Reversed(ShapeCourse):
-    """A motion that repeats, run backwards."""
-
-    def __init__(self, course: ShapeCourse, period: float) -> None:
-        self._course, self._period = course, period
-
-    def coordinates(self, times: Array) -> tuple[Array, Array]:
-        q, q_dot = self._course.coordinates(np.mod(-times, self._period))
-        return q, -q_dot
-
-
 class TargetDraws:
     """Draws of targets for the rows of an environment.
 
-    Under loads a motion takes many equilibria. There, one of BANK motions is drawn in place of a new one, its direction, and the control
-    period of it at which the episode begins. A motion of the bank depends on target and number alone, is computed when it is first asked
-    for, and stays.
+    Under loads a motion takes many equilibria. There, one of BANK motions is drawn in place of a new one, and the control period of it at
+    which the episode begins. A motion of the bank depends on target and number alone, is computed when it is first asked for, and stays.
     """
 
     def __init__(self, setting: Setting, trajectories: TargetTrajectories, period: float, away: float = 0.0) -> None:
@@ -95,13 +83,21 @@ class TargetDraws:
         """A course, and the control period of it to begin at."""
         if not self._has_bank or target.repeats is None or setting is not self._setting:  # rows with obstacles of their own
             return target.draw(generator, setting), 0
-        periods = max(round(target.repeats / self._period), 1)
-        number, first, backwards = (int(generator.integers(most)) for most in (BANK, periods, 2))
+        number, first = (int(generator.integers(most)) for most in (BANK, max(round(target.repeats / self._period), 1)))
+        return self._motion(target, number), first
+
+    def _motion(self, target: Target, number: int) -> Course:
+        """The motion of that number in the bank."""
         key = target.model_dump_json(), number
         if key not in self._bank:
-            self._bank[key] = target.draw(np.random.default_rng(BANK_SEED + number), setting)
-        course = self._bank[key]
-        return Reversed(course, target.repeats) if backwards and isinstance(course, ShapeCourse) else course, first
+            self._bank[key] = target.draw(np.random.default_rng(BANK_SEED + number), self._setting)
+        return self._bank[key]
+
+    def fill_bank(self, target: Target | Course) -> None:
+        """Compute all motions of a target in the bank ahead, so that no reset waits for them. Raises ConfigurationError."""
+        if self._has_bank and isinstance(target, Target) and target.repeats is not None:
+            for number in range(BANK):
+                self._motion(target, number)
 
     def _distance(self, course: Course, first: int, tip: Array) -> float:
         """Distance [m] from the tip (3,) to where a course begins, as it is observed."""

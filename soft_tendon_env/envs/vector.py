@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -14,9 +14,9 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from soft_tendon_env.envs.arms import Indices
+from soft_tendon_env.envs.episodes import Beginning
 from soft_tendon_env.envs.reset_options import MASK, reset_options
 from soft_tendon_env.envs.single import EpisodesEnv, class_of
-from soft_tendon_env.envs.starts import Beginning
 from soft_tendon_env.envs.tasks import Task, task_of_class
 from soft_tendon_env.model.state import State
 from soft_tendon_env.tools.checks import checked_array, checked_count
@@ -142,17 +142,8 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
 
     @property
     def state(self) -> tuple[State, ...]:
-        """Copies of the rows' states. Set, to one for all rows or one per row, None for rows that stay, they are taken whole, see
-        `Episodes.put`; TypeError or ValueError leave the environment as it was."""
+        """Copies of the rows' states."""
         return tuple(self.episodes.state(row) for row in range(self.num_envs))
-
-    @state.setter
-    def state(self, state: State | Sequence[State | None]) -> None:
-        self._refuse("state", self._begun)
-        states = [state] * self.num_envs if isinstance(state, State) else [*state]
-        if len(states) != self.num_envs:
-            raise ValueError(f"state should be a State or a list of {self.num_envs}, not of {len(states)}")
-        self.episodes.put({row: own for row, own in enumerate(states) if own is not None})
 
     @property
     def timed_out(self) -> NDArray[np.bool_]:

@@ -5,8 +5,6 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.envs import IDS, TipPoseEnv
-from soft_tendon_env.model.simulation import Simulation
-from soft_tendon_env.model.state import State
 from soft_tendon_env.model.statics import commanded_equilibrium
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -91,22 +89,3 @@ def test_an_action_that_is_held_leads_to_the_equilibrium_of_its_displacements():
     np.testing.assert_allclose(env.episodes.arms.reading.tip_pose[0], found.tip_pose, atol=1e-6)
     np.testing.assert_allclose(env.episodes.tension[0], tension, atol=1e-3)
     assert tension.max() > 0.5 and tension.min() == 0.0, "one is slack"
-
-
-def test_a_state_in_mid_delay_continues_bit_for_bit(tmp_path):
-    """What env.state has goes on in a simulation, from a file too, as it does in the environment."""
-    env = TipPoseEnv(**options_of("all of the path"))
-    env.reset(seed=0)
-    table = np.random.default_rng(0).uniform(-1.0, 1.0, (40, 3))
-    for action in table[:17]:
-        env.step(action)
-    env.state.save(tmp_path / "state.npz")
-    state = State.load(tmp_path / "state.npz")
-    arrivals = state.effects[6:].reshape(-1, 4)[:, 0]
-    assert np.any((arrivals > state.time) & (arrivals < state.time + 0.033)), "commands on their way"
-    simulation = Simulation(env.model, state)
-    for action in table[17:]:
-        env.step(action)
-        simulation.step(displacement(action), 0.02)
-        for own, expected in zip(vars(simulation.state).values(), vars(env.state).values(), strict=True):
-            np.testing.assert_array_equal(own, expected)

@@ -62,17 +62,6 @@ def test_contact_is_rewarded_where_that_is_asked_for():
     assert set(plain.episodes.terms) == {"position", "angle", "effort", "smoothness"}
 
 
-@pytest.mark.parametrize("kind, name", [(TipPoseEnv, "clearance"), (ReachEnv, "contact_force"), (ShapeEnv, "contact_force")])
-def test_without_obstacles_there_is_no_contact(kind, name):
-    with pytest.raises(ConfigurationError, match=f"names '{name}', which needs a scene with obstacles, effects.contact"):
-        kind(scene="three_tendon", fidelity="fast", observation=[name])
-    if kind is not ReachEnv:
-        with pytest.raises(ConfigurationError, match="penetration needs a scene with obstacles, effects.contact"):
-            kind(scene="three_tendon", fidelity="fast", reward={"penetration": 1.0})
-    env = kind(scene="three_tendon", fidelity="fast")
-    assert not {"penetration", "contact_force"} & set(env.reset(seed=0)[1])
-
-
 INSIDE = {
     "a ball in its middle": {"type": "sphere", "position": [0.02, 0.0, 0.0], "radius": 0.03},
     "a plate across": {"type": "box", "position": [0.15, 0.0, 0.0], "size": [0.02, 1.0, 1.0]},

@@ -112,25 +112,6 @@ def test_episodes_take_arms_of_a_bank_that_the_options_alone_decide(same):
     assert same(first.reset(seed=5)[0], first.reset(seed=5)[0]) and not same(first.reset()[0], first.reset()[0])
 
 
-def test_contact_is_told_by_the_obstacles_of_the_row():
-    scene = {"scene": "three_tendon", "quadrature.intervals": 6, **GRAVITY, "effects.contact.obstacles": [FLOOR]}
-    options = {"scene": scene, "fidelity": "fast", "randomize": {"effects": {"contact.obstacles.0.position.2": [-0.045, -0.03]}}}
-    vector = TipPoseVectorEnv(3, **options, observation=["clearance", "contact_force"])
-    vector.reset(seed=0)
-    for _ in range(30):
-        vector.step(-np.ones((3, 3)))
-    lowest = [vector.episodes.drawn_numbers(row)["effects.contact.obstacles.0.position.2"] for row in range(3)]
-    assert np.ptp(lowest) > 1e-3
-    for row in range(3):
-        model = build_model(scene_with(vector, row))
-        told = contact_forces(vector.episodes.arms.model_of(row), vector.episodes.state(row))
-        expected = contact_forces(model, vector.episodes.state(row))
-        assert expected.force[0, 2] > 1e-3
-        np.testing.assert_allclose(told.force, expected.force, rtol=1e-9)
-        np.testing.assert_allclose(told.clearance, expected.clearance, rtol=1e-9)
-    vector.close()
-
-
 WRONG = {
     "an unknown number": ({"fluid.densty": 1.0}, "effects.fluid.densty is no number of the scene: did you mean 'effects.fluid.density'?"),
     "a text": ({"contact.obstacles.0.type": 1.0}, "is no parameter: 'sphere' is no number"),

@@ -2,7 +2,6 @@
 
 import pickle
 import time
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ from scipy.linalg import logm
 
 from soft_tendon_env.envs import ReachEnv, ShapeEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.target_draws import BANK
-from soft_tendon_env.envs.targets import statics
 from soft_tendon_env.envs.targets.motions import Circle, CircleCourse, ClosedSpline
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.tools.configuration import ConfigurationError
@@ -188,11 +186,8 @@ def test_a_ramp_ends_where_its_tensions_hold_the_arm(arm):
 
 UNHELD = {
     "three_tendon": ({"scene": "three_tendon"}, [500.0, 0.0, 0.0], "tendon 0 at arc length"),
-    "the last tendon": ({"scene": "three_tendon", "fidelity": "fast"}, [0.0, 1.0, 400.0], "tendon 2 at arc length"),
     "pushed": ({"scene": "three_tendon"}, [0.0, -1e6, 0.0], "tendon 1 at arc length"),
     "absurd": ({"scene": "paper"}, [1e300, *[0.0] * 9], "% of the load"),
-    "paper": ({"scene": "paper"}, [0.0] * 6 + [2000.0] + [0.0] * 3, "tendon 6 at arc length"),
-    "helical": ({"scene": "helical"}, [0.0, 5e3, 0.0, 0.0, 0.0], "tendon 1 at arc length"),
     "redundant": ({"scene": "four_tendon"}, [0.0, 0.0, 5e3, 0.0], "tendon"),
     "loaded": (None, [500.0, 0.0, 0.0], "% of the load"),
     "explicit": (None, [5e4, 0.0, 0.0], "% of the load"),
@@ -217,7 +212,7 @@ def test_given_tensions_that_nothing_balances_are_refused(where, target, kind, a
     "target, where",
     [
         pytest.param(target, where, marks=[pytest.mark.slow] if (target, where) == ("random", "loaded") else [])
-        for target, places in (("random", UNHELD), ("hold", ("pushed", "redundant")), ("ramp", ("helical", "explicit")))
+        for target, places in (("random", ("three_tendon", "redundant", "loaded")), ("hold", ("pushed",)), ("ramp", ("explicit",)))
         for where in places
     ],
 )
@@ -234,45 +229,6 @@ def test_drawn_tensions_are_drawn_in_to_what_the_arm_can_hold(where, target, arm
         assert np.linalg.norm(moved, axis=1).max() > 1e-3 * env.model.length
         shown.append(list(env.target_at(times)))
     assert same(shown[0], shown[2]) and not same(shown[0], shown[1])
-
-
-class Snapping:
-    """A balance of forces of one coordinate, q^3 - 3 q = 10 u, with two stable branches: a fold at a tension of 0.2."""
-
-    size, obstacle, tension = 1, "", np.zeros(1)
-
-    def __init__(self, model, tension, work):
-        self.tension = tension
-
-    def at(self, q, part):
-        force = 10.0 * self.tension - (q**3 - 3.0 * q)
-        return SimpleNamespace(q=q, force=force, residual=float(np.abs(force).max()))
-
-    def linearised(self, q, part):
-        stiff = 3.0 * q[0] ** 2 - 3.0
-        return SimpleNamespace(at=self.at(q, part), compliance=np.array([[1.0 / stiff]]), stiff=stiff)
-
-    def stability(self, here):
-        return SimpleNamespace(stable=here.stiff > 0.0, least=here.stiff, has_potential=True)
-
-    def angle(self, change):
-        return float(np.abs(change).max())
-
-
-@pytest.mark.parametrize("end, held", [(0.15, True), (0.25, False)])
-def test_shapes_that_jump_are_not_held(end, held, monkeypatch):
-    """The path stays on its branch up to the fold, and says where it ends, within few steps."""
-    monkeypatch.setattr(statics, "Balance", Snapping)
-    setting = SimpleNamespace(rest=np.array([-np.sqrt(3.0)]), tension=np.zeros(1), response=np.array([[10.0 / 6.0]]), model=None)
-    path = statics.EquilibriumPath(setting, None)
-    tension = np.linspace(0.0, end, 9)[:, None]
-    if held:
-        q = path.follow(tension)
-        np.testing.assert_allclose(q**3 - 3.0 * q, 10.0 * tension, atol=1e-7)
-        assert (q < -1.0).all()
-    else:
-        with pytest.raises(statics.NoEquilibrium, match=r"^\[0\.(19|20|21)"):
-            path.follow(tension)
 
 
 def test_an_arm_that_stands_and_has_fallen_over_has_targets_on_its_side():
@@ -314,17 +270,3 @@ def test_motions_under_loads_come_from_a_bank_whatever_was_drawn_before(same):
     assert len({key for key, _ in env.episodes._draws._bank}) == 2
     again = pickle.loads(pickle.dumps(env))
     assert same(again.reset()[0], env.reset()[0])
-
-
-@pytest.mark.parametrize("kind", ["loaded", "explicit", "pulled"])
-def test_arms_of_any_material_begin_at_rest(kind, arms):
-    """The static equilibrium of a scene with that material; nothing moves while nothing is asked."""
-    options = {"pulled": {"scene": "three_tendon", "fidelity": "fast"}, **arms}[kind]
-    drawn = {"stiffness": [0.5, 0.8], "density": [1.0, 2.0], "payload": [0.0, 0.01]}
-    env = TipPoseEnv(**options, tension_limits=[1.0, 3.0], randomize=drawn)
-    for seed in range(3):
-        env.reset(seed=seed)
-        start = env.episodes.arms.reading.tip_pose[0].copy()
-        for _ in range(5):
-            env.step(np.full(3, -1.0))
-        np.testing.assert_allclose(env.episodes.arms.reading.tip_pose[0], start, atol=1e-9)

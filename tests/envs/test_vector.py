@@ -78,10 +78,18 @@ def test_rows_are_single_environments(task, mode, same):
     compare(lambda: single(**SMALL), vector(3, LONGEST, mode, **SMALL), 10, 3, mode, same)
 
 
-@pytest.mark.parametrize("kind", ["loaded", "explicit"])
+MORE = {
+    "elastic": {"effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": [-0.002, 0.012]}, "effects.actuators.delay": 0.033},
+    "contact": {"effects.contact.obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.04], "friction": 0.4}]},
+}
+
+
+@pytest.mark.parametrize("kind", ["loaded", "explicit", *MORE])
 def test_rows_are_single_environments_with_everything_random(kind, arms, everything, same):
     """On threads, with more rows than fill a share of them."""
-    options = {**arms[kind], "randomize": everything, "observation": "measurable", "sensors": [0.1, 0.3], "action": "increment"}
+    made = {"scene": {"scene": "three_tendon", **MORE[kind]}, "fidelity": "fast"} if kind in MORE else arms[kind]
+    seen = {"observation": ["clearance", "contact_force", "command"]} if kind == "contact" else {"observation": "measurable"}
+    options = {**made, "randomize": everything, **seen, "history": 2, "sensors": [0.1, 0.3], "action": "increment"}
     vector = TipPoseVectorEnv(24, LONGEST, "same_step", 3, **options)
     assert vector.episodes.arms.threads == 3
     compare(lambda: TipPoseEnv(**options), vector, 20, 24, "same_step", same, steps=12)

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.policies import make_policy, observation_options
 from soft_tendon_env.policies.protocol import STATELESS_CALLS
-from soft_tendon_env.tools.configuration import ConfigurationError
 
 PREVIEW = (0.02, 0.04, 0.1)
 SINGLE_PRECISION = {"rtol": 1e-6, "atol": 2e-6}
@@ -68,22 +66,6 @@ def test_increments_add_up_to_what_was_decided(short, probed, begun):
         observation = env.step(action)[0]
         np.testing.assert_allclose(env.unwrapped.episodes.tension[0], state[0].decision.tension, rtol=1e-5)
         np.testing.assert_allclose(env.unwrapped.episodes.tension[0], state[0].tension, rtol=1e-12)
-
-
-GROUPS = ["coordinates", "rates", "tip_position", "tip_rotation", "target_error", "preview"]
-
-
-@pytest.mark.parametrize("options, group", [({}, "last_action"), ({"action": "increment", "tension_rate": 250.0}, "command")], ids=str)
-def test_episodes_under_random_tensions_are_controlled_from_these_on(short, probed, begun, options, group):
-    env = short("single", IDS["TipPose"], start="random", observation=[*GROUPS, group], **options)
-    policy, probe = probed(env)
-    observation, state = begun(env), None
-    began = env.unwrapped.episodes.tension[0]
-    action, state = policy.predict(observation, state)
-    np.testing.assert_allclose(probe.seen[0][0].tension, began, atol=1e-5)
-    env.step(action)
-    np.testing.assert_allclose(env.unwrapped.episodes.tension[0], state[0].decision.tension, atol=1e-5)
-    assert began.min() > 0.1
 
 
 def test_increments_come_as_near_as_they_can(short, probed, begun):

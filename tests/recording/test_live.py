@@ -1,6 +1,5 @@
 """`render_mode="human"`: what would go to the viewer goes to a file here, and is read back."""
 
-import re
 import socket
 import subprocess
 import sys
@@ -111,15 +110,3 @@ def test_a_viewer_is_opened_once(port, monkeypatch):
             process.wait()
     for viewer in viewers:
         viewer.close()
-
-
-def test_without_rerun_the_remedy_is_named():
-    code = "import sys; sys.modules['rerun'] = None; import gymnasium, soft_tendon_env.recording"
-    code += f"""
-for need in (lambda: gymnasium.make({IDS["TipPose"]!r}, render_mode="human", **{SMALL!r}), lambda: soft_tendon_env.recording.RerunFile):
-    try:
-        need()
-    except gymnasium.error.DependencyNotInstalled as error:
-        print(error)"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert re.fullmatch(r'(.*pip install "soft_tendon_env\[recording\]".*\n){2}', done.stdout), done.stderr

@@ -106,7 +106,8 @@ def _given_course(points: Array, setting: Setting, motion: Callable[[Array], Ten
         return StaticCourse(setting, motion(points))
     except NoEquilibrium as error:
         reason = static_equilibrium(setting.model, points[0]).reason
-        text = f"is {shown(points[0].tolist())}: it should be tensions that the arm can hold, not {reason or error}"
+        why = f"{shown_numbers(points[0])} N: {reason}" if reason else str(error)
+        text = f"is {shown(points[0].tolist())}: it should be tensions that the arm can hold, not {why}"
         raise ConfigurationError([Problem(("target", "tension"), text)], "environment") from error
 
 
