@@ -15,14 +15,21 @@ from numpy.typing import ArrayLike, NDArray
 from soft_tendon_env.envs.actuation import Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.contacts import NO_CONTACT, Contacts
-from soft_tendon_env.envs.drawn_arms import Drawn
 from soft_tendon_env.envs.kernels import ContactReading
 from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, stress_free_strain, units_of
-from soft_tendon_env.envs.options import GOAL_BOUND, Options, check_fit, check_target, groups_of, resolved_scene, sensor_places
+from soft_tendon_env.envs.options import (
+    GOAL_BOUND,
+    Options,
+    ResetOptions,
+    check_fit,
+    check_target,
+    groups_of,
+    resolved_scene,
+    sensor_places,
+)
 from soft_tendon_env.envs.randomization import Measured, Sensors
-from soft_tendon_env.envs.reset_options import ResetOptions
 from soft_tendon_env.envs.rewards import Reward, Weight, goal_distance, goal_reward
-from soft_tendon_env.envs.starts import Starts
+from soft_tendon_env.envs.starts import Drawn, Starts
 from soft_tendon_env.envs.target_draws import TargetDraws
 from soft_tendon_env.envs.targets import TARGETS, Course, Target, TargetSamples
 from soft_tendon_env.envs.tasks import STATIONS, Task

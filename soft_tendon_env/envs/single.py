@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.frames import RENDER_MODES, Frames, make_renderer
-from soft_tendon_env.envs.options import Options
-from soft_tendon_env.envs.reset_options import reset_options
+from soft_tendon_env.envs.options import Options, reset_options
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.envs.tasks import Task, task_of_class
 from soft_tendon_env.model.model import Model

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.episodes import Beginning
-from soft_tendon_env.envs.reset_options import MASK, reset_options
+from soft_tendon_env.envs.options import MASK, reset_options
 from soft_tendon_env.envs.single import EpisodesEnv, class_of
 from soft_tendon_env.envs.tasks import Task, task_of_class
 from soft_tendon_env.model.state import State

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, TipPoseEnv, TipPoseVectorEnv
-from soft_tendon_env.envs.drawn_arms import BANK
+from soft_tendon_env.envs.starts import BANK
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.contact_forces import contact_forces
 from soft_tendon_env.model.simulation import Simulation
