@@ -30,11 +30,10 @@ from soft_tendon_env.envs.options import (
 from soft_tendon_env.envs.randomization import Measured, Sensors
 from soft_tendon_env.envs.rewards import Reward, Weight, goal_distance, goal_reward
 from soft_tendon_env.envs.starts import Drawn, Starts
-from soft_tendon_env.envs.target_draws import TargetDraws
 from soft_tendon_env.envs.targets import TARGETS, Course, Target, TargetSamples
 from soft_tendon_env.envs.tasks import STATIONS, Task
 from soft_tendon_env.envs.tracking import CONTACT_ERRORS, Tracking, TrackingError, norm
-from soft_tendon_env.envs.trajectories import TargetTrajectories
+from soft_tendon_env.envs.trajectories import TargetDraws, TargetTrajectories
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
 from soft_tendon_env.mechanics.motion.scratch import Motion
@@ -48,8 +47,8 @@ from soft_tendon_env.tools.types import Array
 
 MANY = 16
 """Rows from which on all motions that targets come from are computed when an environment is made, since its first resets need most."""
-THRESHOLD = 0.01
-"""Distance within which a goal is reached, in lengths of the rod, unless options say otherwise."""
+THRESHOLD, EVERYWHERE = 0.01, 7.0
+"""Distance within which a goal is reached, in lengths of the rod, unless options say otherwise, and that beyond which all goals are."""
 
 
 class Beginning(NamedTuple):
@@ -109,9 +108,10 @@ class Episodes:
         self.starts = starts = Starts(options, self.arms)
         self.limits, (self.start_tension, self.start_command, _) = starts.limits, starts.rest
         self.threshold = THRESHOLD * self.model.length if options.threshold is None else options.threshold
-        self._draws = TargetDraws(starts.setting, self._courses, self.period, self.threshold if task.goal else 0.0)
+        away = self.threshold if task.goal and self.threshold <= EVERYWHERE * self.model.length else 0.0
+        self._draws = TargetDraws(starts.setting, self._courses, self.period, away)
         self._usual = Beginning(self._draws.settled(options.target or TARGETS[task.target](type=task.target)))
-        if self.size >= MANY and not any(key.startswith("effects.contact.") for key in options.randomize.numbers):
+        if self.size >= MANY and self.model.scene.effects.contact is None:  # among obstacles a motion can take seconds
             self._draws.fill_bank(self._usual.target)
 
     def _make_actuation(self, options: Options, rows: int) -> None:

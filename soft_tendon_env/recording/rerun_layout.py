@@ -127,7 +127,7 @@ def _errors(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> list[rrb.Vi
     """A plot per error, in its unit, with a line per arm."""
     legend, length = LEGEND if len(arms) > 1 else NO_LEGEND, max(arm.model.length for arm in arms.values())
     most = {"mm": FAR * length, "deg": ASKEW}
-    found = []
+    found: list[rrb.View | rrb.Container] = []
     for name in _names(arms, "error"):
         unit = error_unit(name)
         shown = (0.0, most[unit.symbol]) if unit.symbol in most else None
@@ -140,7 +140,7 @@ def _tensions(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None, live: bool) 
     """Tensions and actions, a plot per arm: one that shakes hides no other."""
     limits = np.array([tendon.tension_limits for arm in arms.values() for tendon in arm.model.scene.tendons])
     kinds = {"tension": ("tensions [N]", (float(limits.min()), float(limits.max()))), "action": ("actions", (-1.0, 1.0))}
-    alone, found = len(arms) == 1, []
+    alone, found = len(arms) == 1, list[rrb.View | rrb.Container]()
     for kind, (title, span) in kinds.items():
         if _names(arms, kind):
             shown = (axis, LEGEND) if alone else (axis if live else None, NO_LEGEND)

@@ -1,9 +1,7 @@
 """Environments whose threads run, in forked processes and in copies: each goes on as if it were alone, bit for bit."""
 
-import os
-import pickle
-import signal
 import threading
+from multiprocessing import get_context
 
 import numpy as np
 import pytest
@@ -12,29 +10,22 @@ from soft_tendon_env.envs import TipPoseVectorEnv
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 ROWS = 24
-SECONDS = 60  # after which a child that hangs is killed
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
 
 
 def forked(act):
     """What act() returns in a forked child."""
-    receive, send = os.pipe()
-    child = os.fork()
-    if child == 0:
-        try:
-            signal.alarm(SECONDS)
-            with os.fdopen(send, "wb") as file:
-                file.write(pickle.dumps(act()))
-            os._exit(0)
-        finally:
-            os._exit(1)
-    os.close(send)
-    with os.fdopen(receive, "rb") as file:
-        result = file.read()
-    status = os.waitpid(child, 0)[1]
-    assert status == 0, "the child hangs" if os.WIFSIGNALED(status) else "the child fails"
-    return pickle.loads(result)
+    context = get_context("fork")
+    receive, send = context.Pipe(duplex=False)
+    child = context.Process(target=lambda: send.send(act()))
+    child.start()
+    try:
+        assert receive.poll(60.0), "the child hangs"
+        return receive.recv()
+    finally:
+        child.kill()
+        child.join()
 
 
 def stepped(env, seed, steps=4):
