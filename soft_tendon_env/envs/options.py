@@ -125,7 +125,7 @@ class ResetOptions(Configuration):
     @classmethod
     def _as_hold(cls, goal: Any) -> Any:
         try:
-            place = np.asarray(goal, dtype=np.float64)
+            place: Any = np.asarray(goal, dtype=np.float64)
             return {(3,): lambda: Hold(position=place), (4, 4): lambda: Hold(pose=place)}[place.shape]()
         except (KeyError, TypeError, ValueError) as error:
             if isinstance(error, ConfigurationError):

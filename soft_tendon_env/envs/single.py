@@ -153,7 +153,7 @@ def class_of(task: Task, suffix: str, base: type[Class], doc: str) -> type[Class
     if name not in _CLASSES or _CLASSES[name].task is not task:
         of_goals = {"compute_reward": compute_reward} if task.goal else {}
         _CLASSES[name] = type(name, (base,), {"task": task, "__doc__": doc, "__module__": base.__module__, **of_goals})
-    return _CLASSES[name]  # type: ignore[no-any-return]
+    return _CLASSES[name]
 
 
 def environment_class(task: Task) -> type[TendonRodEnv]:

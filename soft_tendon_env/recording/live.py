@@ -55,28 +55,12 @@ class RerunViewer(RerunStream):
         super().__init__(recording, NAME, "the viewer", STATIONS, TRAIL)
 
 
-class Pace:
-    """Holds a simulation back to the clock on the wall; one that is late does not hurry afterwards."""
-
-    def __init__(self, period: float) -> None:
-        """`period` [s] between steps."""
-        self._period, self._due = period, -np.inf
-
-    def wait(self) -> None:
-        """Return when it is time for the next step."""
-        now = time.perf_counter()
-        self._due += self._period
-        if self._due < now - LAG:
-            self._due = now
-        time.sleep(max(0.0, self._due - now))
-
-
 class LiveRows:
     """Shows rows of running episodes in the viewer, no faster than their own clock. Closing the viewer's window does no harm."""
 
     def __init__(self, episodes: Episodes) -> None:
         """Raises gymnasium.error.Error where no viewer can be opened."""
-        self._episodes, self._viewer, self._pace = episodes, RerunViewer(PORT), Pace(episodes.period)
+        self._episodes, self._viewer, self._due = episodes, RerunViewer(PORT), -np.inf
         rows = range(min(len(episodes.step_count), ROWS))
         names = ["arm"] if len(episodes.step_count) == 1 else [f"row_{row}" for row in rows]
         self._recorders = {}
@@ -95,7 +79,11 @@ class LiveRows:
         info, reward = self._episodes.info(), self._episodes.reward
         for row, recorder in self._shown(members):
             recorder.step(np.empty(0), float(reward[row]), row_info(info, row))
-        self._pace.wait()
+        now = time.perf_counter()
+        self._due += self._episodes.period
+        if self._due < now - LAG:  # one that is late does not hurry afterwards
+            self._due = now
+        time.sleep(max(0.0, self._due - now))
 
     def frames(self) -> None:
         """Send what is at hand; there are no pictures to return."""

@@ -14,7 +14,7 @@ from soft_tendon_env.differentiable import GradientWarning, gradient_accuracy, r
 from soft_tendon_env.differentiable.accuracy import check_gradients
 from soft_tendon_env.envs import IDS, TASKS
 from soft_tendon_env.envs.episodes import episodes_of
-from soft_tendon_env.envs.observation import HISTORY, Group
+from soft_tendon_env.envs.observation import HISTORY
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -147,24 +147,11 @@ def test_mistakes_are_said():
     refused(gym.make("CartPole-v1"), "an environment of soft_tendon_env", TypeError)
 
 
-def test_groups_that_cannot_be_differentiated_are_refused_by_name(monkeypatch):
+def test_groups_that_cannot_be_differentiated_are_refused_by_name():
     floor = {"scene": "three_tendon", "effects.contact": {"obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.04]}]}}
     env = rows_of("TipPose", scene=floor, observation=["tip_position", "contact_force", "clearance"])
     env.reset(seed=0)
     refused(env, "observation names contact_force, clearance: ", ConfigurationError)
-    groups = {
-        "distance": lambda observed: np.linalg.norm(observed.error[:, 0, 3:], axis=1, keepdims=True),
-        "penetration": lambda observed: observed.contact.penetration[:, None],
-        "half": lambda observed: 0.5 * observed.error[:, 0, 3:4],
-    }
-    own = {name: Group("of a user's own", of) for name, of in groups.items()}
-    monkeypatch.setitem(TASKS["TipPose"].__dict__, "groups", own)
-    env = rows_of("TipPose", scene=floor, observation=[*groups])
-    env.reset(seed=0)
-    refused(env, "observation names distance, penetration: ", ConfigurationError)
-    env = rows_of("TipPose", observation=["half"])
-    env.reset(seed=0)
-    assert rollout(env, lambda observation: observation.expand(-1, 3), 1).observation.shape == (3, 1)
 
 
 ELASTIC = {"stiffness": 2e3, "displacement_limits": [0.0, 0.01]}

@@ -27,21 +27,6 @@ CASES = {
             "effects.tip_load.inertia": {"factor": [0.5, 2.0]},
         },
     ),
-    "fluid": (
-        {**GRAVITY, "effects.fluid": {"density": 1000.0, "current": [0.0, 0.1, 0.0]}},
-        {
-            "effects.fluid.density": {"factor": [0.9, 1.1]},
-            "effects.fluid.current": [0.0, [-0.3, 0.3], [0.0, 0.2]],
-            "effects.fluid.added_mass": [0.5, 1.5],
-        },
-    ),
-    "viscoelastic_memory": (
-        {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}]},
-        {
-            "effects.viscoelastic_memory.branches.0.modulus": [0.2, 1.0],
-            "effects.viscoelastic_memory.branches.0.relaxation_time": [0.05, 0.2],
-        },
-    ),
     "contact": (
         {**GRAVITY, "effects.contact.obstacles": [BALL, {**FLOOR, "friction": 0.3}]},
         {"effects.contact.obstacles.0.position": [0.25, [0.04, 0.06], [-0.02, 0.02]], "effects.contact.obstacles.1.friction": [0.1, 0.5]},

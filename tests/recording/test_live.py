@@ -3,7 +3,6 @@
 import socket
 import subprocess
 import sys
-from types import SimpleNamespace
 
 import gymnasium as gym
 import numpy as np
@@ -68,16 +67,6 @@ def test_an_episode_is_streamed_as_it_happens(sent):
     (rows,) = sent()
     np.testing.assert_array_equal(rows["/tension/arm"], tensions)
     np.testing.assert_array_equal(np.array(rows["/error/arm/position_error"])[:, 0], errors)
-
-
-def test_a_little_lag_is_made_up_for_and_a_long_one_is_not(monkeypatch):
-    clock, slept = [100.0], []
-    monkeypatch.setattr(live, "time", SimpleNamespace(perf_counter=lambda: clock[0], sleep=slept.append))
-    pace = live.Pace(0.02)
-    for seconds in (0.0, 0.05, 0.0, 0.0, 5.0, 0.0):
-        clock[0] += seconds
-        pace.wait()
-    assert slept == pytest.approx([0.0, 0.0, 0.0, 0.01, 0.0, 0.02])
 
 
 def test_without_a_display_the_error_says_so(port, monkeypatch):
