@@ -26,7 +26,7 @@ SHIPPED_NAMES = f"{', '.join(SHIPPED[:-1])} or {SHIPPED[-1]}, which ship"
 """These names in words."""
 ARM = ("scene", "fidelity", "control_period", "tension_limits")
 """Options that define the arm."""
-INTERFACE = ("observation", "preview", "history", "sensors", "contact_sections", "action", "tension_rate")
+INTERFACE = ("observation", "preview", "history", "sensors", "action", "tension_rate")
 """Options that say what a policy observes and how its actions are read."""
 
 

@@ -122,8 +122,6 @@ def make_policy(
             there = f"{believed.coordinate_count} coordinates where the environment's has {episodes.model.coordinate_count}"
             raise ValueError(f"the controller's model has {there}, which are observed: it should have the same strain parametrisation")
         interface = interface._replace(model=believed)
-    if episodes.options.start == "random" and interface.actions.increment is not None and "command" not in interface.layout.slices:
-        _fail("observation", "lacks command: where episodes begin under random tensions and actions are increments, nothing else tells it")
     believed, delay = _under_tensions(believed)
     late = checked_number("latency", delay if latency is None else latency, 0.0, "a number of seconds, at least 0")
     entry = _entry(controller, episodes.task.name)

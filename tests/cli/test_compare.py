@@ -205,8 +205,6 @@ def test_folders_that_are_no_sweep(tmp_path, runs, catalogue, capsys, spoil, sai
     assert not (tmp_path / "out").exists()
 
 
-
-
 def test_tables_flag_what_diverged():
     errors = {"position_error": ErrorScore(0.0123, 0.02), "angle_error": ErrorScore(math.radians(3.0), 0.1)}
     metrics = {"effort": 5.0, "tension_rate": 1234.0, "chatter": 0.25}

@@ -55,22 +55,6 @@ def test_controllers_are_told_what_is_and_do_what_they_decide(short, probed, beg
     assert len(probe.seen) == 5 * rows and np.ptp(asked) > 0.1
 
 
-GROUPS = ["coordinates", "rates", "tip_position", "tip_rotation", "target_error", "preview"]
-
-
-@pytest.mark.parametrize("options, group", [({}, "last_action"), ({"action": "increment", "tension_rate": 250.0}, "command")], ids=str)
-def test_episodes_under_random_tensions_are_controlled_from_these_on(short, probed, begun, options, group):
-    env = short("single", IDS["TipPose"], start="random", observation=[*GROUPS, group], **options)
-    policy, probe = probed(env)
-    observation, state = begun(env), None
-    began = env.unwrapped.episodes.tension[0]
-    action, state = policy.predict(observation, state)
-    np.testing.assert_allclose(probe.seen[0][0].tension, began, atol=1e-5)
-    env.step(action)
-    np.testing.assert_allclose(env.unwrapped.episodes.tension[0], state[0].decision.tension, atol=1e-5)
-    assert began.min() > 0.1
-
-
 def test_rows_that_begin_forget_and_the_others_do_not(short, probed, begun):
     env = short("vector", IDS["TipPose"])
     policy, probe = probed(env)

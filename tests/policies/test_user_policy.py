@@ -22,7 +22,7 @@ SEEDS = [3, 5]
 class Honest:
     """Turns up one tendon; `cheats` before it acts."""
 
-    options = {"observation": ["tip_position", "target_error"], "history": 1, "contact_sections": 3, "action": "increment"}
+    options = {"observation": ["tip_position", "target_error"], "history": 1, "action": "increment"}
 
     def __init__(self, env):
         self.env, self.size = env, env.action_space.shape[-1]

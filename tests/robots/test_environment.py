@@ -100,14 +100,9 @@ def test_what_does_not_fit_is_said(options, changes, message, arm_of_test, drawi
 def test_robots_begin_at_rest_and_are_not_copied(arm_of_test, drawing):
     env = RobotEnv(drawing(), arm_of_test())
     env.reset(seed=0)
-    for options in ({"start": "random"}, {"start": [1.0, 0.0, 0.0]}, {"state": env.unwrapped.state}):
-        with pytest.raises(ConfigurationError, match="should have no state or start: robots begin at rest"):
-            env.reset(options=options)
-    with pytest.raises(TypeError, match="the state of a robot cannot be set"):
-        env.unwrapped.state = env.unwrapped.state
+    with pytest.raises(ConfigurationError, match="should have no state: robots begin at rest"):
+        env.reset(options={"state": env.unwrapped.state})
     for copied in (copy.deepcopy, pickle.dumps):
         with pytest.raises(TypeError, match="an environment whose arm is a robot cannot be copied: there is one robot"):
             copied(env)
     env.close()
-    with pytest.raises(ConfigurationError, match="start is 'random': robots begin at rest"):
-        RobotEnv(drawing(start="random"), arm_of_test())
