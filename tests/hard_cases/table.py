@@ -76,8 +76,7 @@ def main() -> int:
     status = pytest.main(["-q", str(HERE), f"--ignore={HERE / 'test_table.py'}"], plugins=[measurements])
     TABLE.parent.mkdir(exist_ok=True)
     head = HEAD.format(stamp=stamp())
-    TABLE.write_text(head + "".join(f"| `{case}` | {measurements.summary(case)} |
-" for case in cases()), encoding="utf-8")
+    TABLE.write_text(head + "".join(f"| `{case}` | {measurements.summary(case)} |\n" for case in cases()), encoding="utf-8")
     return int(status)
 
 
