@@ -1,20 +1,17 @@
 """Options of commands about one arm: its scene, and changes of it."""
 
+from pydantic import Field
+
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, parsed_changes
 
 
 class ArmSettings(Configuration):
-    """The arm that a command is about.
+    """The arm that a command is about."""
 
-    Attributes:
-        scene: a shipped scene's name, or the path of a TOML file.
-        set: changes of the scene, dotted keys with values as in TOML, such as effects.gravity.acceleration=[0,0,-9.81].
-    """
-
-    scene: str
-    set: tuple[str, ...] = ()
+    scene: str = Field(description="a shipped scene's name, or the path of a TOML file")
+    set: tuple[str, ...] = Field(default=(), description="changes of the scene, such as effects.gravity.acceleration=[0,0,-9.81]")
 
     def changed_scene(self) -> Scene:
         """The scene with the changes of --set. Raises ConfigurationError, ValueError."""

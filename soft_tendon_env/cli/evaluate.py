@@ -1,62 +1,21 @@
 """`soft-tendon evaluate`: one policy on the evaluation episodes, with the arm as the model says and with one that differs from it."""
 
-import re
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-
 from pydantic import Field
 
-from soft_tendon_env.cli.errors import require, writable_folder
-from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation.comparison import compare, configuration_record, models_of, outcomes_of, print_caveats, shared_arms
-from soft_tendon_env.evaluation.provenance import machine, write_json
+from soft_tendon_env.cli.compare import play
 from soft_tendon_env.evaluation.settings import Settings, TableSettings, TaskName
-from soft_tendon_env.evaluation.tables import summary_table
-from soft_tendon_env.policies.load import short_name
-from soft_tendon_env.tools.parallel import check_cluster
 
-STOPPED = "stopped: the same command goes on"
+POLICY = "a controller's name; an agent's folder or .zip file; ppo, sac, dagger or apg, which ship for the task; agent, the best of these"
 
 
 class Evaluate(Settings, TableSettings):
-    """Print a row per model error, resuming where it was stopped, and write every episode as JSON, a picture, and the configuration.
+    """Print a row per model error, resuming where it was stopped, and write JSON with every episode, CSV, and a picture."""
 
-    Attributes:
-        policy: a controller's name, or filtered:NAME; an agent's folder or .zip file (ALGORITHM:file.zip, if the file does not say);
-            ppo, sac, dagger or apg, of those that ship for the task; agent, the best of these.
-        task: name of the task: TipPose, Shape, Reach, or one that was registered.
-        out: folder for results.
-    """
-
-    policy: str
-    task: TaskName = "TipPose"
-    workers: int = Field(default=1, ge=1)
-    out: str = "out/evaluate"
+    policy: str = Field(description=POLICY)
+    task: TaskName = Field(default="TipPose", description="name of the task: TipPose, Shape, Reach, or one that was registered")
+    out: str = Field(default="out/evaluate", description="folder for results")
 
 
-def run(arguments: Sequence[str]) -> None:
+def run(settings: Evaluate) -> None:
     """Evaluate, print and write."""
-    parser = Parser("evaluate", Evaluate)
-    settings = parser.read(arguments)
-    policy, task, out = settings.policy, settings.task, Path(settings.out)
-    with parser.mistakes():
-        require("pictures")
-        arms = shared_arms(settings, task, [policy])
-        experiment = compare(settings, task, arms, out / "cells")
-        check_cluster(settings.cluster)
-        writable_folder(out)
-        print_caveats(settings, {task: arms})
-    from soft_tendon_env.evaluation.pictures import draw_episodes
-
-    print(f"{policy} on {task}, {len(settings.seeds)} episodes of {settings.seconds:g} s; {machine()}\n")
-    experiment.play(f"{policy}: model errors", settings.workers, settings.cluster)
-    files: Mapping[str, Mapping[int | None, str]] = {policy: {None: policy}}
-    outcomes = {error: outcome for (_, error), outcome in outcomes_of(experiment, files).items()}
-    models = dict.fromkeys(outcomes, models_of(task, files)[policy])
-    print(summary_table("model error", {error: outcome.summary for error, outcome in outcomes.items()}, settings.all, models), "\n")
-    stem = out / f"{task}_{re.sub(r'[^A-Za-z0-9]+', '_', policy.removesuffix('.zip')).strip('_')}"
-    results = [outcome.record(policy, error) for error, outcome in outcomes.items()]
-    write_json(stem.with_suffix(".json"), {"task": task, "results": results})
-    write_json(stem.with_suffix(".configuration.json"), configuration_record(settings, {task: arms}))
-    scores = {error: outcome.scores[None] for error, outcome in outcomes.items()}
-    draw_episodes(scores, f"{short_name(policy)} on {task}", stem.with_suffix(".png"))
+    play(settings, (settings.task,), (settings.policy,), settings.out, settings.all)

@@ -1,89 +1,41 @@
 """`soft-tendon identify`: parameters of an arm from measured marker positions, with intervals, held-out errors and findings."""
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
 
 from pydantic import Field
 
 from soft_tendon_env.cli.arms import ArmSettings
-from soft_tendon_env.cli.errors import writable_folder
-from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation.tables import markdown_table
-from soft_tendon_env.identification.design import next_holds
+from soft_tendon_env.cli.errors import mistakes, writable_folder
 from soft_tendon_env.identification.fit import Loss
-from soft_tendon_env.identification.identify import FIDELITY, Estimate, identify
+from soft_tendon_env.identification.identify import FIDELITY, identify
 from soft_tendon_env.identification.output import save_estimate, summary
-from soft_tendon_env.identification.simulated import NoHoldError
 from soft_tendon_env.identification.split import SHARE
-from soft_tendon_env.tools.messages import UserError, describe
 from soft_tendon_env.tools.types import GivenLength
 
-STOPPED = "stopped: nothing was written"
+DATA = "CSV files: a row a hold (hold, tension_i or displacement_i, MARKER_x, MARKER_y, MARKER_z) or, with time, a sample of a motion"
+KEYS = "keys such as segments.*.young_modulus or markers.*.offset; KEY=LOW..HIGH with bounds, KEY~SIGMA with a prior's standard deviation"
+HELD_OUT = "held-out recordings that judge the fit: a share or a number, stratified by tension; a column, COLUMN=NUMBER, or 0"
 
 
 class Identify(ArmSettings):
-    """Identify an arm from measured marker positions: estimate parameters of its scene by least squares, and judge them on held-out data.
+    """Identify an arm from measured marker positions: parameters of its scene by least squares, judged on held-out data."""
 
-    Attributes:
-        data: CSV files: a row a hold (columns hold, tension_i or displacement_i, MARKER_x, MARKER_y, MARKER_z) or, with a column
-            time, a sample of a motion that begins at rest.
-        markers: TOML file with the markers' places on the arm, the frame of the data, and names and units of its columns (by default SI).
-        parameters: keys such as segments.*.young_modulus, mount.rotation, markers.*.offset or commands.*.gain; KEY=LOW..HIGH with bounds,
-            KEY~SIGMA with a prior's standard deviation (of factors in parts of the value).
-        held_out: held-out recordings that judge the fit: a share or a number, stratified by tension; a column, COLUMN=NUMBER, or 0.
-        noise: standard deviation of a marker's coordinate, such as 0.5mm; by default it is estimated.
-        loss: how residuals count; soft_l1 and cauchy are robust to outliers.
-        fidelity: of the model that is fitted: fast, standard, fine, scene or a length such as 1mm.
-        next: number of further holds to propose, those that would narrow the intervals most.
-        out: folder for scene.toml, markers.toml, estimate.json, report.md and measured.rrd.
-    """
-
-    data: tuple[str, ...] = Field(min_length=1)
-    markers: Annotated[str, Field(json_schema_extra={"flag": "--markers"})]
-    parameters: Annotated[tuple[str, ...], Field(min_length=1, json_schema_extra={"flag": "--parameters"})]
-    held_out: str = SHARE
-    noise: GivenLength | None = None
-    loss: Loss = "linear"
-    fidelity: str = FIDELITY
-    next: int | None = Field(default=None, ge=1, le=100)
-    out: str = "out/identified"
+    data: tuple[str, ...] = Field(min_length=1, description=DATA)
+    markers: str = Field(description="TOML file: markers' places on the arm, frame and columns", json_schema_extra={"flag": "--markers"})
+    parameters: tuple[str, ...] = Field(min_length=1, description=KEYS, json_schema_extra={"flag": "--parameters"})
+    held_out: str = Field(default=SHARE, description=HELD_OUT)
+    noise: GivenLength | None = Field(default=None, description="standard deviation of a marker's coordinate, such as 0.5mm")
+    loss: Loss = Field(default="linear", description="how residuals count; soft_l1 and cauchy are robust to outliers")
+    fidelity: str = Field(default=FIDELITY, description="of the fitted model: fast, standard, fine, scene or a length such as 1mm")
+    out: str = Field(default="out/identified", description="folder for scene.toml, markers.toml, estimate.json, report.md, measured.rrd")
 
 
-def run(arguments: Sequence[str]) -> None:
+def run(settings: Identify) -> None:
     """Identify, print and write."""
-    parser = Parser("identify", Identify)
-    settings = parser.read(arguments)
-    with parser.mistakes():
-        scene = settings.changed_scene()
-        out = writable_folder(Path(settings.out))
-        found = identify(
-            scene,
-            settings.data,
-            settings.markers,
-            settings.parameters,
-            held_out=settings.held_out,
-            fidelity=settings.fidelity,
-            noise=settings.noise,
-            loss=settings.loss,
-        )
+    with mistakes():
+        scene, out = settings.changed_scene(), writable_folder(Path(settings.out))
+        options = {name: getattr(settings, name) for name in ("held_out", "fidelity", "noise", "loss")}
+        found = identify(scene, settings.data, settings.markers, settings.parameters, **options)
     print(summary(found))
-    if settings.next is not None:
-        print(f"\n{proposals(found, settings.next)}")
     for path in save_estimate(found, out):
         print(f"written: {path}")
-
-
-def proposals(found: Estimate, count: int) -> str:
-    """Table of the holds to record next, and the standard deviations that they would leave."""
-    try:
-        chosen = next_holds(found, count)
-    except NoHoldError as error:
-        raise UserError(describe(error)) from error
-    unit = found.scene.effects.command_unit
-    header = (*(f"tendon {i} [{unit}]" for i in range(chosen.command.shape[1])), "widest interval would shrink to")
-    rows = [
-        (*(f"{value:.3g}" for value in command), f"{100 * share:.0f} %")
-        for command, share in zip(chosen.command, chosen.shrinks, strict=True)
-    ]
-    return f"Holds to record next:\n\n{markdown_table(header, rows)}"

@@ -143,9 +143,7 @@ class Comparison(Settings):
         tasks: names of the tasks that policies are compared on.
         policies: names of controllers, "all" of them, agent, ppo, sac, dagger or apg (which ship), folders or .zip files of
             agents, or folders of runs.
-        episode_csv: write TASK_episodes.csv too, every episode in few numbers.
     """
 
     tasks: tuple[TaskName, ...] = Field(default_factory=lambda: tuple(IDS), min_length=1, json_schema_extra={"flag": "--task"})
     policies: tuple[str, ...] = Field(default=(ALL,), min_length=1)
-    episode_csv: bool = False
