@@ -69,8 +69,8 @@ def test_one_version():
     assert re.findall(r"^## \[([\d.]+)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)[0] == version
 
 
-@pytest.mark.parametrize("code", ["import soft_tendon_env", "import soft_tendon_env.cli.main as cli; print(cli.usage())"])
-def test_the_compiler_is_not_waited_for(code):
+def test_the_compiler_is_not_waited_for():
+    code = "import soft_tendon_env; import soft_tendon_env.cli.main as cli; print(cli.usage())"
     ids = "import gymnasium; assert 'TendonRod-Reach-v0' in gymnasium.registry"
     code = f"{code}\n{ids}\nimport sys\nassert not {{'numba', 'scipy', 'torch', 'matplotlib', 'rerun'}} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)

@@ -173,13 +173,21 @@ def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
 
 
 def _set(table: dict[str, Any], path: str, value: Any) -> None:
-    *parents, last = path.split(".")
-    node: Any = table
-    for depth, part in enumerate(parents):
-        place = _place(node, part, path, parents[:depth])
-        node = node.setdefault(place, {}) if isinstance(node, dict) else node[place]
+    parts, node = path.split("."), table
+    inside: Any = table
+    place: str | int = ""
+    for depth, part in enumerate(parts):
+        where = ".".join(parts[:depth])
+        if isinstance(node, list) and not (part.isdecimal() and int(part) < len(node)):
+            valid = f"valid: 0 to {len(node) - 1}" if node else "it is empty"
+            raise ConfigurationError([Problem((path,), f"cannot be set: {part!r} is no position in {where}; {valid}")])
+        if not isinstance(node, dict | list):
+            raise ConfigurationError([Problem((path,), f"cannot be set: {where} is {shown(node)}, not a table")])
+        inside, place = node, int(part) if isinstance(node, list) else part
+        if depth < len(parts) - 1:
+            node = node.setdefault(place, {}) if isinstance(node, dict) else node[place]
     try:
-        node[_place(node, last, path, parents)] = deepcopy(value)
+        inside[place] = deepcopy(value)
     except RecursionError:
         raise ConfigurationError([Problem((path,), f"is {shown(value)}")]) from None
 
@@ -194,17 +202,15 @@ def matching(table: Mapping[str, Any], path: str) -> list[str]:
         return [".".join(parts)]
     found: list[tuple[str, Any]] = [("", table)]
     for part in parts:
-        found = [(f"{key}.{own}", value) for key, node in found for own, value in _entries(node).items() if part in (ANY, own)]
+        entries = [(key, node.items() if isinstance(node, Mapping) else enumerate(node)) for key, node in found if _is_nested(node)]
+        found = [(f"{key}.{own}", value) for key, own_entries in entries for own, value in own_entries if part in (ANY, str(own))]
     if not found:
         raise ConfigurationError([Problem((path,), "stands for no entry: there is none of such a name")])
     return [key.removeprefix(".") for key, _ in found]
 
 
-def _entries(node: Any) -> dict[str, Any]:
-    """Entries of a plain table by name, or of an array by position; of anything else none."""
-    if isinstance(node, Mapping):
-        return {str(key): value for key, value in node.items()}
-    return {str(i): value for i, value in enumerate(node)} if isinstance(node, list | tuple) else {}
+def _is_nested(node: Any) -> bool:
+    return isinstance(node, Mapping | list | tuple)
 
 
 def parsed_changes(changes: Iterable[str]) -> dict[str, Any]:
@@ -224,18 +230,6 @@ def parsed_changes(changes: Iterable[str]) -> dict[str, Any]:
         except ValueError as error:
             raise ValueError(f"--set {shown(change)}: {error}") from error
     return found
-
-
-def _place(node: Any, part: str, path: str, parents: list[str]) -> str | int:
-    if isinstance(node, dict):
-        return part
-    where = ".".join(parents)
-    if not isinstance(node, list):
-        raise ConfigurationError([Problem((path,), f"cannot be set: {where} is {shown(node)}, not a table")])
-    if not (part.isdecimal() and int(part) < len(node)):
-        valid = f"valid: 0 to {len(node) - 1}" if node else "it is empty"
-        raise ConfigurationError([Problem((path,), f"cannot be set: {part!r} is no position in {where}; {valid}")])
-    return int(part)
 
 
 def _problems(table: type[Configuration], error: ErrorDetails) -> list[Problem]:

@@ -105,7 +105,7 @@ def test_hostile_files(tmp_path, monkeypatch, measured):
     [
         (("accuracy", "three_tendon", "--within", "1e-30m"), "1e-27mm cannot be told from full physics"),
         (("accuracy", "three_tendon", "--set", "segments.0.length=" + "[" * 9999 + "]" * 9999), "nested more than 64 deep"),
-        (("evaluate", "agent", "--options", '{"a":' * 9999 + "1" + "}" * 9999), "nested more than 64 deep"),
+        (("evaluate", "agent", "--set", "a=" + "{a=" * 9999 + "1" + "}" * 9999), "nested more than 64 deep"),
         (("scenes", "/dev/zero.toml"), "No such file"),
     ],
 )

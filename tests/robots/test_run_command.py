@@ -6,15 +6,13 @@ import signal
 import sys
 from pathlib import Path
 
-import gymnasium as gym
 import pytest
 
 from soft_tendon_env.cli.main import main
-from soft_tendon_env.cli.run import _tell_of_reach
 from soft_tendon_env.robots import SimulatedRobot, load_robot, read_log
 
 ARM = ["--scene", "three_tendon", "--fidelity", "fast"]
-STEPPED = ["--robot-options", '{"real_time": false, "model_error": "stiffness-20%,latency-20ms"}']
+STEPPED = ["--robot-options", "real_time=false", "model_error=stiffness-20%,latency-20ms"]
 
 
 class Deaf:
@@ -68,11 +66,11 @@ class Interrupted(SimulatedRobot):
 
 def test_whoever_presses_ctrl_c_is_told_how_the_tendons_went(tmp_path, capsys):
     out, robot = tmp_path / "run.csv", ["--robot", f"{__name__}:Interrupted", "--robot-options"]
-    options = '{"scene": "three_tendon", "fidelity": "fast", "sensors": 3, "real_time": false}'
+    options = ["scene=three_tendon", "fidelity=fast", "sensors=3", "real_time=false"]
     with pytest.raises(SystemExit) as exit:
-        main(["run", "filtered:tracking", *ARM, *robot, options, "--seconds", "9", "--out", str(out)])
+        main(["run", "filtered:tracking", *ARM, *robot, *options, "--seconds", "9", "--out", str(out)])
     said = capsys.readouterr()
-    assert exit.value.code == 130 and said.err.endswith("\nstopped\n") and len(read_log(out).time) > 20
+    assert exit.value.code == 130 and "\nstopped: " in said.err and len(read_log(out).time) > 20
     told = rf"written: {out.with_suffix('.json')}\nwritten: {out}\ninterrupted by SIGINT \(Ctrl-C\): tendons slack after \d+ ms\n\n$"
     assert re.search(told, said.out)
 
@@ -85,29 +83,6 @@ def test_a_log_that_is_there_is_refused_before_anything_moves(tmp_path, capsys):
             main(["run", "no policy", "--out", str(path)])
         assert exit.value.code == 2 and message in capsys.readouterr().err
     assert out.read_text() == "hold,time\n"
-
-
-AHEAD = [[1, 0, 0, 0.18], [0, 1, 0, 0.0], [0, 0, 1, 0], [0, 0, 0, 1]]
-
-
-@pytest.mark.cases(
-    "target, note",
-    [
-        ({"type": "circle", "centre": [0.95, 0.0, 0.0], "radius": 0.25}, "982.3 mm from the base of an arm of 300 mm, and tensions"),
-        (
-            {"type": "hold", "pose": AHEAD},
-            "180 mm from the base of an arm of 300 mm, and tensions within their limits hold the tip no",
-        ),
-        ({"type": "circle", "centre": [0.29, 0.0, 0.0], "radius": 0.05}, ""),
-        ({"type": "hold", "tension": [2.0, 0.0, 0.0]}, ""),
-    ],
-)
-def test_a_target_out_of_reach_gets_a_word(target, note, capsys):
-    env = gym.make("TendonRod-TipPose-v0", scene="three_tendon", fidelity="fast", target=target)
-    env.reset(seed=0)
-    _tell_of_reach(env, 8.0)
-    said = capsys.readouterr().err
-    assert note in said and bool(said) == bool(note)
 
 
 def test_robots_of_this_folder_are_found(tmp_path, monkeypatch):
