@@ -69,6 +69,7 @@ def test_commands_print_and_leave_what_they_should(command, capsys, tmp_path, re
     assert all((tmp_path / "out" / name).stat().st_size > 100 for name in left)
 
 
+@pytest.mark.slow
 def test_an_arms_own_fields_are_kept_in_the_cache_and_not_made_again(command, capsys, monkeypatch, tmp_path):
     monkeypatch.setattr(user_cache, "cache_parents", lambda: [tmp_path / "cache"])
     for name, value in (("RUNS", 1), ("TESTS", 1), ("COUNTS", (0, 3))):
