@@ -33,7 +33,7 @@ from soft_tendon_env.tools.files import PACKAGE
 DATA = Path(__file__).parent / "data"
 BUDGET = 1.0
 """CPU time [s] of its process that a test may take which is not marked slow, less that for kernels that are loaded or compiled in it."""
-OVER_BUDGET = (Path(__file__).parent / "over_budget.txt").read_text().split()
+OVER_BUDGET = (Path(__file__).parent / "over_budget.txt").read_text().splitlines()
 """Tests that take longer until they are mended, by file and name."""
 MANY = 50  # modules; a test that imports so many for the first time is not judged
 STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
@@ -100,7 +100,7 @@ def pytest_runtest_call(item):
     modules, kernels, started = len(sys.modules), KERNELS.seconds, time.process_time()
     result = yield
     spent = time.process_time() - started - (KERNELS.seconds - kernels)
-    is_slow = item.get_closest_marker("slow") or f"{item.path.relative_to(Path(__file__).parent)}::{item.originalname}" in OVER_BUDGET
+    is_slow = item.get_closest_marker("slow") or f"{item.path.relative_to(Path(__file__).parent)}::{item.name}" in OVER_BUDGET
     if log := os.environ.get("TEST_TIMES"):
         with open(log, "a") as file:
             file.write(f"{spent:.2f} {len(sys.modules) - modules} {item.nodeid}\n")

@@ -60,7 +60,16 @@ def name_of(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if "```python" in page.read_text(encoding="utf-8")], ids=name_of)
+LONG = ("how_to/controllers.md", "how_to/gradients.md", "how_to/record_and_compare.md", "tutorials/robot.md", "README.md")
+"""Pages whose blocks take more than a second."""
+PYTHON = [
+    pytest.param(page, marks=[pytest.mark.slow] if name_of(page).endswith(LONG) else [], id=name_of(page))
+    for page in PAGES
+    if "```python" in page.read_text(encoding="utf-8")
+]
+
+
+@pytest.mark.parametrize("page", PYTHON)
 def test_python_blocks_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     namespace = {"__name__": "__main__"}

@@ -11,14 +11,14 @@ RIDDLE = re.compile(r"(What|Of|Where|The same|Likewise|See)\b")
 NAMED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 
 
-def docstrings(tree: ast.Module) -> Iterator[tuple[int, str]]:
-    """Line and text of every docstring, and of every string beneath an assignment."""
-    for node in ast.walk(tree):
-        body = node.body if isinstance(node, NAMED) else []
-        for before, below in zip([None, *body], body, strict=False):
-            if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant) and isinstance(below.value.value, str):
-                if before is None or isinstance(before, ast.Assign | ast.AnnAssign):
-                    yield below.lineno, below.value.value
+def docstrings(node: ast.AST) -> Iterator[tuple[int, str]]:
+    """Line and text of every docstring, and of every string beneath an assignment, of modules, classes and functions in one another."""
+    body = node.body if isinstance(node, NAMED) else []
+    for before, below in zip([None, *body], body, strict=False):
+        yield from docstrings(below)
+        if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant) and isinstance(below.value.value, str):
+            if before is None or isinstance(before, ast.Assign | ast.AnnAssign):
+                yield below.lineno, below.value.value
 
 
 def riddles(tree: ast.Module) -> list[int]:

@@ -47,7 +47,7 @@ def run(settings: Compare) -> None:
         page.write(f"compare {task}", text)
 
 
-def play(settings: Settings, tasks: Sequence[str], policies: Sequence[str], out: str, all: bool) -> dict[str, str]:
+def play(settings: Settings, tasks: Sequence[str], policies: tuple[str, ...], out: str, all: bool) -> dict[str, str]:
     """Play policies under every model error, print and write results; returns tables by task. Raises Mistake."""
     folder = Path(out)
     with mistakes():

@@ -15,15 +15,11 @@ from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration
 
 
 class Compile(Configuration):
-    """Compile what scenes need and keep the machine code, so that the first use need not wait; prints where it is kept.
-
-    Scenes with the same kind of strain share all but their effects.
-    """
+    """Compile what scenes need and keep the machine code, so that the first use need not wait; prints where it is kept."""
 
     scenes: tuple[str, ...] = Field(default=("paper",), description="names of scenes that ship, or paths of TOML files")
 
@@ -34,21 +30,14 @@ def run(settings: Compile) -> None:
         scenes = [load_scene(name) for name in settings.scenes]
     started = time.perf_counter()
     for scene in tqdm(scenes, unit="scene"):
-        use(scene)
-    folder = cache_folder()
-    kept = "not kept: no folder can be written" if folder is None else f"kept in {folder}"
-    print(f"ready in {time.perf_counter() - started:.1f} s; machine code is {kept}")
-
-
-def use(scene: Scene) -> None:
-    """Do once what needs kernels: statics, a step of a simulation, and a step of every environment."""
-    model = build_model(scene)
-    tension = nearest_to_zero(np.array([tendon.tension_limits for tendon in scene.tendons]))
-    static_equilibrium(model, tension, settle=True)
-    static_equilibrium(model, tension, np.zeros(model.coordinate_count))
-    Simulation(model).step(tension, scene.integrator.step)
-    for id in IDS.values():
-        env = gym.make(id, scene=scene)
-        env.reset(seed=0)
-        env.step(np.zeros(env.action_space.shape, dtype=np.float32))
-        env.close()
+        model = build_model(scene)
+        tension = nearest_to_zero(np.array([tendon.tension_limits for tendon in scene.tendons]))
+        static_equilibrium(model, tension, settle=True)
+        static_equilibrium(model, tension, np.zeros(model.coordinate_count))
+        Simulation(model).step(tension, scene.integrator.step)
+        for id in IDS.values():
+            env = gym.make(id, scene=scene)
+            env.reset(seed=0)
+            env.step(np.zeros(env.action_space.shape, dtype=np.float32))
+    kept = cache_folder() or "no folder, since none can be written"
+    print(f"ready in {time.perf_counter() - started:.1f} s; machine code is kept in {kept}")

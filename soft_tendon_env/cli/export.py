@@ -9,9 +9,8 @@ from pydantic import Field
 
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.evaluation.provenance import machine, origin
+from soft_tendon_env.evaluation import provenance, tables
 from soft_tendon_env.evaluation.settings import TaskName
-from soft_tendon_env.evaluation.tables import markdown_table, number
 from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.policies.agent_files import AgentName, find_agent, read_config
 from soft_tendon_env.policies.trained_by import shipped_notes
@@ -42,18 +41,19 @@ def run(settings: Export) -> None:
         files = find_agent(settings.agent, settings.task)
         env = gym.make(IDS[settings.task], **{**(read_config(files).options or {}), **settings.options})
         policy = load_agent(settings.agent, env)
-        model = export_agent(policy, env, {"agent": {"name": settings.agent, "weights_sha256": digest(files.weights)}, "record": origin()})
+        about = {"name": settings.agent, "weights_sha256": digest(files.weights)}
+        model = export_agent(policy, env, {"agent": about, "record": provenance.origin()})
         writable_folder(path.parent)
     path.write_bytes(model.SerializeToString())
     print(*shipped_notes([settings.agent], settings.task), f"written: {path} ({path.stat().st_size / 1e6:.2f} MB)\n", sep="\n")
     recorded, agent = record(policy, env), Agent(path)
     found, metadata = compare(agent, recorded), agent.metadata
     inputs = [(name, str(tuple(of["shape"])), of["unit"], of["description"]) for name, of in metadata["inputs"].items()]
-    print(markdown_table(("input", "shape", "unit", "description"), inputs))
+    print(tables.markdown_table(("input", "shape", "unit", "description"), inputs))
     unit, rate = metadata["command"]["unit"], 1.0 / metadata["control_period_s"]
     print(f"\nOutput: the command [{unit}] of {len(metadata['command']['least'])} tendons, {rate:g} times a second.")
-    print(f"Largest difference of commands on {len(recorded):,} recorded observations: {number(found.command)} {unit}.")
-    times = (number(1e3 * seconds) for seconds in (found.seconds, median(period.seconds for period in recorded)))
-    print("Median time of an action: {} ms by onnxruntime, {} ms by the original; {}".format(*times, machine()))
+    print(f"Largest difference of commands on {len(recorded):,} recorded observations: {tables.number(found.command)} {unit}.")
+    times = (tables.number(1e3 * seconds) for seconds in (found.seconds, median(period.seconds for period in recorded)))
+    print("Median time of an action: {} ms by onnxruntime, {} ms by the original; {}".format(*times, provenance.machine()))
     if found.of_range > ALLOWED:
         raise UserError(f"{path}: commands differ from the original's by more than {ALLOWED:g} of their range")

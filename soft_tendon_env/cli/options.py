@@ -56,7 +56,8 @@ def _arguments(kind: type[Configuration]) -> Any:
 def _option(annotation: Any, flag: str, text: str, default: str) -> Any:
     if flag.startswith("--"):
         return Annotated[annotation, tyro.conf.arg(name=flag.removeprefix("--"), help=text, help_behavior_hint=default)]
-    return tyro.conf.Positional[Annotated[annotation, tyro.conf.arg(metavar=flag.upper(), help=text, help_behavior_hint=default)]]
+    about = tyro.conf.arg(metavar=flag.upper(), help=text, help_behavior_hint=default)
+    return tyro.conf.Positional[Annotated[annotation, about]]  # type: ignore[misc]
 
 
 def configure(kind: type[Kind], given: Given, file: Given) -> Kind:

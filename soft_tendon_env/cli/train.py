@@ -4,12 +4,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.learning.config import Training, config_names, find_config, read_training
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
+from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.parallel import ray_cluster
 
 STOPPED = "stopped: the same command with --resume goes on from the last checkpoint, if there is one"
@@ -28,17 +28,13 @@ class Train(Configuration):
     runners: int = Field(default=2, ge=0, le=10_000, description="RLlib's processes with environments; 0: the process that learns has all")
     cluster: str | None = Field(default=None, description='address of a Ray cluster for RLlib, or "auto"; by default one of its own')
 
-    @model_validator(mode="after")
-    def _fits_the_engine(self) -> "Train":
-        if self.engine != "rllib" and (given := {"runners", "cluster"} & self.model_fields_set):
-            raise ConfigurationError([Problem((key,), "is for --engine rllib") for key in sorted(given)])
-        return self
-
 
 def run(settings: Train) -> None:
     """Train, and say what is done."""
     with ExitStack() as stack:
         with mistakes():
+            if settings.engine == "sb3" and (given := {"runners", "cluster"} & settings.model_fields_set):
+                raise ValueError("\n".join(f"--{name} is for --engine rllib" for name in sorted(given)))
             require("agents" if settings.engine == "sb3" else "rllib")
             from soft_tendon_env.learning import train
             from soft_tendon_env.learning.callback import TrainingCallback

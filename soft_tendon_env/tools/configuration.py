@@ -173,9 +173,8 @@ def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
 
 
 def _set(table: dict[str, Any], path: str, value: Any) -> None:
-    parts, node = path.split("."), table
-    inside: Any = table
-    place: str | int = ""
+    parts = path.split(".")
+    node: Any = table
     for depth, part in enumerate(parts):
         where = ".".join(parts[:depth])
         if isinstance(node, list) and not (part.isdecimal() and int(part) < len(node)):
@@ -183,11 +182,11 @@ def _set(table: dict[str, Any], path: str, value: Any) -> None:
             raise ConfigurationError([Problem((path,), f"cannot be set: {part!r} is no position in {where}; {valid}")])
         if not isinstance(node, dict | list):
             raise ConfigurationError([Problem((path,), f"cannot be set: {where} is {shown(node)}, not a table")])
-        inside, place = node, int(part) if isinstance(node, list) else part
+        place: Any = int(part) if isinstance(node, list) else part
         if depth < len(parts) - 1:
             node = node.setdefault(place, {}) if isinstance(node, dict) else node[place]
     try:
-        inside[place] = deepcopy(value)
+        node[place] = deepcopy(value)
     except RecursionError:
         raise ConfigurationError([Problem((path,), f"is {shown(value)}")]) from None
 

@@ -34,7 +34,12 @@ QUICK = [
     (("record", "{best}", "feedforward", *SHORT), ["\n| feedforward "], ["side_by_side.rrd"]),
     (("export", "{best}"), ["| tip_pose ", "the command [N] of 3 tendons, 50 times a second", "by onnxruntime"], ["agent.onnx"]),
     (("train", "{config}", "--seed", "3"), ["PPO on TipPose, 128 steps, seed 3"], ["runs/small/seed_3/best/weights.pt"]),
-    (("demo", "--agent", "{best}", "--episodes", "1", "--seconds", "0.2"), ["\n| agent (PPO) ", "cannot push"], ["demo.rrd", "demo.png"]),
+    pytest.param(
+        ("demo", "--agent", "{best}", "--episodes", "1", "--seconds", "0.2"),
+        ["\n| agent (PPO) ", "cannot push"],
+        ["demo.rrd", "demo.png"],
+        marks=pytest.mark.slow,  # it draws
+    ),
     (("accuracy", "three_tendon", "--motion", "redrawn"), ["| (standard) "], ["accuracy/three_tendon.csv", "accuracy/three_tendon.png"]),
     (("accuracy", "three_tendon", "--motion", "redrawn", "--within", "5mm"), ["cheapest: "], ["accuracy/three_tendon_5mm.toml"]),
     (("fields", "three_tendon", "--within", "1mm"), ["three_tendon, digest ", 'passive = { type = "snapshots", fields = '], []),

@@ -98,7 +98,12 @@ def test_files_and_what_stands_in_them(refused, config, finished, arguments, sai
 
 @pytest.mark.cases(
     "arguments, missing",
-    [("evaluate tracking", "pictures"), ("train ppo_tip_pose", "agents"), ("demo", "agents,pictures,recording"), ("export agent", "export")],
+    [
+        ("evaluate tracking", "pictures"),
+        ("train ppo_tip_pose", "agents"),
+        ("demo", "agents,pictures,recording"),
+        ("export agent", "export"),
+    ],
 )
 def test_missing_extras_come_with_the_command_that_installs_them(refused, monkeypatch, arguments, missing):
     monkeypatch.setattr(errors, "find_spec", lambda module: None)
