@@ -4,7 +4,7 @@ import importlib.metadata
 import platform
 import sys
 import time
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from soft_tendon_env.cli.errors import EXTRAS, is_installed
@@ -19,23 +19,20 @@ class Doctor(Configuration):
 
 def run(settings: Doctor) -> None:
     """Run all checks, and go on after one that fails."""
-    checks: dict[str, Callable[[], str]] = {"soft_tendon_env": package}
-    checks |= {f"extra {name}": lambda name=name: extra(name) for name in EXTRAS}  # type: ignore[misc]
-    checks |= {"kernel cache": kernel_cache, **{id: lambda id=id: task(id) for id in IDS.values()}}  # type: ignore[misc]
+    extras, tasks = {f"extra {name}": partial(extra, name) for name in EXTRAS}, {id: partial(task, id) for id in IDS.values()}
     broken = []
-    for name, check in checks.items():
+    for name, check in {"soft_tendon_env": package, **extras, "kernel cache": kernel_cache, **tasks}.items():
         try:
-            line = check()
+            print(f"{name:<16} {check()}", flush=True)
         except Exception as error:  # any error is named, and the other checks go on
-            line = f"BROKEN: {first_line(error)}"
+            print(f"{name:<16} BROKEN: {first_line(error)}", flush=True)
             broken.append(name)
-        print(f"{name:<16} {line}", flush=True)
     print(f"broken: {', '.join(broken)}" if broken else "all is well")
     sys.exit(1 if broken else 0)
 
 
 def package() -> str:
-    """Versions of the package, of Python and of what every simulation needs, and the package's folder."""
+    """The package's folder, and versions of Python and of what every simulation needs."""
     versions = [f"{name} {importlib.metadata.version(name)}" for name in ("numpy", "scipy", "numba", "gymnasium", "pydantic")]
     return f"in {Path(__file__).parents[1]}; Python {platform.python_version()}, {platform.machine()}; {', '.join(versions)}"
 
@@ -44,9 +41,7 @@ def extra(name: str) -> str:
     """Whether all modules of an extra can be imported, or the command that installs it. Raises what an import raises."""
     if not is_installed(name):
         return f'not installed: pip install "soft_tendon_env[{name}]"'
-    for module in EXTRAS[name]:
-        importlib.import_module(module)
-    return f"{', '.join(EXTRAS[name])} can be imported"
+    return f"{', '.join(importlib.import_module(module).__name__ for module in EXTRAS[name])} can be imported"
 
 
 def kernel_cache() -> str:
@@ -67,5 +62,4 @@ def task(id: str) -> str:
     observation, reward, *_ = env.step(np.zeros(env.action_space.shape, dtype=np.float32))
     if not env.observation_space.contains(observation) or not np.isfinite(float(reward)):
         raise ValueError("the step gave an observation outside of its space, or a reward that is not finite")
-    env.close()
     return f"one step in {1e3 * (time.perf_counter() - started):.1f} ms"

@@ -10,8 +10,7 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
-from inspect import Parameter, Signature
-from typing import Any, NamedTuple, Self, get_args, get_origin, get_type_hints
+from typing import Any, NamedTuple, Self, get_args, get_origin
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -53,16 +52,6 @@ def _default(field: FieldInfo) -> Any:
     return field.get_default(call_default_factory=True, validated_data={})
 
 
-class _Keys:
-    """Signature of a configuration class: its keys, with types and defaults as people read them."""
-
-    def __get__(self, instance: Any, owner: type[BaseModel]) -> Signature:
-        hints = get_type_hints(owner)  # without what pydantic checks besides
-        defaults = {name: Parameter.empty if own.is_required() else _default(own) for name, own in owner.model_fields.items()}
-        keys = [Parameter(name, Parameter.KEYWORD_ONLY, annotation=hints[name], default=value) for name, value in defaults.items()]
-        return Signature(keys)
-
-
 class Configuration(BaseModel):
     """Base of every configuration class: frozen, strict, finite numbers only. Raises `ConfigurationError`.
 
@@ -79,10 +68,6 @@ class Configuration(BaseModel):
         except ValidationError as error:
             problems = [problem for found in error.errors() for problem in _problems(type(self), found)]
             raise ConfigurationError(problems, type(self).__name__) from None
-
-    @classmethod
-    def __pydantic_init_subclass__(cls, **given: Any) -> None:
-        cls.__signature__ = _Keys()  # type: ignore[assignment]
 
     def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
         """Keys that have other values than by default."""

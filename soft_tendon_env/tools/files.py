@@ -26,7 +26,7 @@ from soft_tendon_env.tools.messages import describe
 PACKAGE = Path(__file__).parents[1]
 MOST_TEXT, MOST_BINARY = 1 << 24, 1 << 28
 """Bytes of a file that is read whole: of text; of arrays and weights, packed or unpacked."""
-MOST_DEPTH = 64
+MOST_DEPTH, MOST_DIGITS = 64, 400
 TOO_DEEP = f"it is nested more than {MOST_DEPTH} deep"
 LONG_KEY = re.compile(rf"""(?m)(?:^|[{{,\[])[ \t]*(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{MOST_DEPTH}}}""")
 """A dotted key of TOML, of which tomllib takes a time that grows with the square of its parts."""
@@ -114,17 +114,18 @@ def read_numbers(path: Path, needed: Iterable[str] = ()) -> list[dict[str, float
     text = read_text(path)
     if text and not text.endswith("\n"):
         raise ValueError(f"{path} was cut off: its last line does not end")
-    header, *lines = [line.split(",") for line in text.splitlines()] or [[]]
+    header, *rows = [line.split(",") for line in text.splitlines()] or [[]]
     if missing := [name for name in needed if name not in header]:
         raise ValueError(f"{path} should have the columns {', '.join(needed)} in its first line, and lacks {', '.join(missing)}")
-    rows = []
-    for number, cells in enumerate(lines, 2):
+    found = []
+    for number, cells in enumerate(rows, 2):
         try:
-            rows.append({name: float(cell) if cell else math.nan for name, cell in zip(header, cells, strict=True)})
+            found.append({name: float(cell) if cell else math.nan for name, cell in zip(header, cells, strict=True)})
+            if max(map(len, cells)) > MOST_DIGITS:
+                raise ValueError("these are no numbers")
         except ValueError as error:
-            text = ",".join(cells)
-            raise ValueError(f"{path}, line {number} should be {len(header)} numbers, not {text[:80]!r}") from error
-    return rows
+            raise ValueError(f"{path}, line {number} should be {len(header)} numbers, not {','.join(cells)[:80]!r}") from error
+    return found
 
 
 def read_arrays(path: str | Path, names: Collection[str], what: str) -> dict[str, NDArray[Any]]:
