@@ -4,6 +4,7 @@ import importlib.metadata
 import platform
 import sys
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -20,8 +21,9 @@ class Doctor(Configuration):
 def run(settings: Doctor) -> None:
     """Run all checks, and go on after one that fails."""
     extras, tasks = {f"extra {name}": partial(extra, name) for name in EXTRAS}, {id: partial(task, id) for id in IDS.values()}
+    checks: dict[str, Callable[[], str]] = {"soft_tendon_env": package, **extras, "kernel cache": kernel_cache, **tasks}
     broken = []
-    for name, check in {"soft_tendon_env": package, **extras, "kernel cache": kernel_cache, **tasks}.items():
+    for name, check in checks.items():
         try:
             print(f"{name:<16} {check()}", flush=True)
         except Exception as error:  # any error is named, and the other checks go on

@@ -294,16 +294,6 @@ def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
     assert json.loads((tmp_path / "out" / "arena.json").read_text())["protocol"]["episodes"] == 2
 
 
-def test_recordings_show_the_best_of_both_kinds(tmp_path):
-    pytest.importorskip("rerun")
-    one = protocol("filtered:tracking@fast", STILL, settings=("nominal",), difficulties=(), regimes=("tip",))
-    assert kinds_of(one) == {"filtered:tracking@fast": "model-based", STILL: "other"}
-    experiment = Experiment(one.cells(), tmp_path / "cells")
-    experiment.play("arena", 1)
-    written = arena.record_duels(standings_of(one, experiment), experiment, tmp_path)
-    assert [path.name for path in written] == ["tip_nominal_medium.rrd"] and written[0].stat().st_size > 10_000
-
-
 def test_seeds_of_training_share_the_episodes(tmp_path):
     """Each plays its part in turn, and at least so many that all are played; or all."""
     folders = seeds_of_training(tmp_path, 3)
@@ -377,7 +367,7 @@ def test_estimates_are_near_what_it_takes(tmp_path):
 def test_the_published_comparison_can_be_played(monkeypatch):
     """Also without seeds of training, where the agents that ship play alone; who is left out has no files, or observes too much."""
     monkeypatch.chdir(ROOT)
-    published, notes = arena.Arena(**arena.read_protocol({})).present()
+    published, notes = arena.Arena(**arena.read_file({})).present()
     kinds = kinds_of(published)
     assert {"model-based", "learned"} == {*kinds.values()}
     assert {"printed law", "MPC, filter for exact sensors", "MPC, told", "DAgger"} <= {*kinds}
