@@ -1,22 +1,17 @@
 """What many tests need: models (built once each), states to try them at, the reference numbers, processes of their own, environments."""
 
-import contextlib
 import functools
 import json
 import os
 import signal
 import subprocess
 import sys
-import threading
-import time
 from pathlib import Path
 
 import gymnasium as gym
-import numba
 import numpy as np
 import pytest
 
-from soft_tendon_env.compiler import compilation
 from soft_tendon_env.control import CONTROLLERS, ControllerOutput
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.envs import IDS, TARGETS, TASKS
@@ -31,11 +26,6 @@ from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.tools.files import PACKAGE
 
 DATA = Path(__file__).parent / "data"
-BUDGET = 1.0
-"""CPU time [s] of its process that a test may take which is not marked slow, less that for kernels that are loaded or compiled in it."""
-OVER_BUDGET = (Path(__file__).parent / "over_budget.txt").read_text().splitlines()
-"""Tests that take longer until they are mended, by file and name."""
-MANY = 50  # modules; a test that imports so many for the first time is not judged
 STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
 ARMS = {
     "three_tendon": {"scene": "three_tendon", "fidelity": "fast"},
@@ -70,43 +60,6 @@ EVERYTHING = {
     "latency": [0.0, 0.05],
     "noise": {"position": 0.001, "rotation": 0.01, "length": 0.001, "curvature": 0.1, "stretch": 0.01, "stretch_rate": 0.1},
 }
-
-
-class KernelTime:
-    """CPU time [s] that a process has spent on loading and compiling kernels."""
-
-    def __init__(self, first_use):
-        self.seconds, self._first_use, self._thread = 0.0, first_use, threading.local()
-
-    @contextlib.contextmanager
-    def first_use(self):
-        """Context in which a kernel is loaded, or compiled: kernels within others are part of these."""
-        inside, self._thread.inside, started = getattr(self._thread, "inside", False), True, time.process_time()
-        try:
-            with self._first_use():
-                yield
-        finally:
-            self._thread.inside = inside
-            self.seconds += 0.0 if inside else time.process_time() - started
-
-
-KERNELS = KernelTime(compilation._first_use)
-compilation._first_use = KERNELS.first_use
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_call(item):
-    """Fails a test that takes longer than BUDGET once its kernels are there."""
-    modules, kernels, started = len(sys.modules), KERNELS.seconds, time.process_time()
-    result = yield
-    spent = time.process_time() - started - (KERNELS.seconds - kernels)
-    is_slow = item.get_closest_marker("slow") or f"{item.path.relative_to(Path(__file__).parent)}::{item.name}" in OVER_BUDGET
-    if log := os.environ.get("TEST_TIMES"):
-        with open(log, "a") as file:
-            file.write(f"{spent:.2f} {len(sys.modules) - modules} {item.nodeid}\n")
-    if spent > BUDGET and not is_slow and len(sys.modules) - modules < MANY and not numba.config.DISABLE_JIT:
-        pytest.fail(f"it took {spent:.2f} s of CPU, kernels aside: a test takes at most {BUDGET:g} s, or is marked slow", pytrace=False)
-    return result
 
 
 @functools.cache
