@@ -12,8 +12,8 @@ from soft_tendon_env.accuracy.fidelity import PRESETS, build_model
 from soft_tendon_env.accuracy.reference import Reference
 from soft_tendon_env.accuracy.settings import Setting
 from soft_tendon_env.accuracy.test_inputs import CALIBRATED, Motion
-from soft_tendon_env.cli.arms import ArmSettings
 from soft_tendon_env.cli.errors import is_installed, mistakes, writable_folder
+from soft_tendon_env.cli.options import ArmSettings
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.tables import markdown_table, number, write_csv
 from soft_tendon_env.scene.file import save_scene

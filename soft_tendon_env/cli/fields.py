@@ -8,8 +8,8 @@ from pydantic import Field
 from soft_tendon_env.accuracy.calibration import own_fields
 from soft_tendon_env.accuracy.proper_orthogonal_fields import KINDS, fields_path, make_passive_fields
 from soft_tendon_env.accuracy.test_inputs import USUAL
-from soft_tendon_env.cli.arms import ArmSettings
 from soft_tendon_env.cli.errors import mistakes
+from soft_tendon_env.cli.options import ArmSettings
 from soft_tendon_env.cli.scenes import coordinate_count
 from soft_tendon_env.evaluation.tables import markdown_table, number
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, read_fields

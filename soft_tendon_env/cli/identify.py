@@ -4,8 +4,8 @@ from pathlib import Path
 
 from pydantic import Field
 
-from soft_tendon_env.cli.arms import ArmSettings
 from soft_tendon_env.cli.errors import mistakes, writable_folder
+from soft_tendon_env.cli.options import ArmSettings
 from soft_tendon_env.identification.fit import Loss
 from soft_tendon_env.identification.identify import FIDELITY, identify
 from soft_tendon_env.identification.output import save_estimate, summary

@@ -10,9 +10,12 @@ from typing import Annotated, Any, Required, TypedDict, TypeVar, get_args
 
 import docstring_parser
 import tyro
+from pydantic import Field
 from pydantic.fields import FieldInfo
 
 from soft_tendon_env.cli.errors import Mistake, mistakes
+from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Key, dotted, override, parsed_changes
 from soft_tendon_env.tools.types import GivenLength
 
@@ -25,6 +28,21 @@ SHORTCUTS = {
     "set": "environment's options by dotted keys, values as in TOML: randomize.stiffness=1.1 control_period=0.01",
 }
 """Options in place of a field `options`, the table of an environment's options."""
+
+
+class ArmSettings(Configuration):
+    """The arm that a command is about."""
+
+    scene: str = Field(description="a shipped scene's name, or the path of a TOML file")
+    set: tuple[str, ...] = Field(default=(), description="changes of the scene, such as effects.gravity.acceleration=[0,0,-9.81]")
+
+    def changed_scene(self) -> Scene:
+        """The scene with the changes of --set. Raises ConfigurationError, ValueError."""
+        scene = load_scene(self.scene)
+        try:
+            return scene.replace(parsed_changes(self.set)) if self.set else scene
+        except ConfigurationError as error:
+            raise ConfigurationError(error.problems, "--set") from error
 
 
 def read(command: str, kind: type[Kind], arguments: Sequence[str], file: Callable[[Given], Given] = lambda given: {}) -> Kind:
