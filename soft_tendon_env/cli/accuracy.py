@@ -20,6 +20,8 @@ from soft_tendon_env.scene.file import save_scene
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_array
+from soft_tendon_env.tools.files import read_numbers
+from soft_tendon_env.tools.messages import say
 from soft_tendon_env.tools.types import GivenLength, length_text
 
 HEADER = ("strain field", "coordinates", "intervals", "integrator", "evaluations", "CPU [ms]", "model [ms]", "tip [mm]", "backbone [mm]")
@@ -39,14 +41,15 @@ def run(settings: Accuracy) -> None:
     with mistakes():
         named, tolerance, out = settings.changed_scene(), settings.within, Path(settings.out)
         calibration.refuse_obstacles(named)
-        scene = named.replace({"effects": named.effects.on_arm()})  # without what lies between commands and tensions
+        scene = named.replace({"effects": named.effects.on_arm()})
+        if scene != named:
+            say(f"{scene.name!r} is measured under given tensions, without what lies between commands and tensions")
         if tolerance is not None:
             calibration.check_tolerance(scene, tolerance)
         inputs = calibration.usual_inputs(scene, settings.motion)
         if settings.input is not None:
-            inputs = [
-                checked_array(settings.input, np.loadtxt(settings.input, delimiter=",", skiprows=1, ndmin=2), (None, len(scene.tendons)))
-            ]
+            rows = [[*row.values()] for row in read_numbers(Path(settings.input))]
+            inputs = [checked_array(settings.input, rows, (None, len(scene.tendons)))]
         writable_folder(out)
     fields = calibration.own_fields(scene) if tolerance is None else calibration.made_fields(scene)
     found = calibration.calibrate(scene, inputs, fields, tolerance)
@@ -56,9 +59,9 @@ def run(settings: Accuracy) -> None:
         preset = Setting(f"({name})", {}, model.grid.per_piece, model.scene.integrator.step, 0, model.scene.integrator.tolerance)
         points.append((pareto.measure(model, preset, inputs, found.reference), model))
     costs = [(point, pareto.cpu_time(model, inputs[: max(1, len(inputs) // 2)])) for point, model in points]
-    rows = [record(*cost) for cost in costs]
-    print(report(scene.name, found.reference, rows))
-    write_csv(out / f"{scene.name}.csv", rows)
+    records = [record(*cost) for cost in costs]
+    print(report(scene.name, found.reference, records))
+    write_csv(out / f"{scene.name}.csv", records)
     if is_installed("pictures"):
         from soft_tendon_env.evaluation.pictures import draw_front
 

@@ -62,7 +62,7 @@ OPTIONS = [
     ("fields three_tendon --out fields.txt", "--out is fields.txt: it should be the path of a .json file, such as"),
     ("accuracy three_tendon --motion mild", "invalid choice 'mild' for argument '--motion'"),
     ("accuracy three_tendon --input two.csv", "two.csv should have shape (any, 3), not (1, 2)"),
-    ("accuracy three_tendon --input none.csv", "none.csv not found"),
+    ("accuracy three_tendon --input none.csv", "there is no file none.csv"),
     ("accuracy three_tendon --set segments.0.radios=1", "--set: segments[0].radios is an unknown key"),
     ("identify three_tendon holds.csv --markers markers.toml", "Missing from soft-tendon identify: --parameters"),
     (" ".join((*IDENTIFY, "segments.*.dens")), "segments.*.dens is no number of the scene: did you mean 'segments.*.density'?"),
