@@ -35,7 +35,6 @@ def test_stretch_in_a_stream_along_the_rod(uniform):
     np.testing.assert_allclose(tip[0] - LENGTH, load * LENGTH**2 / (2 * YOUNG * AREA), rtol=1e-3)
 
 
-@pytest.mark.filterwarnings("ignore:.*not in SI units")
 def test_terminal_velocity(uniform):
     """An arm with next to no stiffness, curled by a moment at its tip, comes to the speed at which drag balances it.
 
