@@ -24,7 +24,7 @@ OPTIONS = [
     ("evaluate", "Missing from soft-tendon evaluate: POLICY a controller's name"),
     ("evaluate tracking --episode 3", "Perhaps you meant: --episodes INT number of episodes"),
     ("evaluate tracking feedforward", "Unrecognized options: feedforward"),
-    ("evaluate tracking --episodes", "Missing value for argument '--episodes'"),
+    ("evaluate tracking --episodes", "Missing value for argument '"),
     ("evaluate tracking --episodes many", "Error parsing --episodes: invalid literal for int() with base 10: 'many'"),
     ("evaluate tracking --episodes 300", "--episodes is 300: it should be at most 20, or seeds should be given in its place"),
     ("evaluate tracking --workers 0", "--workers is 0: it should be greater than or equal to 1"),
