@@ -165,27 +165,15 @@ def load_factor(field, block):
 
 @kernel(inline=True)
 def apply21(field, at, x):
-    """Product K x of a symmetric matrix K, the 21 entries of its lower triangle from `at` on."""
-    return symmetric_product(load21(field, at), x)
-
-
-@kernel(inline=True)
-def symmetric_product(h, x):
-    """Product of a symmetric matrix, a 21-tuple, and a twist."""
-    h00, h10, h11, h20, h21, h22, h30, h31, h32, h33, h40, h41, h42, h43, h44, h50, h51, h52, h53, h54, h55 = h
+    """Product K x of a symmetric matrix K, the 21 entries of its lower triangle from `at` on, and a twist."""
+    h00, h10, h11, h20, h21, h22, h30, h31, h32, h33, h40, h41, h42, h43, h44, h50, h51, h52, h53, h54, h55 = load21(field, at)
     (x0, x1, x2), (x3, x4, x5) = x
-    return (
-        (
-            h00 * x0 + h10 * x1 + h20 * x2 + h30 * x3 + h40 * x4 + h50 * x5,
-            h10 * x0 + h11 * x1 + h21 * x2 + h31 * x3 + h41 * x4 + h51 * x5,
-            h20 * x0 + h21 * x1 + h22 * x2 + h32 * x3 + h42 * x4 + h52 * x5,
-        ),
-        (
-            h30 * x0 + h31 * x1 + h32 * x2 + h33 * x3 + h43 * x4 + h53 * x5,
-            h40 * x0 + h41 * x1 + h42 * x2 + h43 * x3 + h44 * x4 + h54 * x5,
-            h50 * x0 + h51 * x1 + h52 * x2 + h53 * x3 + h54 * x4 + h55 * x5,
-        ),
-    )
+    y0 = h00 * x0 + h10 * x1 + h20 * x2 + h30 * x3 + h40 * x4 + h50 * x5
+    y1 = h10 * x0 + h11 * x1 + h21 * x2 + h31 * x3 + h41 * x4 + h51 * x5
+    y2 = h20 * x0 + h21 * x1 + h22 * x2 + h32 * x3 + h42 * x4 + h52 * x5
+    y3 = h30 * x0 + h31 * x1 + h32 * x2 + h33 * x3 + h43 * x4 + h53 * x5
+    y4 = h40 * x0 + h41 * x1 + h42 * x2 + h43 * x3 + h44 * x4 + h54 * x5
+    return (y0, y1, y2), (y3, y4, h50 * x0 + h51 * x1 + h52 * x2 + h53 * x3 + h54 * x4 + h55 * x5)
 
 
 @kernel(inline=True)

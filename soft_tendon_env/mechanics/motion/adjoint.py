@@ -8,7 +8,7 @@ motion. There, and where a part is long beside the slowest vibration, it is inte
 """
 
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 from soft_tendon_env.mechanics.motion.advance import Record, Scheme, advance
 from soft_tendon_env.mechanics.motion.batch import Places
 from soft_tendon_env.mechanics.motion.filter_adjoint import FilterMemory, begin_filter, filter_adjoint, make_filter_memory
-from soft_tendon_env.mechanics.motion.force_gradient import GradientMemory, force_gradient, make_gradient_memory
+from soft_tendon_env.mechanics.motion.force_gradient import GradientMemory, force_gradient
 from soft_tendon_env.mechanics.motion.period_map import matrices_of_motion, transposed_map
 from soft_tendon_env.mechanics.motion.reading_adjoint import read_adjoint
 from soft_tendon_env.mechanics.motion.scratch import copy_motion
@@ -29,7 +29,7 @@ from soft_tendon_env.mechanics.terms.dynamics import combined_columns
 from soft_tendon_env.mechanics.terms.tendons import tendon_forces
 from soft_tendon_env.mechanics.terms.transmission import tension_slope
 from soft_tendon_env.mechanics.types import Arm, IntVector
-from soft_tendon_env.mechanics.workspace import zeros_of
+from soft_tendon_env.mechanics.workspace import sizes_of, zeros
 
 MOST_PIECES = 16  # of a part
 STIFF_PIECES = 2  # of a part where tendons are stiff: with one, cosines with differences are 0.86 to 0.99, with two 0.93 to 0.99
@@ -38,34 +38,23 @@ STIFF_PIECES = 2  # of a part where tendons are stiff: with one, cosines with di
 class Cotangents(Struct):
     """Derivatives of a scalar by the state of every row, in place, by what is read of it, and by the commands before it."""
 
-    q: np.ndarray  # (rows, n)
-    q_dot: np.ndarray  # (rows, n)
-    state: np.ndarray  # (rows, states) internal states of the effects
-    tip_pose: np.ndarray  # (rows, 6) by a displacement of the tip, a twist in its own frame
-    tip_twist: np.ndarray  # (rows, 6)
-    backbone_position: np.ndarray  # (rows, stations, 3)
-    tendon_length: np.ndarray  # (rows, n_a)
-    strain: np.ndarray  # (rows, sensors, 6)
-    strain_rate: np.ndarray  # (rows, sensors, 6)
-    command: np.ndarray  # (rows, parts, n_a)
+    q: Annotated[np.ndarray, "rows", "n"]
+    q_dot: Annotated[np.ndarray, "rows", "n"]
+    state: Annotated[np.ndarray, "rows", "states"]  # internal states of the effects
+    tip_pose: Annotated[np.ndarray, "rows", "6"]  # by a displacement of the tip, a twist in its own frame
+    tip_twist: Annotated[np.ndarray, "rows", "6"]
+    backbone_position: Annotated[np.ndarray, "rows", "stations", "3"]
+    tendon_length: Annotated[np.ndarray, "rows", "n_a"]
+    strain: Annotated[np.ndarray, "rows", "sensors", "6"]
+    strain_rate: Annotated[np.ndarray, "rows", "sensors", "6"]
+    command: Annotated[np.ndarray, "rows", "parts", "n_a"]
     status: IntVector  # (rows), see status: why there is no derivative
 
 
 def make_cotangents(arm: Arm, places: Places, rows: int, parts: int) -> Cotangents:
     """Zeroed Cotangents for so many rows of an arm, read at these places, and parts of a period."""
-    n, n_a, sensors = arm.strain.size, arm.tendons.size, places.sensor.size
-    return Cotangents(
-        **zeros_of(
-            ((rows, n), "q q_dot"),
-            ((rows, arm.effects.state.size), "state"),
-            ((rows, 6), "tip_pose tip_twist"),
-            ((rows, places.station.size, 3), "backbone_position"),
-            ((rows, n_a), "tendon_length"),
-            ((rows, sensors, 6), "strain strain_rate"),
-            ((rows, parts, n_a), "command"),
-        ),
-        status=np.zeros(rows, dtype=np.int64),
-    )
+    read = {"stations": places.station.size, "sensors": places.sensor.size}
+    return zeros(Cotangents, {**sizes_of(arm), **read, "rows": rows, "parts": parts}, status=np.zeros(rows, dtype=np.int64))
 
 
 class AdjointMemory(Struct):
@@ -75,15 +64,14 @@ class AdjointMemory(Struct):
     filter: FilterMemory
     tape: Tape  # of one row: a part in pieces, and at last the motion within one
     rate: float  # [1/s] of pieces that resolve the slowest vibration of the scene's arm
-    impulse: np.ndarray  # (2, n) of forces in the halves of a piece
-    still: np.ndarray  # (n_a) zeros
+    impulse: Annotated[np.ndarray, "2", "n"]  # of forces in the halves of a piece
+    still: Annotated[np.ndarray, "n_a"]  # zeros
 
 
 def make_adjoint_memory(arm: Arm, rate: float) -> AdjointMemory:
     """Zeroed AdjointMemory for one arm. rate: [1/s] of pieces that resolve the slowest vibration."""
-    arrays = zeros_of(((arm.tendons.size,), "still"), ((2, arm.strain.size), "impulse"))
-    parts = {"gradient": make_gradient_memory(arm), "filter": make_filter_memory(arm), "tape": make_tape(arm, 1, MOST_PIECES + 1)}
-    return AdjointMemory(rate=rate, **parts, **arrays)
+    sizes, tape = sizes_of(arm), make_tape(arm, 1, MOST_PIECES + 1)
+    return zeros(AdjointMemory, sizes, gradient=zeros(GradientMemory, sizes), filter=make_filter_memory(arm), tape=tape, rate=rate)
 
 
 class Sought(NamedTuple):

@@ -90,11 +90,13 @@ def find_longest(arm, motion, q_dot, step, unforeseen, control, scratch):
     if step == 0.0:
         keep_pose(work)
     work.before_step.time[0] = motion.clock[0]
-    scratch.longest[:] = control.step
+    scratch.longest[0] = control.step
     work.contact.tunnelled[0], work.contact.active[0] = 1.0 if unforeseen else 0.0, 0.0
     for i in range(effects.count):
         if effects.limit[i] != 0:
             call(effects.limit[i], effects.parameters[i], (nodes_of(arm, work), scratch.longest))
+    if work.contact.tunnelled[0] == 0.0:
+        keep_pose(work)
 
 
 @kernel
@@ -104,40 +106,18 @@ def keep_pose(work):
     copy(work.base, work.before_step.base)
 
 
-@phase
-def begin_limits(arm, motion, control, scratch):
-    """Longest step [s] from a motion before any was taken, and what the arm touches, for advance()."""
-    copy(motion.xi, scratch.work.xi)
-    strain_from_guess(arm, motion.q, STEP_TOLERANCE, scratch.work)
-    find_longest(arm, motion, motion.q_dot, 0.0, False, control, scratch)
-
-
 @kernel
 def settle(arm, u, motion, step, touching, control, scratch):
-    """Accepts the step that was just taken under what had arrived, u (n_a): the motion becomes its end, with its strain. A status; the
-    motion stays unless that is OK."""
+    """Accepts the step that was just taken under what had arrived, u (n_a): the motion becomes its end, with its strain and the internal
+    states of the effects there. A status; the motion stays unless that is OK."""
     work = scratch.work
     predict_strain(arm.strain, scratch.q, scratch.q_last, work)
     if strain_from_guess(arm, scratch.q, STEP_TOLERANCE, work) >= 0:
         return NO_STRAIN
     if limits_steps(arm.effects):
-        unforeseen = work.contact.touched[0] != 0.0 and not touching
-        find_longest(arm, motion, scratch.v, step, unforeseen, control, scratch)
+        find_longest(arm, motion, scratch.v, step, work.contact.touched[0] != 0.0 and not touching, control, scratch)
         if work.contact.tunnelled[0] != 0.0:
             return PENETRATED
-        keep_pose(work)
-    if motion.state.size > 0:
-        advance_states(arm, u, motion, step, scratch)
-    copy(scratch.q, motion.q)
-    copy(scratch.v, motion.q_dot)
-    copy(scratch.work.xi, motion.xi)
-    return OK
-
-
-@kernel
-def advance_states(arm, u, motion, step, scratch):
-    """Internal states of the effects at the end of a step, where scratch.work has its strain, under what had arrived, u (n_a)."""
-    work = scratch.work
     if work.before.size > 0:
         strain_rate(arm, scratch.v, work)
         copy(motion.state, work.state)
@@ -147,6 +127,10 @@ def advance_states(arm, u, motion, step, scratch):
         work.since[0] = 0.0
         copy(work.state, motion.state)
     follow(arm.effects, u, step, motion.state)
+    copy(scratch.q, motion.q)
+    copy(scratch.v, motion.q_dot)
+    copy(work.xi, motion.xi)
+    return OK
 
 
 class Record(NamedTuple):
@@ -178,17 +162,18 @@ def tip_pose(arm, motion, work, out):
 
 @kernel
 def advance(arm, scheme, commands, durations, motion, step, scratch, record):
-    """Integrate the motion in place under every row of commands (rows, n_a) for its duration (rows) [s], with samples evenly among them,
+    """Integrates the motion in place under every row of commands (rows, n_a) for its duration (rows) [s], with samples evenly among them,
     if any. A command is held until the next one, and acts as effects deliver and transmit it: as tensions, where there are none."""
     method, control, begins = scheme
-    every = commands.shape[0] // max(record.q.shape[0], 1)
+    every, limited, contact = commands.shape[0] // max(record.q.shape[0], 1), limits_steps(arm.effects), scratch.work.contact
     time, steps, rejected, total_error, evaluations = 0.0, 0, 0, 0.0, 0
     for row in range(commands.shape[0]):
-        duration, begun, start = durations[row], 0.0, motion.clock[0]
-        limited, longest, touching = limits_steps(arm.effects), math.inf, False
+        duration, begun, start, longest, touching = durations[row], 0.0, motion.clock[0], math.inf, False
         if limited:
-            begin_limits(arm, motion, control, scratch)
-            longest, touching = scratch.longest[0], scratch.work.contact.active[0] != 0.0
+            copy(motion.xi, scratch.work.xi)
+            strain_from_guess(arm, motion.q, STEP_TOLERANCE, scratch.work)
+            find_longest(arm, motion, motion.q_dot, 0.0, False, control, scratch)
+            longest, touching = scratch.longest[0], contact.active[0] != 0.0
         if not control.adaptive:
             step = control.step  # what a row costs another would make results depend on how an input is cut into calls
         while begun < duration * (1.0 - 1e-12):
@@ -201,18 +186,16 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
             if longest < length:
                 length = longest if touching else rest / math.ceil(rest / longest * (1.0 - 1e-9))
             impact = touching and length > SHORTEST_IMPACT * control.step
-            scratch.work.contact.touched[0] = 0.0
+            contact.touched[0] = 0.0
             aim = while_touching(arm, control) if impact else control
             horizon = max(length, aim.horizon) if impact else length
             least = max(method.least, LEAST_WHEN_LIMITED) if longest < control.step else method.least
             attempt = extrapolated_step(arm, method, Demand(aim.tolerance, least, horizon), u, motion, length, scratch)
             evaluations += attempt.evaluations
-            status = attempt.status
-            if status == OK:
-                status = settle(arm, u, motion, length, touching, control, scratch)
+            status = settle(arm, u, motion, length, touching, control, scratch) if attempt.status == OK else attempt.status
             if status != OK:
                 rejected += 1
-                touching = touching or status == PENETRATED or scratch.work.contact.touched[0] != 0.0
+                touching = touching or status == PENETRATED or contact.touched[0] != 0.0
                 smaller = next_step(aim, method.columns, length, attempt) if status == INACCURATE and aim.adaptive else length
                 step = min(0.5 * length, smaller)
                 if step < (SHORTEST_STIFF * control.step if touching or arm.effects.transmission.elastic else control.smallest):
@@ -221,9 +204,9 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
             begun += length
             motion.clock[0] = start + begun
             if limited:
-                longest, touching = scratch.longest[0], scratch.work.contact.active[0] != 0.0
+                longest, touching = scratch.longest[0], contact.active[0] != 0.0
             if steps < scratch.taken.shape[0]:
-                scratch.taken[steps, 0], scratch.taken[steps, 1] = length, scratch.rows[0]
+                scratch.taken[steps, 0], scratch.taken[steps, 1] = length, attempt.rows
             steps += 1
             total_error += attempt.error
             kept = step if length < step and not touching else 0.0

@@ -12,6 +12,7 @@ function of pose and twist of a node: their derivatives are differences by the s
 """
 
 import math
+from typing import Annotated
 
 import numpy as np
 
@@ -26,10 +27,8 @@ from soft_tendon_env.mechanics.terms.dynamics import combined_columns, node_rows
 from soft_tendon_env.mechanics.terms.external_forces import NODE_SHARE, differ_wrenches, displace, effect_loads, nodes_of
 from soft_tendon_env.mechanics.terms.kinematics import poses
 from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess
-from soft_tendon_env.mechanics.terms.transmission import transmitted
+from soft_tendon_env.mechanics.terms.transmission import actuator_tensions
 from soft_tendon_env.mechanics.terms.transposed_kinematics import add_wrench_stress, stress_force
-from soft_tendon_env.mechanics.types import Arm, FloatVector
-from soft_tendon_env.mechanics.workspace import zeros_of
 
 TOLERANCE = 1e-9  # of the strain's Newton, so that second differences are smooth
 ALONG_MOTION = 0.1  # of the period, the time of the differences along the motion
@@ -39,42 +38,29 @@ SMALL_STRAIN = 1e-4  # the largest strain, curvatures times the length, of the d
 class GradientMemory(Struct):
     """Fields of one evaluation that are held while others fill the workspace, and the gradient."""
 
-    w: FloatVector  # (n)
-    a: FloatVector  # (n) accelerations
-    q: FloatVector  # (n) where a difference is taken
-    still: FloatVector  # (n) zeros
-    sides: np.ndarray  # (2, n) generalised forces on the two sides of a difference
-    turned: np.ndarray  # (2, n)
-    middle: FloatVector  # (n)
-    by_q: FloatVector  # (n) the gradient
-    by_rate: FloatVector  # (n) what is not of the damping matrix in it
-    xi: FloatVector  # points x 6
-    along: FloatVector  # points x 6, Phi w
-    rate: FloatVector  # points x 6, xi_dot
-    moving: FloatVector  # points x 6, stresses of the rates, weights included
-    damped: FloatVector  # points x 6, stresses of what damps, along w
-    field: FloatVector  # points x 6
-    zeta: FloatVector  # nodes x 6
-    alpha: FloatVector  # nodes x 6
-    mu: FloatVector  # nodes x 6, M_s zeta
-    kappa: FloatVector  # nodes x 6, see node_wrenches(); before it the drag: less the derivative of the effects' power by twists
-    declared: FloatVector  # nodes x 6, that part of it which is in the damping matrix
-    displaced: FloatVector  # nodes x 6, the same by displacements
-    inertial: FloatVector  # nodes x 6, wrench of inertia and effects
-    wrench: FloatVector  # nodes x 6
-
-
-def make_gradient_memory(arm: Arm) -> GradientMemory:
-    """Zeroed GradientMemory for one arm."""
-    n, nodes = arm.strain.size, arm.rod.length.size
-    return GradientMemory(
-        **zeros_of(
-            ((n,), "w a q still middle by_q by_rate"),
-            ((2, n), "sides turned"),
-            ((nodes * 12,), "xi along rate moving damped field"),
-            ((nodes * 6,), "zeta alpha mu kappa declared displaced inertial wrench"),
-        )
-    )
+    w: Annotated[np.ndarray, "n"]
+    a: Annotated[np.ndarray, "n"]  # accelerations
+    q: Annotated[np.ndarray, "n"]  # where a difference is taken
+    still: Annotated[np.ndarray, "n"]  # zeros
+    sides: Annotated[np.ndarray, "2", "n"]  # generalised forces on the two sides of a difference
+    turned: Annotated[np.ndarray, "2", "n"]
+    middle: Annotated[np.ndarray, "n"]
+    by_q: Annotated[np.ndarray, "n"]  # the gradient
+    by_rate: Annotated[np.ndarray, "n"]  # what is not of the damping matrix in it
+    xi: Annotated[np.ndarray, "points x 6"]
+    along: Annotated[np.ndarray, "points x 6"]  # Phi w
+    rate: Annotated[np.ndarray, "points x 6"]  # xi_dot
+    moving: Annotated[np.ndarray, "points x 6"]  # stresses of the rates, weights included
+    damped: Annotated[np.ndarray, "points x 6"]  # stresses of what damps, along w
+    field: Annotated[np.ndarray, "points x 6"]
+    zeta: Annotated[np.ndarray, "nodes x 6"]
+    alpha: Annotated[np.ndarray, "nodes x 6"]
+    mu: Annotated[np.ndarray, "nodes x 6"]  # M_s zeta
+    kappa: Annotated[np.ndarray, "nodes x 6"]  # see node_wrenches(); before it the drag: less the effects' power by twists
+    declared: Annotated[np.ndarray, "nodes x 6"]  # that part of it which is in the damping matrix
+    displaced: Annotated[np.ndarray, "nodes x 6"]  # the same by displacements
+    inertial: Annotated[np.ndarray, "nodes x 6"]  # wrench of inertia and effects
+    wrench: Annotated[np.ndarray, "nodes x 6"]
 
 
 @kernel
@@ -209,7 +195,7 @@ def place_beside(arm, u, q, way, field, work, memory):
         store(work.xi, m, load(memory.xi, m) + way * load(field, m))
     if strain_from_guess(arm, q, TOLERANCE, work) >= 0:
         return False
-    strain_columns(arm, transmitted(arm, u, work), q, memory.still, work)
+    strain_columns(arm, actuator_tensions(arm, u, work), q, memory.still, work)
     poses(arm.rod, work)
     return True
 

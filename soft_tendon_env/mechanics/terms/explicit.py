@@ -41,23 +41,19 @@ def explicit_mismatch(rod, tendons, work):
         store6(work.mismatch, at, twist_scaled(-weight, twist_sum(scaled(stiff, scaled(stiff, strained)), pulled)))
 
 
-@kernel(inline=True)
-def section_factor(rod, tendons, block, work):
-    """Factor L D L^T of the section stiffness under the tensions of work.tau at one block, scaled by C^1/2; leaves the tangents."""
-    at = block * 6 * LANES
-    h = pull(rod, tendons, block, load6(work.xi, at), work.tau, work.tangent)[0]
-    return factorise(scaled_stiffness(h, load6(rod.root_compliance, at)), rod.free)
-
-
 @kernel
 def explicit_weighted_columns(rod, tendons, strain, work):
-    """Weighted columns Y with Y^T Y = Phi^T (Sigma - Psi(u)) Phi, u in work.tau."""
+    """Weighted columns Y with Y^T Y = Phi^T (Sigma - Psi(u)) Phi, u in work.tau, by the factor L D L^T of the section stiffness, scaled by
+    C^1/2. A pivot below zero (pushing tendons) counts as zero: Y serves as a stiffness only."""
     blocks = 2 * rod.packs
     for block in range(blocks):
         at, pack = block * 6 * LANES, block // 2
         stiff, weight = load6(rod.root_stiffness, at), load(rod.weight, block * LANES)
-        f = section_factor(rod, tendons, block, work)
-        root = _root_pivots(f, weight)
+        h = pull(rod, tendons, block, load6(work.xi, at), work.tau, work.tangent)[0]
+        f = factorise(scaled_stiffness(h, load6(rod.root_compliance, at)), rod.free)
+        (a, b, c), (d, e, g) = inverse_diagonal(f)
+        bending = root_pivot(a, weight), root_pivot(b, weight), root_pivot(c, weight)
+        root = bending, (root_pivot(d, weight), root_pivot(e, weight), root_pivot(g, weight))
         for j in range(strain.size):
             if strain.first[j] <= pack < strain.last[j]:
                 column_at = (j * blocks + block) * 6 * LANES
@@ -65,17 +61,8 @@ def explicit_weighted_columns(rod, tendons, strain, work):
 
 
 @kernel(inline=True)
-def _root_pivots(f, weight):
-    """Roots sqrt(weight D) of the pivots, a pivot below zero (pushing tendons) counted as zero: Y serves as a stiffness only."""
-    i0, i1 = inverse_diagonal(f)
-    return (
-        (_root_pivot(i0[0], weight), _root_pivot(i0[1], weight), _root_pivot(i0[2], weight)),
-        (_root_pivot(i1[0], weight), _root_pivot(i1[1], weight), _root_pivot(i1[2], weight)),
-    )
-
-
-@kernel(inline=True)
-def _root_pivot(inverse, weight):
+def root_pivot(inverse, weight):
+    """Root sqrt(weight D) of a pivot."""
     pivot = weight / inverse
     return sqrt(0.5 * (pivot + sqrt(pivot * pivot)))
 

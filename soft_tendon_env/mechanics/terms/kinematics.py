@@ -8,7 +8,7 @@ base-frame Jacobian grows by W_1 Phi_1 + W_2 Phi_2 over an interval. All interva
 import math
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import LANES, lane, lane_sum, load, prefix_sum, spread
+from soft_tendon_env.mechanics.algebra.lanes import LANES, lane, load, prefix_sum, spread
 from soft_tendon_env.mechanics.algebra.lie import (
     Ad_apply,
     Ad_inverse_apply,
@@ -267,35 +267,23 @@ def sweep(rod, strain, columns, work):
             store6(work.J, (j * packs + pack) * 6 * LANES, Ad_inverse_apply(R_end, r_end, column))
 
 
-@kernel(inline=True)
-def growth_over(rod, pack, work):
-    """Growth of the base-frame twist over every interval of a pack, from xi_dot; after poses(). As sweep() has it, without columns."""
-    at = 2 * pack * 6 * LANES
-    R, r = load_pose(work.start, pack * 12 * LANES)
-    h, xi_1, xi_2 = load(rod.length, pack * LANES), load6(work.xi, at), load6(work.xi, at + 6 * LANES)
-    W_1, W_2, A, C, Omega, c = interval_operators(h, 0.5 * h, KAPPA * h * h, xi_1, xi_2, R, r)
-    rate_1, rate_2 = load6(work.xi_dot, at), load6(work.xi_dot, at + 6 * LANES)
-    return twist_sum(operator_apply(W_1[0], W_1[1], rate_1), operator_apply(W_2[0], W_2[1], rate_2))
+@kernel
+def node_twists(rod, work):
+    """Body twists eta at the nodes from xi_dot; after poses(). As sweep() has them, without columns."""
+    copy(work.base[12:18], work.carry[:6])
+    for pack in range(rod.packs):
+        at = 2 * pack * 6 * LANES
+        R, r = load_pose(work.start, pack * 12 * LANES)
+        h, xi_1, xi_2 = load(rod.length, pack * LANES), load6(work.xi, at), load6(work.xi, at + 6 * LANES)
+        W_1, W_2, A, C, Omega, c = interval_operators(h, 0.5 * h, KAPPA * h * h, xi_1, xi_2, R, r)
+        rate_1, rate_2 = load6(work.xi_dot, at), load6(work.xi_dot, at + 6 * LANES)
+        growth = twist_sum(operator_apply(W_1[0], W_1[1], rate_1), operator_apply(W_2[0], W_2[1], rate_2))
+        R_end, r_end = load_pose(work.pose, pack * 12 * LANES)
+        store6(work.eta, pack * 6 * LANES, Ad_inverse_apply(R_end, r_end, running_sum(work.carry, 0, growth)))
 
 
 @kernel
 def tip_twist(rod, work):
     """Body twist (angular, linear) of the tip from xi_dot, as numbers; after poses()."""
-    b = work.base
-    total = (b[12], b[13], b[14]), (b[15], b[16], b[17])
-    for pack in range(rod.packs):
-        k, p = growth_over(rod, pack, work)
-        growth = (lane_sum(k[0]), lane_sum(k[1]), lane_sum(k[2])), (lane_sum(p[0]), lane_sum(p[1]), lane_sum(p[2]))
-        total = twist_sum(total, growth)
-    R_tip, r_tip = tip_pose_of(work.pose)
-    return Ad_inverse_apply(R_tip, r_tip, total)
-
-
-@kernel
-def node_twists(rod, work):
-    """Body twists eta at the nodes from xi_dot; after poses()."""
-    copy(work.base[12:18], work.carry[:6])
-    for pack in range(rod.packs):
-        R_end, r_end = load_pose(work.pose, pack * 12 * LANES)
-        eta_end = running_sum(work.carry, 0, growth_over(rod, pack, work))
-        store6(work.eta, pack * 6 * LANES, Ad_inverse_apply(R_end, r_end, eta_end))
+    node_twists(rod, work)
+    return twist_at(work.eta, rod.packs - 1, LANES - 1)

@@ -13,7 +13,7 @@ from soft_tendon_env.mechanics.terms.tendons import actuation_column, tendon_len
 
 
 @kernel(refcount=True)
-def transmitted(arm, u, work):
+def actuator_tensions(arm, u, work):
     """Tensions (n_a) at the actuators under u, where it is a command, in the strain of work.xi; u itself where nothing is between."""
     path = arm.effects.transmission
     if work.u_is_command[0] == 0.0 or not (path.elastic or path.friction > 0.0):

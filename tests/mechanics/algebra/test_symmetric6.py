@@ -6,6 +6,7 @@ import pytest
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, store
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
+    apply21,
     factorise,
     inverse_diagonal,
     load6,
@@ -18,7 +19,6 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
     squared_norm,
     store6,
     store_factor,
-    symmetric_product,
 )
 
 pytestmark = pytest.mark.no_jit
@@ -37,7 +37,7 @@ def products(h, b, free, factor, out):
     store6(out, 0, solve(f, x, free))
     store6(out, 6 * LANES, solve_lower(f, x, free))
     store6(out, 12 * LANES, solve_upper(f, x, free))
-    store6(out, 18 * LANES, symmetric_product(own, x))
+    store6(out, 18 * LANES, apply21(h, 0, x))
     store6(out, 24 * LANES, inverse_diagonal(f))
     store6(out, 30 * LANES, scaled(x, x))
     store(out, 36 * LANES, squared_norm(x))
