@@ -53,7 +53,7 @@ class Workspace(Struct):
     """Arrays that one evaluation fills. The kernels read what the same evaluation has written, and besides:
 
     xi, the guess from which the Newton of the statics-based strain starts; `clock`, `state`, `before` and `since`, when effects are
-    evaluated and what was before; what make_workspace() fills and nothing writes: `unit`, `base` of an
+    evaluated and what was before; what make_workspace() fills and nothing writes: `unit`, `whole`, `base` of an
     arm that stands still, Phi of explicit strains, which are their fields, and zeros: the columns Phi, Y and J in packs where their
     coordinate moves nothing, xi_bias of explicit strains, load without effects.
     """
@@ -109,6 +109,7 @@ class Workspace(Struct):
     rubbed: Annotated[np.ndarray, "n_a", "n"]  # the same, with what friction leaves of the tension
     rubbing: Annotated[np.ndarray, "n_a", "n"]  # -d force / d direction of sliding
     share: Annotated[np.ndarray, "n_a x points"]  # of the tension
+    whole: Annotated[np.ndarray, "n_a x points"]  # ones
     slip: Annotated[np.ndarray, "n_a x points"]  # -d share / d direction of sliding
     load: Annotated[np.ndarray, "n"]  # F
     under_loads: LoadMemory  # of a strain with loads inside
@@ -127,5 +128,5 @@ def make_workspace(arm: Arm) -> Workspace:
         under_loads=zeros(LoadMemory, {"nodes": loaded, "points": 2 * loaded}),
     )
     work.state[:] = arm.effects.state
-    work.base[:9:4], work.unit[:], work.share[:] = 1.0, 1.0, 1.0
+    work.base[:9:4], work.unit[:], work.share[:], work.whole[:] = 1.0, 1.0, 1.0, 1.0
     return work

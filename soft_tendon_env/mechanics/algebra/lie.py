@@ -109,9 +109,6 @@ def _coefficients_overload(x):
     return lambda x: _coefficients_number(x)
 
 
-# 3-vectors ------------------------------------------------------------------------------------------------------------
-
-
 @kernel(inline=True)
 def dot(x, y):
     return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
@@ -153,9 +150,6 @@ def rotate_back(R, x):
         R[1] * x[0] + R[4] * x[1] + R[7] * x[2],
         R[2] * x[0] + R[5] * x[1] + R[8] * x[2],
     )
-
-
-# 3x3 matrices (9-tuples of rows) --------------------------------------------------------------------------------------
 
 
 @kernel(inline=True)
@@ -203,9 +197,6 @@ def rodrigues(f, g, k):
     xx, yy, zz, xy, xz, yz = g * x * x, g * y * y, g * z * z, g * x * y, g * x * z, g * y * z
     fx, fy, fz = f * x, f * y, f * z
     return 1.0 - yy - zz, xy - fz, xz + fy, xy + fz, 1.0 - xx - zz, yz - fx, xz - fy, yz + fx, 1.0 - xx - yy
-
-
-# twists, wrenches and their operators ---------------------------------------------------------------------------------
 
 
 @kernel(inline=True)

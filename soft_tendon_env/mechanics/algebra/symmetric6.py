@@ -106,21 +106,6 @@ def solve_upper(f, b, free):
 
 
 @kernel(inline=True)
-def multiply_upper(f, b, free):
-    """Product L^T b."""
-    (b0, b1, b2), (b3, b4, b5) = b
-    b0 = b0 + f[0] * b1 + f[1] * b2
-    b1 = b1 + f[2] * b2
-    if len(free) > 3:
-        b0, b1, b2 = b0 + f[3] * b3, b1 + f[4] * b3, b2 + f[5] * b3
-    if len(free) > 4:
-        b0, b1, b2 = b0 + f[6] * b4 + f[10] * b5, b1 + f[7] * b4 + f[11] * b5, b2 + f[8] * b4 + f[12] * b5
-        b3 = b3 + f[9] * b4 + f[13] * b5
-        b4 = b4 + f[14] * b5
-    return (b0, b1, b2), (b3, b4, b5)
-
-
-@kernel(inline=True)
 def scaled(s, x):
     """Component by component product of two twist-shaped tuples."""
     return (s[0][0] * x[0][0], s[0][1] * x[0][1], s[0][2] * x[0][2]), (s[1][0] * x[1][0], s[1][1] * x[1][1], s[1][2] * x[1][2])
@@ -166,7 +151,13 @@ def load_factor(field, block):
 @kernel(inline=True)
 def apply21(field, at, x):
     """Product K x of a symmetric matrix K, the 21 entries of its lower triangle from `at` on, and a twist."""
-    h00, h10, h11, h20, h21, h22, h30, h31, h32, h33, h40, h41, h42, h43, h44, h50, h51, h52, h53, h54, h55 = load21(field, at)
+    return symmetric_product(load21(field, at), x)
+
+
+@kernel(inline=True)
+def symmetric_product(h, x):
+    """Product of a symmetric matrix, a 21-tuple, and a twist."""
+    h00, h10, h11, h20, h21, h22, h30, h31, h32, h33, h40, h41, h42, h43, h44, h50, h51, h52, h53, h54, h55 = h
     (x0, x1, x2), (x3, x4, x5) = x
     y0 = h00 * x0 + h10 * x1 + h20 * x2 + h30 * x3 + h40 * x4 + h50 * x5
     y1 = h10 * x0 + h11 * x1 + h21 * x2 + h31 * x3 + h41 * x4 + h51 * x5

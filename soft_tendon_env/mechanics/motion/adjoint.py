@@ -157,8 +157,7 @@ def motion_within(tape, row, part, share, memory):
 
 @kernel
 def piece_adjoint(arm, method, tape, place, sought, scratch, memory):
-    """Cotangents from the end of a part on a tape to its beginning, in place, and that which is added to its command; place: row and part;
-    a status."""
+    """Cotangents from the end of a part on a tape to its beginning, in place, and those added to its command; a status."""
     row, part = place
     work, gradient, path, h = scratch.work, memory.gradient, memory.filter, tape.duration[place]
     times, u, before = tape.clock[row, part : part + 2], tape.command[row, part], tape.state[row, part]

@@ -156,8 +156,7 @@ def advance_parts(arm, scheme, commands, durations, motion, row, results, scratc
 
 @kernel
 def place_rows(batch, members, commands, work):
-    """Find the strain at the coordinates of the rows named in `members`, from rest, and read them; commands (rows, n_a) have always held
-    them there."""
+    """Finds strains at the coordinates of the rows in `members`, from rest, where commands (rows, n_a) have always held, and reads them."""
     rows, outcome = batch.rows, batch.outcome
     for row in members:
         own = struct_at(batch.arm, rows.arm, row)

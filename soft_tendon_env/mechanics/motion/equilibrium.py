@@ -7,7 +7,7 @@ import numpy as np
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
 from soft_tendon_env.mechanics.terms.evaluate import balance_at_rest, evaluate_at_rest
-from soft_tendon_env.mechanics.terms.parametrisation import strain_along, strain_from_rest, strain_is_unique
+from soft_tendon_env.mechanics.terms.parametrisation import continue_strain, strain_from_rest, strain_is_unique
 
 ROUND_OFF = 1e-12  # relative tolerance of the strain
 DIFFERENCE = 1e-7  # of a direction
@@ -64,7 +64,9 @@ def strain_is_continuous(arm, q_from, q, work):
     """Whether the strain from rest at q_from becomes that at q on the way between them; tendons that push can part them."""
     if strain_is_unique(arm, q, work):
         return True
-    if strain_from_rest(arm, q_from, ROUND_OFF, work)[0] >= 0 or strain_along(arm, q_from, q, ROUND_OFF, work)[0] >= 0:
+    if strain_from_rest(arm, q_from, ROUND_OFF, work)[0] >= 0:
+        return False
+    if continue_strain(arm, (q_from, 1.0), (q, 1.0), ROUND_OFF, work)[0] >= 0:
         return False
     continued = work.xi.copy()
     if strain_from_rest(arm, q, ROUND_OFF, work)[0] >= 0:

@@ -24,15 +24,6 @@ NEAR = 0.05  # of a step's tolerance: how far a tendon may go to a kink of its t
 
 
 @kernel
-def extrapolate(table, row):
-    """Aitken-Neville extrapolation for the step numbers 1, 2, 3, ...: a row of the table from its first entry and the row before."""
-    for k in range(1, row + 1):
-        ratio = (row + 1.0) / (row + 1.0 - k) - 1.0
-        for i in range(table.shape[2]):
-            table[row, k, i] = table[row, k - 1, i] + (table[row, k - 1, i] - table[row - 1, k - 1, i]) / ratio
-
-
-@kernel
 def substeps(arm, method, tolerance, u, motion, step, row, scratch):
     """The first entry of a row of the table: row + 1 substeps, to scratch.q, scratch.v; a status and the number of evaluations.
 
@@ -86,7 +77,10 @@ def complete_row(row, scratch):
     kept, other = (0, 1) if is_kinked else (row, max(row - 1, 0))
     for table, value, error in ((scratch.table_q, scratch.q, scratch.error_q), (scratch.table_v, scratch.v, scratch.error_v)):
         copy(value, table[row, 0])
-        extrapolate(table, row)
+        for k in range(1, row + 1):  # Aitken-Neville for the step numbers 1, 2, 3, ...
+            ratio = (row + 1.0) / (row + 1.0 - k) - 1.0
+            for i in range(value.size):
+                table[row, k, i] = table[row, k - 1, i] + (table[row, k - 1, i] - table[row - 1, k - 1, i]) / ratio
         copy(table[row, kept], value)
         for i in range(value.size):
             error[i] = value[i] - table[row, other, i]

@@ -77,8 +77,7 @@ def begin_filter(effects, start, command, times, begins, scratch, memory):
 
 @kernel
 def filter_adjoint(effects, start, times, begins, state, command, memory):
-    """Cotangents `state` (states), in place from the end of a part to its beginning, and those added to `command` (n_a), by memory.force;
-    after begin_filter() from the internal state `start`."""
+    """Cotangents `state` (states) from a part's end to its beginning, and those added to `command` (n_a); after begin_filter()."""
     path, tendons, found, (u, table) = effects.transmission, command.size, memory.slope, filter_state(effects, state, command.size)
     before, after = filter_state(effects, start, tendons)[1], filter_state(effects, memory.state, tendons)[1]
     for i in range(tendons):

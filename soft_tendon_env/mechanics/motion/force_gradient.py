@@ -87,8 +87,7 @@ def force_gradient(arm, u, motion, period, with_inertia, work, memory):
 
 @kernel
 def hold_fields(arm, with_inertia, work, memory):
-    """Fields at the motion: what w and the accelerations make of twists and strains, the wrenches and stresses of the rates, and the
-    generalised forces of the wrenches that are known there."""
+    """Fields of w, the accelerations and the rates at the motion, and the generalised forces of the wrenches that are known there."""
     rod = arm.rod
     copy(work.xi, memory.xi)
     copy(work.xi_dot, memory.rate)
@@ -189,13 +188,15 @@ def node_wrenches(rod, share, pack, work, memory, by_q, by_rate):
 
 
 @kernel
-def place_beside(arm, u, q, way, field, work, memory):
-    """Strain, columns and poses at coordinates q beside the motion, from a guess along a field of strains; whether there are."""
+def place_beside(arm, u, q, rate, way, field, work, memory):
+    """Strain, columns and poses a way along rates from coordinates q, from a guess along a field of strains; whether there are."""
+    for j in range(q.size):
+        memory.q[j] = q[j] + way * rate[j]
     for m in range(0, memory.xi.size, LANES):
         store(work.xi, m, load(memory.xi, m) + way * load(field, m))
-    if strain_from_guess(arm, q, TOLERANCE, work) >= 0:
+    if strain_from_guess(arm, memory.q, TOLERANCE, work) >= 0:
         return False
-    strain_columns(arm, actuator_tensions(arm, u, work), q, memory.still, work)
+    strain_columns(arm, actuator_tensions(arm, u, work), memory.q, memory.still, work)
     poses(arm.rod, work)
     return True
 
@@ -206,8 +207,8 @@ def differ_along_motion(arm, u, motion, time, work, memory):
     for i in range(2):
         way = time if i == 0 else -time
         for j in range(memory.q.size):
-            memory.q[j] = motion.q[j] + way * (motion.q_dot[j] + 0.5 * way * memory.a[j])
-        if not place_beside(arm, u, memory.q, way, memory.rate, work, memory):
+            memory.q[j] = motion.q_dot[j] + 0.5 * way * memory.a[j]
+        if not place_beside(arm, u, motion.q, memory.q, way, memory.rate, work, memory):
             return False
         memory.field[:] = 0.0
         add_wrench_stress(arm.rod, memory.mu, work, memory.field)
@@ -232,9 +233,7 @@ def differ_along_w(arm, u, motion, work, memory):
     small = SMALL_STRAIN / strained
     for i in range(2):
         way = small if i == 0 else -small
-        for j in range(memory.q.size):
-            memory.q[j] = motion.q[j] + way * memory.w[j]
-        if not place_beside(arm, u, memory.q, way, memory.along, work, memory):
+        if not place_beside(arm, u, motion.q, memory.w, way, memory.along, work, memory):
             return
         for m in range(0, memory.field.size, LANES):
             store(memory.field, m, load(memory.moving, m) + load(work.mismatch, m))

@@ -8,7 +8,7 @@ and over a period by equal steps, extrapolated as the integrator's: T = 2 T(h/2)
 and its adjoint, which takes cotangents of (q', v') to those of (dq, dv, df). Left out is how M, D, G and B change along the motion.
 """
 
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 
@@ -103,21 +103,13 @@ def make_plan(arm: Arm, periods: int, parts: int, forces: np.ndarray) -> Plan:
 
 
 @kernel
-def step_matrix(mass, damping, stiffness, h, out):
-    """A = M + h D + h^2 G of a step of length h, out (n, n)."""
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            out[i, j] = mass[i, j] + h * (damping[i, j] + h * stiffness[i, j])
-
-
-@kernel
 def add_jacobian(balance, h, count, share, plan, out):
     """Adds a share of the Jacobian (2 n, 2 n + k) of `count` steps of length h by (q, v, forces) to out."""
     n, inputs = plan.forces.shape
     solved, moved, rates, ahead, stiffness, mass = plan.solved, plan.moved, plan.rates, plan.ahead, balance.stiffness, balance.mass
-    step_matrix(mass, balance.damping, stiffness, h, plan.system)
     for i in range(n):
         for j in range(n):
+            plan.system[i, j] = mass[i, j] + h * (balance.damping[i, j] + h * stiffness[i, j])
             solved[i, j], solved[i, n + j] = -h * stiffness[i, j], mass[i, j]
         for j in range(inputs):
             solved[i, 2 * n + j] = h * plan.forces[i, j]
@@ -143,14 +135,6 @@ def add_jacobian(balance, h, count, share, plan, out):
             out[n + i, k] += share * rates[i, k]
 
 
-class Tip(NamedTuple):
-    """Tip of an arm, as copy_tip() writes it."""
-
-    tip_pose: np.ndarray
-    tip_jacobian: np.ndarray
-    tip_bias: np.ndarray
-
-
 @kernel
 def linearised_rollout(arm, scheme, motion, steps, scratch, plan):
     """Play plan.command from the motion, in place, and fill the plan with what happens and with the Jacobians by `steps` steps a period.
@@ -170,10 +154,10 @@ def linearised_rollout(arm, scheme, motion, steps, scratch, plan):
         copy(motion.q, plan.q[k])
         copy(motion.q_dot, plan.q_dot[k])
         copy(motion.state, plan.state[k])
-        copy_tip(scratch.work, Tip(plan.tip_pose[k], plan.tip_jacobian[k], plan.tip_bias))
+        copy_tip(scratch.work, plan.tip_pose[k], plan.tip_jacobian[k], plan.tip_bias)
         if k < periods:
             matrices_of_motion(arm, method, scratch)
-            actuation_matrix(arm.rod, arm.tendons, arm.strain, scratch.work, plan.forces)
+            actuation_matrix(arm, scratch.work, plan.forces)
             plan.jacobian[k] = 0.0
             add_jacobian(scratch.first, 0.5 * length / steps, 2 * steps, 2.0, plan, plan.jacobian[k])
             add_jacobian(scratch.first, length / steps, steps, -1.0, plan, plan.jacobian[k])

@@ -111,8 +111,7 @@ def lag_response(path, u, command, step):
 
 @kernel
 def lag_slopes(path, away, step):
-    """Derivatives by u of lag_response(), and of its mean over the time; those by the command are what is left to 1. Without a lag the
-    command is the mean, and u stays."""
+    """Derivatives by u of lag_response() and of its mean; those by the command are what is left to 1. Without a lag the command acts."""
     if not path.lags:
         return 1.0, 0.0
     limited, left = limited_time(path, away, step)
@@ -121,8 +120,7 @@ def lag_slopes(path, away, step):
 
 @kernel(refcount=True)
 def command_at(effects, acting, state, since, out):
-    """The command that acts a time [s] after the internal states were `state`, where `acting` (n_a) has arrived and is held; in `out`, or
-    `acting` itself."""
+    """The command that acts a time [s] after the internal states were `state`, where `acting` (n_a) has arrived; in `out`, or that itself."""
     if not effects.transmission.lags:
         return acting
     first = effects.first_state[effects.transmission.filter]

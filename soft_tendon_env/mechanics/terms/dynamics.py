@@ -12,8 +12,7 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import load6, scaled, store6
 
 
 class RowLayout(NamedTuple):
-    """Layout of a column: in every pack `groups` groups of `size` numbers, whole wide packs, of which the first `used` may
-    not be zero."""
+    """Layout of a column: in every pack `groups` groups of `size` numbers, whole wide packs, zero but for the first `used`."""
 
     groups: int
     size: int
@@ -91,17 +90,12 @@ def _reach(tile, first, last):
 
 
 @kernel
-def gram(columns, weight, rows, first, last, out):
-    """Weighted Gram matrix of columns: out_ij = sum over the rows of columns_i weight columns_j, symmetric.
+def gram_within(columns, others, weight, rows, first, last, packs, out):
+    """Weighted Gram matrix of columns and others_j, a symmetric matrix times columns_j: out_ij = sum over the rows of columns_i weight
+    others_j, over the packs packs[0]..packs[1]-1.
 
     Column j lives in the packs first[j]..last[j] and is zero elsewhere; `rows` is the layout of a pack.
     """
-    gram_within(columns, columns, weight, rows, first, last, (0, columns.size), out)
-
-
-@kernel
-def gram_within(columns, others, weight, rows, first, last, packs, out):
-    """gram() of columns and others_j, a symmetric matrix times columns_j, over the packs packs[0]..packs[1]-1 alone."""
     (begin, end), n, per_column = packs, first.size, columns.size // first.size
     for tile_i in range((n + TILE - 1) // TILE):
         begin_i, end_i = _reach(tile_i, first, last)
@@ -147,19 +141,19 @@ def combined_columns(Phi, q_dot, xi_dot):
 @kernel(inline=True)
 def mass_matrix(rod, strain, work):
     """Mass matrix M = int J^T M J dX (40a), of the body Jacobians at the nodes, into work.M."""
-    gram(work.J, rod.inertia, node_rows(), strain.first, strain.tip, work.M)
+    gram_within(work.J, work.J, rod.inertia, node_rows(), strain.first, strain.tip, (0, rod.packs), work.M)
 
 
 @kernel(inline=True)
 def damping_matrix(rod, strain, work):
     """Damping matrix D = int Phi^T Upsilon Phi dX, of the strain columns at the points, into work.D."""
-    gram(work.Phi, rod.viscosity, point_rows(rod), strain.first, strain.last, work.D)
+    gram_within(work.Phi, work.Phi, rod.viscosity, point_rows(rod), strain.first, strain.last, (0, rod.packs), work.D)
 
 
 @kernel(inline=True)
 def stiffness_matrix(rod, strain, work):
     """Stiffness G = int Phi^T Phi_w dX, of the columns Phi and their wrenches Phi_w times the weight in work.Y; symmetric."""
-    gram_within(work.Phi, work.Y, work.unit, point_rows(rod), strain.first, strain.last, (0, work.Phi.size), work.G)
+    gram_within(work.Phi, work.Y, work.unit, point_rows(rod), strain.first, strain.last, (0, rod.packs), work.G)
 
 
 @kernel

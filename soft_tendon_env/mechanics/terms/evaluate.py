@@ -43,8 +43,7 @@ def drive_strained_rod(arm, u, q, q_dot, work):
 
 @kernel
 def evaluate_forces(arm, u, q, q_dot, tolerance, work):
-    """M and all forces of (23) at (q, q_dot, u), effects at work.state and work.clock, in `work`; -1, or the block at which the strain
-    could not be found. See work.u_is_command for u."""
+    """M and all forces of (23) at (q, q_dot, u), work.state and work.clock, into `work`; -1, or the block without a strain."""
     place_base(arm, work)
     failed = strain_from_guess(arm, q, tolerance, work)
     if failed >= 0:
@@ -119,13 +118,13 @@ def equation_of_motion(arm, u, q, q_dot, rests, tolerance, work, out):
         failed = evaluate(arm, u, q, q_dot, tolerance, work)
     if failed >= 0:
         return failed, reached, PLACED
-    copy_tip(work, out)
+    copy_tip(work, out.tip_pose, out.tip_jacobian, out.tip_bias)
     copy_matrix(work.M, out.mass)
     copy_matrix(work.D, out.damping)
     copy_matrix(work.G, out.stiffness)
     copy(work.bias, out.bias)
     copy(work.load, out.external_force)
-    actuation_matrix(arm.rod, arm.tendons, arm.strain, work, out.actuation)
+    actuation_matrix(arm, work, out.actuation)
     if arm.effects.count > 0:
         add_implicit(arm, work)
     kinetic, place = 0.0, 0.0
@@ -141,14 +140,14 @@ def equation_of_motion(arm, u, q, q_dot, rests, tolerance, work, out):
 
 
 @kernel
-def copy_tip(work, out):
-    """Pose of the tip (4, 4), its body Jacobian (6, n) and bias (6,) from the last lane of the last pack into `out`."""
+def copy_tip(work, pose, jacobian, bias):
+    """Pose of the tip (4, 4), its body Jacobian (6, n) and bias (6,), written to these."""
     R, r = tip_pose_of(work.pose)
-    write_pose(R, r, out.tip_pose)
+    write_pose(R, r, pose)
     for i in range(4):
-        out.tip_pose[3, i] = 1.0 if i == 3 else 0.0
+        pose[3, i] = 1.0 if i == 3 else 0.0
     last = work.eta_bias.size - 6 * LANES + LANES - 1
     for i in range(6):
-        out.tip_bias[i] = work.eta_bias[last + i * LANES]
-        for j in range(out.tip_jacobian.shape[1]):
-            out.tip_jacobian[i, j] = work.J[j * work.eta_bias.size + last + i * LANES]
+        bias[i] = work.eta_bias[last + i * LANES]
+        for j in range(jacobian.shape[1]):
+            jacobian[i, j] = work.J[j * work.eta_bias.size + last + i * LANES]

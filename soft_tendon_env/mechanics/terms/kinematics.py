@@ -160,8 +160,7 @@ def poses_inside(length, interval, distance, work, out):
 
 @kernel
 def strains_inside(length, interval, distance, field, out):
-    """A field over points, xi, xi_dot or a column of Phi, as out (m, 6) at `distance` (m,) from the start of the intervals (m,): linear
-    between the two points of an interval."""
+    """A field over points as out (m, 6) at `distance` (m,) from the start of the intervals (m,), linear between their two points."""
     for m in range(interval.size):
         i = interval[m]
         pack, lane_index = i // LANES, i % LANES
@@ -228,8 +227,7 @@ def constant6(carry, row):
 
 @kernel
 def sweep(rod, strain, columns, work):
-    """Twist eta = J q_dot at every node, its bias J_dot q_dot, and the first `columns` columns of the body Jacobian J (17)-(18); after
-    poses()."""
+    """Twist eta = J q_dot at every node, its bias J_dot q_dot, and the first `columns` columns of J (17)-(18); after poses()."""
     n, packs = strain.size, rod.packs
     blocks = 2 * packs
     work.carry[:] = 0.0

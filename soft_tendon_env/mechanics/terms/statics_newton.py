@@ -10,10 +10,8 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load
 from soft_tendon_env.mechanics.algebra.lie import minus, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
-    inverse_diagonal,
     is_positive,
     load6,
-    load_factor,
     scaled,
     scaled_stiffness,
     solve,
@@ -134,13 +132,3 @@ def statics_is_unique(arm, strain, q, work):
     """Whether at most one strain belongs to q: no tendon pushes."""
     strain_tension(strain, q, work.tau)
     return all_pull(work.tau)
-
-
-@kernel
-def least_pivot(arm, strain, work):
-    """Least pivot of the section stiffness at the strain that solve_strain() left."""
-    softest = 0.0
-    for block in range(2 * arm.rod.packs):
-        i0, i1 = inverse_diagonal(load_factor(work.factor, block))
-        softest = max(softest, largest(i0[0]), largest(i0[1]), largest(i0[2]), largest(i1[0]), largest(i1[1]), largest(i1[2]))
-    return 1.0 / softest

@@ -9,9 +9,8 @@ import math
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, spread
 from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, times, twist_scaled, twist_sum
-from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store6, zero6
-from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
-from soft_tendon_env.mechanics.terms.tendons import tendon_forces, wrench_column
+from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
+from soft_tendon_env.mechanics.terms.tendons import actuation_wrench, tendon_forces
 
 BEFORE = 0.5 - math.sqrt(3.0) / 6.0  # of an interval, what lies before its first Gauss point and after its second
 CUT_ACROSS, CUT_INSIDE = ((part**2 / (3.0 * (1.0 - part))) for part in (2.0 * BEFORE, 1.0 - 2.0 * BEFORE))
@@ -93,26 +92,11 @@ def mean_slope(a):
 @kernel
 def add_lost_stress(arm, work):
     """Adds to work.stress the wrench that friction takes from the tendons, - sum tau (1 - share) s."""
-    rod, tendons = arm.rod, arm.tendons
-    blocks = 2 * rod.packs
+    tendons, blocks = arm.tendons, 2 * arm.rod.packs
     for block in range(blocks):
-        at, total = block * 6 * LANES, zero6()
+        at, total = block * 6 * LANES, load6(work.stress, block * 6 * LANES)
         for i in range(tendons.size):
             if tendons.first[i] <= block // 2 < tendons.last[i]:
-                geometry_at = (i * blocks + block) * 5 * LANES
-                t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
-                left = load(work.share, (i * blocks + block) * LANES)
-                lost = work.tension[i] * load(tendons.geometry, geometry_at + 4 * LANES) * (left - spread(1.0))
-                total = twist_sum(total, twist_scaled(lost, wrench_column(tendons.geometry, geometry_at, t)))
-        store6(work.stress, at, twist_sum(load6(work.stress, at), total))
-
-
-@kernel
-def weighted_column(arm, i, shares, work, out):
-    """Column (n) of the forces that a tendon makes by shares (tendons x points) of its tension, where actuation_column() has left its
-    wrenches in work.mismatch."""
-    blocks, field = 2 * arm.rod.packs, work.stress
-    for block in range(blocks):
-        at = block * 6 * LANES
-        store6(field, at, twist_scaled(load(shares, (i * blocks + block) * LANES), load6(work.mismatch, at)))
-    project(work.Phi, field, point_rows(arm.rod), arm.strain.first, arm.strain.last, out)
+                lost = work.tension[i] * (spread(1.0) - load(work.share, (i * blocks + block) * LANES))
+                total = twist_sum(total, twist_scaled(lost, actuation_wrench(tendons, blocks, block, i, work.tangent)))
+        store6(work.stress, at, total)

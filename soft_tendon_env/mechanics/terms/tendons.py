@@ -95,12 +95,20 @@ def pull(rod, tendons, block, xi, tau, tangent):
     return h, total
 
 
+@kernel(inline=True)
+def actuation_wrench(tendons, blocks, block, i, tangent):
+    """Actuation wrench Phi_a of a tendon at one block, by the tangents that pull() left."""
+    at = i * blocks + block
+    presence, t = load(tendons.geometry, (at * 5 + 4) * LANES), load3(tangent, at * 4 * LANES)
+    return twist_scaled(-presence, wrench_column(tendons.geometry, at * 5 * LANES, t))
+
+
 @kernel
-def actuation_matrix(rod, tendons, strain, work, out):
+def actuation_matrix(arm, work, out):
     """Actuation matrix B (n, n_a)."""
-    for i in range(tendons.size):
+    for i in range(arm.tendons.size):
         column = work.extra[0]
-        actuation_column(rod, tendons, strain, i, work, column)
+        actuation_column(arm, i, work.whole, work, column)
         for j in range(column.size):
             out[j, i] = column[j]
 
@@ -131,15 +139,12 @@ def tendon_lengths(rod, tendons, work, out):
 
 
 @kernel
-def actuation_column(rod, tendons, strain, i, work, out):
-    """Column B_i = int Phi^T Phi_a,i dX (40e) of the actuation matrix, into out (n)."""
-    blocks = 2 * rod.packs
+def actuation_column(arm, i, share, work, out):
+    """Column B_i = int Phi^T Phi_a,i dX (40e) of the actuation matrix, into out (n), with a share (tendons x points) of the tension."""
+    rod, strain, blocks = arm.rod, arm.strain, 2 * arm.rod.packs
     for block in range(blocks):
-        at, geometry_at = block * 6 * LANES, (i * blocks + block) * 5 * LANES
-        weight = load(rod.weight, block * LANES) * load(tendons.geometry, geometry_at + 4 * LANES)
-        xi = load6(work.xi, at)
-        t = unit_tangent(chord(tendons.geometry, geometry_at, xi[0], xi[1]))[0]
-        store6(work.mismatch, at, twist_scaled(-weight, wrench_column(tendons.geometry, geometry_at, t)))
+        weight = load(rod.weight, block * LANES) * load(share, (i * blocks + block) * LANES)
+        store6(work.mismatch, block * 6 * LANES, twist_scaled(weight, actuation_wrench(arm.tendons, blocks, block, i, work.tangent)))
     project(work.Phi, work.mismatch, point_rows(rod), strain.first, strain.last, out)
 
 

@@ -27,10 +27,10 @@ from soft_tendon_env.mechanics.algebra.lie import (
     twist_scaled,
     twist_sum,
 )
-from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store6
+from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
 from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
 from soft_tendon_env.mechanics.terms.kinematics import KAPPA, load_pose, magnus, pose_at, strains_of_part
-from soft_tendon_env.mechanics.terms.tendons import wrench_column
+from soft_tendon_env.mechanics.terms.tendons import actuation_wrench
 
 
 @kernel(inline=True)
@@ -110,10 +110,9 @@ def add_tendon_stress(rod, tendons, force, tangent, stress):
     blocks = 2 * rod.packs
     for i in range(tendons.size):
         for block in range(2 * tendons.first[i], 2 * tendons.last[i]):
-            at, geometry_at = i * blocks + block, (i * blocks + block) * 5 * LANES
-            column = wrench_column(tendons.geometry, geometry_at, load3(tangent, at * 4 * LANES))
-            weight = force[i] * load(rod.weight, block * LANES) * load(tendons.geometry, geometry_at + 4 * LANES)
-            store6(stress, block * 6 * LANES, twist_sum(load6(stress, block * 6 * LANES), twist_scaled(weight, column)))
+            weight = -force[i] * load(rod.weight, block * LANES)
+            wrench = twist_scaled(weight, actuation_wrench(tendons, blocks, block, i, tangent))
+            store6(stress, block * 6 * LANES, twist_sum(load6(stress, block * 6 * LANES), wrench))
 
 
 @kernel
