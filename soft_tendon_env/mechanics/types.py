@@ -51,16 +51,8 @@ class Strain(Struct):
     """Base of the strain parametrisations: what their n coordinates q mean."""
 
     size: int  # n
-
-    @property
-    def is_tensions(self) -> bool:
-        """True if q_i is the tension of tendon i, and nothing else is a coordinate."""
-        return False
-
-    @property
-    def has_potential(self) -> bool:
-        """True if all that acts inside of the strain has a potential, so that G is symmetric."""
-        return True
+    is_tensions = False  # whether q_i is the tension of tendon i, and nothing else is a coordinate
+    has_potential = True  # whether all that acts inside of the strain has a potential, so that G is symmetric
 
 
 class Implicit(Strain):
@@ -73,7 +65,7 @@ class Implicit(Strain):
     law: "StaticsBased"  # of tensions and passive wrenches
 
     @property
-    def is_tensions(self) -> bool:
+    def is_tensions(self) -> bool:  # type: ignore[override]
         """True if every tension is a coordinate and there are no passive ones."""
         return self.law.active == self.size and not self.law.mixed
 
@@ -123,7 +115,7 @@ class Loaded(Implicit):
     moment: tuple[float, float, float]  # at the tip [N m]
 
     @property
-    def has_potential(self) -> bool:
+    def has_potential(self) -> bool:  # type: ignore[override]
         """True without a dead moment, which has no potential."""
         return not any(self.moment)
 

@@ -52,10 +52,9 @@ class LoadMemory(Struct):
 class Workspace(Struct):
     """Arrays that one evaluation fills. The kernels read what the same evaluation has written, and besides:
 
-    xi, the guess from which the Newton of the statics-based strain starts; `clock`, `state`, `before` and `since`, when effects are
-    evaluated and what was before; what make_workspace() fills and nothing writes: `unit`, `whole`, `base` of an
-    arm that stands still, Phi of explicit strains, which are their fields, and zeros: the columns Phi, Y and J in packs where their
-    coordinate moves nothing, xi_bias of explicit strains, load without effects.
+    xi, the guess from which Newton starts; clock, state, before and since, when effects are evaluated and what was before; and what
+    nothing writes: ones, the base of an arm that stands still, Phi of explicit strains, which are their fields, and zeros, as of columns in
+    packs where their coordinate moves nothing.
     """
 
     tau: Annotated[np.ndarray, "n_a"]  # tensions of the strain law [N]; of explicit strains those that pull

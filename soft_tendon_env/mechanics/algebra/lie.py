@@ -1,9 +1,8 @@
 """Lie group SE(3): exponential, logarithm, adjoint and tangent operators in apply form, on numbers or on packs.
 
-Conventions, once for the whole package (paper, Appendices A and B): a twist is the pair `(k, p)`, angular first, of two
-3-tuples; a wrench is `(moment, force)`; a rotation is the 9-tuple of its rows. `exp` carries a twist Omega to the pose
-(R, r), and the tangent operator T is the one of the paper, T = sum ad^n / (n + 1)!, so that the body twist of exp(Omega(t))
-is Ad^-1 T Omega_dot.
+Conventions, once for the whole package (paper, Appendices A and B): a twist is the pair `(k, p)`, angular first, of two 3-tuples; a wrench
+is `(moment, force)`; a rotation is the 9-tuple of its rows. `exp` carries a twist Omega to the pose (R, r), and the tangent operator T is
+the one of the paper, T = sum ad^n / (n + 1)!, so that the body twist of exp(Omega(t)) is Ad^-1 T Omega_dot.
 
 Every 6x6 operator here (Ad, ad, T) has the shape [[A, 0], [C, A]]. It is kept as the pair `(A, C)`: a 3x3 matrix over the
 dual numbers A + eps C, as a twist is a 3-vector k + eps p. The SO(3) formulas then hold for SE(3) as they stand, with

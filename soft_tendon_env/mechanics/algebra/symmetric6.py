@@ -8,6 +8,7 @@ Its length is part of its type, so the compiler leaves out the rows of rigid str
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, smallest, spread, store
+from soft_tendon_env.mechanics.algebra.lie import dot
 
 
 @kernel(inline=True)
@@ -125,9 +126,7 @@ def solve(f, b, free):
 
 @kernel(inline=True)
 def squared_norm(x):
-    return (
-        x[0][0] * x[0][0] + x[0][1] * x[0][1] + x[0][2] * x[0][2] + x[1][0] * x[1][0] + x[1][1] * x[1][1] + x[1][2] * x[1][2]
-    )  # fmt: skip
+    return dot(x[0], x[0]) + dot(x[1], x[1])
 
 
 @kernel(inline=True)

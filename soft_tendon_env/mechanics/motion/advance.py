@@ -43,11 +43,10 @@ class Scheme(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """Outcome of an integration: status, time reached, counts of steps and evaluations."""
+    """Outcome of an integration: status, counts of steps and evaluations."""
 
     status: int
     row: int  # of the commands, the one that failed or one past the last
-    time: float  # [s] reached
     step: float  # [s] to try next
     steps: int
     rejected: int
@@ -88,22 +87,17 @@ def find_longest(arm, motion, q_dot, step, unforeseen, control, scratch):
     poses(arm.rod, work)
     node_twists(arm.rod, work)
     if step == 0.0:
-        keep_pose(work)
+        copy(work.pose, work.before_step.pose)
+        copy(work.base, work.before_step.base)
     work.before_step.time[0] = motion.clock[0]
     scratch.longest[0] = control.step
     work.contact.tunnelled[0], work.contact.active[0] = 1.0 if unforeseen else 0.0, 0.0
     for i in range(effects.count):
         if effects.limit[i] != 0:
             call(effects.limit[i], effects.parameters[i], (nodes_of(arm, work), scratch.longest))
-    if work.contact.tunnelled[0] == 0.0:
-        keep_pose(work)
-
-
-@kernel
-def keep_pose(work):
-    """Keeps the pose in `work` as that before the next step."""
-    copy(work.pose, work.before_step.pose)
-    copy(work.base, work.before_step.base)
+    if work.contact.tunnelled[0] == 0.0:  # for the next step
+        copy(work.pose, work.before_step.pose)
+        copy(work.base, work.before_step.base)
 
 
 @kernel
@@ -142,14 +136,6 @@ class Record(NamedTuple):
 
 
 @kernel
-def sample(arm, motion, work, index, record):
-    """Write the motion and its tip pose as one sample."""
-    copy(motion.q, record.q[index])
-    copy(motion.q_dot, record.q_dot[index])
-    tip_pose(arm, motion, work, record.tip_pose[index])
-
-
-@kernel
 def tip_pose(arm, motion, work, out):
     """Tip pose (4, 4) of a motion; the last row of `out` is there already."""
     copy(motion.xi, work.xi)
@@ -166,7 +152,7 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
     if any. A command is held until the next one, and acts as effects deliver and transmit it: as tensions, where there are none."""
     method, control, begins = scheme
     every, limited, contact = commands.shape[0] // max(record.q.shape[0], 1), limits_steps(arm.effects), scratch.work.contact
-    time, steps, rejected, total_error, evaluations = 0.0, 0, 0, 0.0, 0
+    steps, rejected, total_error, evaluations = 0, 0, 0.0, 0
     for row in range(commands.shape[0]):
         duration, begun, start, longest, touching = durations[row], 0.0, motion.clock[0], math.inf, False
         if limited:
@@ -180,7 +166,7 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
             u = scratch.acting
             receive(arm.effects, commands[row], begins and begun == 0.0, motion.clock[0], motion.state, u, scratch.until)
             if scratch.until[0] == -math.inf:
-                return Progress(COMMAND_QUEUE_FULL, row, time + begun, step, steps, rejected, total_error, evaluations)
+                return Progress(COMMAND_QUEUE_FULL, row, step, steps, rejected, total_error, evaluations)
             rest = min(duration - begun, scratch.until[0] - motion.clock[0])
             length = rest if step > rest * (1.0 - 1e-9) else step
             if longest < length:
@@ -199,7 +185,7 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
                 smaller = next_step(aim, method.columns, length, attempt) if status == INACCURATE and aim.adaptive else length
                 step = min(0.5 * length, smaller)
                 if step < (SHORTEST_STIFF * control.step if touching or arm.effects.transmission.elastic else control.smallest):
-                    return Progress(status, row, time + begun, step, steps, rejected, total_error, evaluations)
+                    return Progress(status, row, step, steps, rejected, total_error, evaluations)
                 continue
             begun += length
             motion.clock[0] = start + begun
@@ -211,9 +197,10 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
             total_error += attempt.error
             kept = step if length < step and not touching else 0.0
             step = min(control.step, max(next_step(aim, method.columns, length, attempt), kept))
-        time += duration
         motion.clock[0] = start + duration  # a sum over rows: the same however an input is cut into calls
         receive(arm.effects, commands[row], False, motion.clock[0], motion.state, scratch.acting, scratch.until)
         if record.q.shape[0] > 0 and (row + 1) % every == 0:
-            sample(arm, motion, scratch.work, row // every, record)
-    return Progress(OK, commands.shape[0], time, step, steps, rejected, total_error, evaluations)
+            copy(motion.q, record.q[row // every])
+            copy(motion.q_dot, record.q_dot[row // every])
+            tip_pose(arm, motion, scratch.work, record.tip_pose[row // every])
+    return Progress(OK, commands.shape[0], step, steps, rejected, total_error, evaluations)

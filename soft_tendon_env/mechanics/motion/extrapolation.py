@@ -13,7 +13,7 @@ import math
 from typing import NamedTuple
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.linear import copy
+from soft_tendon_env.mechanics.algebra.linear import copy, product
 from soft_tendon_env.mechanics.motion.implicit_euler import implicit_euler, start_matrices
 from soft_tendon_env.mechanics.motion.stages import Attempt, Substep, evaluate_force, predict_strain
 from soft_tendon_env.mechanics.motion.status import INACCURATE, NOT_FINITE, OK
@@ -87,26 +87,18 @@ def complete_row(row, scratch):
 
 
 @kernel
-def rms_displacement(mass_matrix, change, mass):
-    """Root mean square displacement of the rod [m] that a change of coordinates makes, sqrt(change^T M change / mass)."""
-    total = 0.0
-    for i in range(change.size):
-        momentum = 0.0
-        for j in range(change.size):
-            momentum += mass_matrix[i, j] * change[j]
-        total += change[i] * momentum
-    return math.sqrt(max(total, 0.0) / mass) if total == total else math.nan
-
-
-@kernel
 def error_estimate(rod, horizon, scratch):
-    """Status and error estimate [m] of the step to scratch.q, scratch.v: the root mean square displacement of the rod that the errors
-    error_q make at once or error_v within a horizon [s], that of a step as a rule, whichever is more."""
+    """Status and error estimate [m] of the step to scratch.q, scratch.v: the root mean square displacement of the rod, sqrt(e^T M e / m),
+    that error_q makes at once or error_v within a horizon [s], that of a step as a rule."""
+    mass, by_q, by_v = scratch.work.M, 0.0, 0.0
     for i in range(scratch.q.size):
         if not (math.isfinite(scratch.q[i]) and math.isfinite(scratch.v[i])):
             return NOT_FINITE, math.inf
-    displacement = rms_displacement(scratch.work.M, scratch.error_q, rod.mass[0])
-    return OK, max(displacement, horizon * rms_displacement(scratch.work.M, scratch.error_v, rod.mass[0]))
+        by_q += scratch.error_q[i] * product(mass[i], scratch.error_q)
+        by_v += scratch.error_v[i] * product(mass[i], scratch.error_v)
+    if not math.isfinite(by_q + by_v):
+        return NOT_FINITE, math.inf
+    return OK, max(math.sqrt(max(by_q, 0.0) / rod.mass[0]), horizon * math.sqrt(max(by_v, 0.0) / rod.mass[0]))
 
 
 @kernel

@@ -23,7 +23,7 @@ from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, scaled, store6
 from soft_tendon_env.mechanics.effects import call
-from soft_tendon_env.mechanics.terms.dynamics import combined_columns, node_rows, project
+from soft_tendon_env.mechanics.terms.dynamics import node_rows, project, sum_columns
 from soft_tendon_env.mechanics.terms.external_forces import NODE_SHARE, differ_wrenches, displace, effect_loads, nodes_of
 from soft_tendon_env.mechanics.terms.kinematics import poses
 from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess
@@ -91,15 +91,14 @@ def hold_fields(arm, with_inertia, work, memory):
     rod = arm.rod
     copy(work.xi, memory.xi)
     copy(work.xi_dot, memory.rate)
-    combined_columns(work.Phi, memory.w, memory.along)
-    combined_columns(work.J, memory.w, memory.zeta)
-    combined_columns(work.J, memory.a, memory.alpha)
+    sum_columns(work.Phi, memory.w, memory.along)
+    sum_columns(work.J, memory.w, memory.zeta)
+    sum_columns(work.J, memory.a, memory.alpha)
     for m in range(0, memory.xi.size, LANES):
         store(memory.moving, m, -load(rod.viscosity, m) * load(work.xi_dot, m))
         store(memory.damped, m, load(rod.viscosity, m) * load(memory.along, m))
-    for m in range(memory.inertial.size):
-        memory.inertial[m] = 0.0
-        memory.kappa[m] = 0.0
+    memory.inertial[:] = 0.0
+    memory.kappa[:] = 0.0
     if arm.effects.count > 0:
         hold_effects(arm, work, memory)
     share = 1.0 if with_inertia else 0.0

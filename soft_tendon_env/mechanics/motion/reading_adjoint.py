@@ -45,8 +45,11 @@ def read_adjoint(arm, places, tape, cotangents, row, work, memory):
     pull = cotangents.backbone_position[row]
     read_force(arm, places, cotangents.tip_pose[row], pull, cotangents.strain[row], work, own)
     add_tendon_stress(arm.rod, arm.tendons, cotangents.tendon_length[row], work.tangent, own.field)
-    if has_rates:
-        tip_turn(arm, twist, work, own)
+    if has_rates:  # the twist in the frame of the tip changes as that is turned
+        turned = coad_apply(tip_twist(arm.rod, work), as_wrench(twist))
+        own.wrench[:] = 0.0
+        add_at(own.wrench, own.wrench.size - 5 * LANES - 1, twist_scaled(-1.0, turned))
+        add_wrench_stress(arm.rod, own.wrench, work, own.field)
     stress_force(arm.rod, arm.strain, work, own.field, own.middle)
     for i in range(q.size):
         cotangents.q[row, i] += own.middle[i]
@@ -60,26 +63,23 @@ def read_adjoint(arm, places, tape, cotangents, row, work, memory):
     return OK
 
 
+@kernel(inline=True)
+def as_wrench(x):
+    """Numbers (6,) as a wrench."""
+    return (x[0], x[1], x[2]), (x[3], x[4], x[5])
+
+
 @kernel
 def read_force(arm, places, wrench, pull, force, work, own):
     """Stress into own.field that does the work of a wrench (6) on the tip, of `pull` (stations, 3), or (0, 3), on the positions of the
     stations, and of `force` (sensors, 6) on the strains at the sensors."""
     own.wrench[:] = 0.0
     own.field[:] = 0.0
-    add_at(own.wrench, own.wrench.size - 5 * LANES - 1, ((wrench[0], wrench[1], wrench[2]), (wrench[3], wrench[4], wrench[5])))
+    add_at(own.wrench, own.wrench.size - 5 * LANES - 1, as_wrench(wrench))
     if pull.shape[0] > 0:
         add_station_forces(arm.rod.length, places.station, places.station_distance, pull, work, own.wrench, own.field)
     add_wrench_stress(arm.rod, own.wrench, work, own.field)
     add_strain_stress(arm.rod.length, places.sensor, places.sensor_distance, force, own.field)
-
-
-@kernel
-def tip_turn(arm, wrench, work, own):
-    """Adds to own.field the stress of ad_eta^T of a wrench (6) on the tip, eta the tip's twist: how that changes as the tip is moved."""
-    turned = coad_apply(tip_twist(arm.rod, work), ((wrench[0], wrench[1], wrench[2]), (wrench[3], wrench[4], wrench[5])))
-    own.wrench[:] = 0.0
-    add_at(own.wrench, own.wrench.size - 5 * LANES - 1, twist_scaled(-1.0, turned))
-    add_wrench_stress(arm.rod, own.wrench, work, own.field)
 
 
 @kernel

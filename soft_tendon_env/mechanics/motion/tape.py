@@ -35,8 +35,8 @@ def make_tape(arm: Arm, rows: int, parts: int) -> Tape:
 @kernel(refcount=True)
 def motion_at(tape, row, border):
     """Motion of a row on the tape where a part begins, or the last one ends."""
-    clock = tape.clock[row, border : border + 1]
-    return Motion(tape.q[row, border], tape.q_dot[row, border], tape.xi[row, border], tape.state[row, border], clock)
+    own = row, border
+    return Motion(tape.q[own], tape.q_dot[own], tape.xi[own], tape.state[own], tape.clock[row, border : border + 1])
 
 
 @kernel

@@ -120,7 +120,7 @@ def lag_slopes(path, away, step):
 
 @kernel(refcount=True)
 def command_at(effects, acting, state, since, out):
-    """The command that acts a time [s] after the internal states were `state`, where `acting` (n_a) has arrived; in `out`, or that itself."""
+    """The command that acts a time [s] after the internal states were `state`, where `acting` (n_a) has arrived: `out`, or that."""
     if not effects.transmission.lags:
         return acting
     first = effects.first_state[effects.transmission.filter]

@@ -129,8 +129,8 @@ def project(columns, field, rows, first, last, out):
 
 
 @kernel
-def combined_columns(Phi, q_dot, xi_dot):
-    """Strain rate xi_dot = Phi q_dot."""
+def sum_columns(Phi, q_dot, xi_dot):
+    """Sum of columns, as the strain rate xi_dot = Phi q_dot."""
     for m in range(0, xi_dot.size, LANES):
         total = spread(0.0)
         for j in range(q_dot.size):
@@ -164,18 +164,12 @@ def driving_force(rod, strain, work):
     project(work.Phi, work.mismatch, point_rows(rod), strain.first, strain.last, work.drive)
 
 
-@kernel(inline=True)
-def bias_force(rod, strain, work):
-    """Bias force C q_dot = int J^T (M J_dot + ad*_eta M J) q_dot dX (40b), into work.bias."""
-    inertial_wrench(rod, work)
-    project(work.J, work.wrench, node_rows(), strain.first, strain.tip, work.bias)
-
-
 @kernel
-def inertial_wrench(rod, work):
-    """Inertial wrench at zero q_ddot, M eta_bias + ad*_eta M eta at every node, times the node's weight (40b)."""
+def bias_force(rod, strain, work):
+    """Bias force C q_dot = int J^T (M J_dot + ad*_eta M J) q_dot dX (40b), into work.bias, by the inertial wrenches at zero q_ddot."""
     for pack in range(rod.packs):
         at = pack * 6 * LANES
         inertia, eta = load6(rod.inertia, at), load6(work.eta, at)
         momentum = scaled(inertia, eta)
         store6(work.wrench, at, twist_sum(scaled(inertia, load6(work.eta_bias, at)), coad_apply(eta, momentum)))
+    project(work.J, work.wrench, node_rows(), strain.first, strain.tip, work.bias)

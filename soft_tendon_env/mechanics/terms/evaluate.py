@@ -34,8 +34,7 @@ def configure(arm, q, tolerance, work):
 @kernel
 def drive_strained_rod(arm, u, q, q_dot, work):
     """Drive of (23) at (q, q_dot, u), poses and Jacobians in `work`, where strain_from_guess() has just left the strain at q."""
-    tension = actuator_tensions(arm, u, work)
-    strain_columns(arm, tension, q, q_dot, work)
+    strain_columns(arm, actuator_tensions(arm, u, work), q, q_dot, work)
     driving_force(arm.rod, arm.strain, work)
     poses(arm.rod, work)
     sweep(arm.rod, arm.strain, arm.strain.size, work)

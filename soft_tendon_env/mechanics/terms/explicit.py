@@ -1,43 +1,29 @@
 """Explicit strain parametrisation: xi = xi* + Phi q with constant fields Phi."""
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import LANES, load
+from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
 from soft_tendon_env.mechanics.algebra.lie import twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
-from soft_tendon_env.mechanics.algebra.symmetric6 import load6, scaled, store6, symmetric_product, zero6
-from soft_tendon_env.mechanics.terms.dynamics import stiffness_matrix
+from soft_tendon_env.mechanics.algebra.symmetric6 import load6, scaled, store6, symmetric_product
+from soft_tendon_env.mechanics.terms.dynamics import stiffness_matrix, sum_columns
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
 from soft_tendon_env.mechanics.terms.tendons import pull
 from soft_tendon_env.mechanics.types import Explicit
 
 
-@kernel(inline=True)
-def combined(strain, blocks, block, amplitudes):
-    """Sum of the fields Phi with these amplitudes at one block."""
-    total, pack = zero6(), block // 2
-    for j in range(strain.size):
-        if strain.first[j] <= pack < strain.last[j]:
-            total = twist_sum(total, twist_scaled(amplitudes[j], load6(strain.field, (j * blocks + block) * 6 * LANES)))
-    return total
-
-
 @kernel
-def explicit_mismatch(rod, tendons, work):
-    """The stress that drives the coordinates under the tensions of work.tau, times the weight; leaves the tangents."""
+def explicit_columns(arm, strain, u, q, q_dot, work):
+    """Strain rate xi_dot, tangents, and the stress that drives the coordinates under tensions u (n_a), times the weight; xi is linear in q,
+    so its columns are constant and its bias stays the zero that it is."""
+    rod = arm.rod
+    explicit_rate(arm, strain, q_dot, work)
+    copy(u, work.tau)
     for block in range(2 * rod.packs):
         at, weight = block * 6 * LANES, load(rod.weight, block * LANES)
         stiff, xi = load6(rod.root_stiffness, at), load6(work.xi, at)
-        pulled = pull(rod, tendons, block, xi, work.tau, work.tangent)[1]
+        pulled = pull(rod, arm.tendons, block, xi, work.tau, work.tangent)[1]
         strained = twist_sum(xi, twist_scaled(-1.0, load6(rod.reference_strain, at)))
         store6(work.mismatch, at, twist_scaled(-weight, twist_sum(scaled(stiff, scaled(stiff, strained)), pulled)))
-
-
-@kernel
-def explicit_columns(arm, strain, u, q, q_dot, work):
-    """Strain rate xi_dot and mismatch; xi is linear in q, so its columns are constant and its bias stays the zero that it is."""
-    explicit_rate(arm, strain, q_dot, work)
-    copy(u, work.tau)
-    explicit_mismatch(arm.rod, arm.tendons, work)
 
 
 @kernel
@@ -61,10 +47,9 @@ def explicit_matrices(arm, strain, work):
 @kernel
 def solve_explicit(arm, strain, q, part, tolerance, contraction, work):
     """Strain xi = xi* + Phi q, which needs no guess."""
-    rod, blocks = arm.rod, 2 * arm.rod.packs
-    for block in range(blocks):
-        at = block * 6 * LANES
-        store6(work.xi, at, twist_sum(load6(rod.reference_strain, at), combined(strain, blocks, block, q)))
+    sum_columns(strain.field, q, work.xi)
+    for m in range(0, work.xi.size, LANES):
+        store(work.xi, m, load(arm.rod.reference_strain, m) + load(work.xi, m))
     return -1
 
 
@@ -77,9 +62,7 @@ def explicit_is_unique(arm, strain, q, work):
 @kernel
 def explicit_rate(arm, strain, q_dot, work):
     """Strain rate xi_dot = Phi q_dot."""
-    blocks = 2 * arm.rod.packs
-    for block in range(blocks):
-        store6(work.xi_dot, block * 6 * LANES, combined(strain, blocks, block, q_dot))
+    sum_columns(strain.field, q_dot, work.xi_dot)
 
 
 parametrises(Explicit, Parametrisation(solve_explicit, explicit_columns, explicit_matrices, explicit_is_unique, explicit_rate))

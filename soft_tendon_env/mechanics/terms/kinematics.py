@@ -30,7 +30,7 @@ from soft_tendon_env.mechanics.algebra.lie import (
     twist_sum,
 )
 from soft_tendon_env.mechanics.algebra.linear import copy
-from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store3, store6
+from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store6
 
 KAPPA = math.sqrt(3.0) / 12.0
 
@@ -54,14 +54,6 @@ def load_pose(field, at):
     return R, load3(field, at + 9 * LANES)
 
 
-@kernel(inline=True)
-def store_pose(field, at, R, r):
-    store3(field, at, (R[0], R[1], R[2]))
-    store3(field, at + 3 * LANES, (R[3], R[4], R[5]))
-    store3(field, at + 6 * LANES, (R[6], R[7], R[8]))
-    store3(field, at + 9 * LANES, r)
-
-
 @kernel
 def poses(rod, work):
     """Poses at the start and at the end of every interval, products of the exponentials exp(Omega) (11)."""
@@ -70,7 +62,8 @@ def poses(rod, work):
         at = 2 * pack * 6 * LANES
         Omega = magnus(h, load6(work.xi, at), load6(work.xi, at + 6 * LANES))
         R, r = exp_se3(Omega, coefficients(dot(Omega[0], Omega[0])))
-        store_pose(work.relative, pack * 12 * LANES, R, r)
+        store6(work.relative, pack * 12 * LANES, ((R[0], R[1], R[2]), (R[3], R[4], R[5])))
+        store6(work.relative, (pack * 12 + 6) * LANES, ((R[6], R[7], R[8]), r))
     chain(rod.packs, work)
 
 
@@ -180,17 +173,11 @@ def interval_operators(h, half, kappa, xi_1, xi_2, R, r):
     T, T_dual = dexp_operator(Omega, c)
     A = matmul(R, T)
     C = matrix_sum(matmul(R, T_dual), skew_times(r, A))
-    C_1 = matrix_sum(times_skew(C, xi_2[0]), times_skew(A, xi_2[1]))
-    C_2 = matrix_sum(times_skew(C, xi_1[0]), times_skew(A, xi_1[1]))
-    W_1 = (
-        matrix_sum(matrix_scaled(half, A), matrix_scaled(-kappa, times_skew(A, xi_2[0]))),
-        matrix_sum(matrix_scaled(half, C), matrix_scaled(-kappa, C_1)),
-    )
-    W_2 = (
-        matrix_sum(matrix_scaled(half, A), matrix_scaled(kappa, times_skew(A, xi_1[0]))),
-        matrix_sum(matrix_scaled(half, C), matrix_scaled(kappa, C_2)),
-    )
-    return W_1, W_2, A, C, Omega, c
+    A_1 = matrix_sum(matrix_scaled(half, A), matrix_scaled(-kappa, times_skew(A, xi_2[0])))
+    A_2 = matrix_sum(matrix_scaled(half, A), matrix_scaled(kappa, times_skew(A, xi_1[0])))
+    C_1 = matrix_sum(matrix_scaled(half, C), matrix_scaled(-kappa, matrix_sum(times_skew(C, xi_2[0]), times_skew(A, xi_2[1]))))
+    C_2 = matrix_sum(matrix_scaled(half, C), matrix_scaled(kappa, matrix_sum(times_skew(C, xi_1[0]), times_skew(A, xi_1[1]))))
+    return (A_1, C_1), (A_2, C_2), A, C, Omega, c
 
 
 @kernel(inline=True)

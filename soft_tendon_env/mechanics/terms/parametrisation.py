@@ -1,16 +1,7 @@
 """Strain parametrisations: registry of their compiled functions, and the continuation that finds a strain without a guess.
 
-A parametrisation is a struct of arrays (types.py), the arm's `strain`, and five compiled functions. Its class is part of
-the compiled type, so it selects their code. Each takes the arm and its strain first, and the workspace last:
-
-    solve(arm, strain, q, part, tolerance, contraction, work)
-                                                    the strain at q under `part` of the loads inside it, into work.xi, from the guess there;
-                                                    -1, or the block at which it could not be found; contraction: see CONTRACTION
-    columns(arm, strain, u, q, q_dot, work)         under tensions u, where solve has just left the strain: xi_dot, xi_bias, the
-                                                    columns Phi and the mismatch, of which B u - K is made
-    matrices(arm, strain, work)                     D and G, of what columns has left
-    is_unique(arm, strain, q, work)                 whether at most one strain belongs to q
-    rate(arm, strain, q_dot, work)                  xi_dot alone, where solve has just left the strain
+A parametrisation is a struct of arrays (types.py), the arm's `strain`, and five compiled functions. Its class is part of the compiled type,
+so it selects their code.
 """
 
 from collections.abc import Callable
@@ -29,7 +20,14 @@ MARGIN_PARTS = 16
 
 
 class Parametrisation(NamedTuple):
-    """The functions of one parametrisation."""
+    """The functions of one parametrisation. Each takes the arm and its strain first, and the workspace last.
+
+    solve(arm, strain, q, part, tolerance, contraction, work) finds the strain at q under `part` of the loads inside it, into work.xi, from
+    the guess there; -1, or the block at which it could not be found; contraction: see CONTRACTION. Where it has just left the strain,
+    columns(arm, strain, u, q, q_dot, work) makes xi_dot, xi_bias, the columns Phi and, under tensions u, the mismatch, of which B u - K is
+    made; matrices(arm, strain, work) D and G of these; rate(arm, strain, q_dot, work) xi_dot alone. is_unique(arm, strain, q, work):
+    whether at most one strain belongs to q.
+    """
 
     solve: Callable[..., Any]
     columns: Callable[..., Any]

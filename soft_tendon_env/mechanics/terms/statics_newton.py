@@ -1,8 +1,7 @@
 """Newton iteration for the statics-based strain (30), with the exact Jacobian (31)-(32).
 
-In scaled form, with C = Sigma^-1 (0 for rigid strains) and e = Sigma^1/2 (xi - xi*), the strain solves
-e + C^1/2 (sum tau s - Phi_p q_p) = 0. Its Jacobian H is symmetric, and positive definite as long as every tendon pulls: e then
-minimises a convex energy.
+In scaled form, with C = Sigma^-1 (0 for rigid strains) and e = Sigma^1/2 (xi - xi*), the strain solves e + C^1/2 (sum tau s - Phi_p q_p) =
+0. Its Jacobian H is symmetric, and positive definite as long as every tendon pulls: e then minimises a convex energy.
 """
 
 from soft_tendon_env.compiler.compilation import kernel

@@ -26,7 +26,7 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
     store6,
     store_factor,
 )
-from soft_tendon_env.mechanics.terms.dynamics import combined_columns, damping_matrix, point_rows, project
+from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, point_rows, project, sum_columns
 from soft_tendon_env.mechanics.terms.kinematics import poses
 from soft_tendon_env.mechanics.terms.load_hessian import factorise_hessian, load_stress, solve_hessian
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
@@ -155,7 +155,7 @@ def loaded_columns(arm, strain, u, q, q_dot, work):
         coordinate_wrenches(arm, law, block, u, q, work)
     for j in range(law.size):
         solve_hessian(rod, memory, work.Phi, j * size)
-    combined_columns(work.Phi, q_dot, work.xi_dot)
+    sum_columns(work.Phi, q_dot, work.xi_dot)
     load_acceleration(rod, strain, work, work.xi_bias)
     for block in range(2 * rod.packs):
         at = block * 6 * LANES

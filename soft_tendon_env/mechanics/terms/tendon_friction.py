@@ -10,6 +10,7 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, spread
 from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
+from soft_tendon_env.mechanics.terms.kinematics import twist_at
 from soft_tendon_env.mechanics.terms.tendons import actuation_wrench, tendon_forces
 
 BEFORE = 0.5 - math.sqrt(3.0) / 6.0  # of an interval, what lies before its first Gauss point and after its second
@@ -19,9 +20,8 @@ CUT_ACROSS, CUT_INSIDE = ((part**2 / (3.0 * (1.0 - part))) for part in (2.0 * BE
 
 @kernel
 def find_shares(arm, work):
-    """Shares of the tensions that are left along the tendons, in work.share, and what their friction is by their direction of sliding, in
-    work.slip and work.grip; True
-    if there is friction."""
+    """Shares of the tensions that friction leaves along the tendons, in work.share, and its derivatives by their direction of sliding, in
+    work.slip and work.grip; True if there is friction."""
     friction, tendons = arm.effects.transmission, arm.tendons
     if friction.friction == 0.0 or work.u_is_command[0] == 0.0:
         return False
@@ -38,13 +38,13 @@ def find_shares(arm, work):
 def tangent_at(arm, i, pack, z, m, work):
     """Unit tangent of a tendon at the z-th point of interval m of a pack, and its rate of turning with the section by arc length."""
     block = 2 * pack + z
-    at, xi = (i * 2 * arm.rod.packs + block) * 4 * LANES + m, block * 6 * LANES + m
+    at = (i * 2 * arm.rod.packs + block) * 4 * LANES + m
     t = work.tangent[at], work.tangent[at + LANES], work.tangent[at + 2 * LANES]
-    return t, cross((work.xi[xi], work.xi[xi + LANES], work.xi[xi + 2 * LANES]), t)
+    return t, cross(twist_at(work.xi, block, m)[0], t)
 
 
 @kernel
-def turned_by(one, other, distance):
+def tangent_change(one, other, distance):
     """How the tangent of a path turns between two points at this distance: within the section, and with it."""
     return plus(minus(other[0], one[0]), times(0.5 * distance, plus(one[1], other[1])))
 
@@ -60,10 +60,10 @@ def find_share(arm, i, friction, z, work):
             if width == 0.0 or geometry[(first * 5 + 4) * LANES + m] == 0.0:
                 continue
             one, other = tangent_at(arm, i, pack, 0, m, work), tangent_at(arm, i, pack, 1, m, work)
-            turned_inside = turned_by(one, other, (1.0 - 2.0 * BEFORE) * width)
+            turned_inside = tangent_change(one, other, (1.0 - 2.0 * BEFORE) * width)
             inside = math.sqrt(dot(turned_inside, turned_inside))
             if width_before > 0.0:
-                turned = turned_by(before, one, BEFORE * (width + width_before))
+                turned = tangent_change(before, one, BEFORE * (width + width_before))
                 across, both = math.sqrt(dot(turned, turned)), plus(turned, turned_inside)
                 cut = inside + across - math.sqrt(dot(both, both))
                 angle, inside = angle + across + CUT_ACROSS * cut, inside + CUT_INSIDE * cut
