@@ -113,15 +113,9 @@ def scaled(s, x):
 
 
 @kernel(inline=True)
-def inverse_diagonal(f):
-    """Inverse pivots 1 / D, twist-shaped."""
-    return (f[15], f[16], f[17]), (f[18], f[19], f[20])
-
-
-@kernel(inline=True)
 def solve(f, b, free):
     """Solution H^-1 b by the factor of H."""
-    return solve_upper(f, scaled(inverse_diagonal(f), solve_lower(f, b, free)), free)
+    return solve_upper(f, scaled(((f[15], f[16], f[17]), (f[18], f[19], f[20])), solve_lower(f, b, free)), free)
 
 
 @kernel(inline=True)

@@ -3,7 +3,6 @@
 Commands wait until the delay is over. What has arrived, c, acts as u with u_dot = clip((c - u) / tau, -r, r): as long as c is held u is a
 function of time that is known exactly, so that it is no coordinate of the integrator. Its steps end where commands arrive.
 The internal state is u (n_a) and a table (1 + room, 1 + n_a) of times of arrival and commands: what has arrived, and what is on its way.
-A command that repeats the last one does not wait: what it changes later counts as a change of that one.
 """
 
 import math
@@ -43,28 +42,54 @@ def receive(effects, command, begins, time, state, acting, until):
 
 @phase
 def arrive(effects, begins, time, state, acting, until):
-    """receive() of a filter, where `acting` holds what is commanded: it waits if it is not what was commanded before."""
+    """receive() of a filter, where `acting` holds what is commanded."""
     path, (u, table) = effects.transmission, filter_state(effects, state, acting.size)
     if path.delay > 0.0:
         count = 1
         while count < len(table) and table[count, 0] < NEVER:
             count += 1
-        if begins and differ(table[count - 1], acting):
-            if count == len(table):
+        if begins:
+            count = enqueue(time + path.delay, acting, table, count)
+            if count == 0:
                 until[0] = -math.inf
                 return
-            table[count, 0] = time + path.delay
-            copy(acting, table[count, 1:])
-            count += 1
         while count > 1 and table[1, 0] <= has_arrived_by(time):
             count -= 1
-            for row in range(count):
-                copy(table[row + 1], table[row])
-            table[count, 0] = NEVER
+            leave(0, count, table)
         copy(table[0, 1:], acting)
-        until[0] = table[1, 0]
+        for k in range(count - 1, 0, -1):
+            if differ(table[k - 1], table[k, 1:]):
+                until[0] = table[k, 0]
     if path.lags:
         until[0] = min(until[0], time + settling_time(path, u, acting))
+
+
+@kernel
+def enqueue(arrival, command, table, count):
+    """Adds a command to a table of `count` rows; how many there are then, 0 where there is no room. One that repeats the last one is kept
+    while there is room, since it has a derivative of its own."""
+    is_full, is_new = count == len(table), differ(table[count - 1], command)
+    if not is_new and (is_full or (count > 1 and table[count - 1, 0] >= arrival - EARLY)):
+        return count
+    if is_full:  # the first that repeats the one before it makes room
+        k = 1
+        while k < count and differ(table[k - 1], table[k, 1:]):
+            k += 1
+        if k == count:
+            return 0
+        count -= 1
+        leave(k, count, table)
+    table[count, 0] = arrival
+    copy(command, table[count, 1:])
+    return count + 1
+
+
+@kernel
+def leave(k, last, table):
+    """Takes the k-th row out of the table, of which `last` remain."""
+    for row in range(k, last):
+        copy(table[row + 1], table[row])
+    table[last, 0] = NEVER
 
 
 @kernel

@@ -6,7 +6,7 @@ In scaled form, with C = Sigma^-1 (0 for rigid strains) and e = Sigma^1/2 (xi - 
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load
-from soft_tendon_env.mechanics.algebra.lie import minus, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import dot, minus, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
     is_positive,
@@ -19,7 +19,7 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
     store_factor,
     zero6,
 )
-from soft_tendon_env.mechanics.terms.tendons import chord, pull, squared_length
+from soft_tendon_env.mechanics.terms.tendons import chord, pull
 
 MAX_NEWTON = 20
 CONTRACTION = 0.25
@@ -104,7 +104,7 @@ def chords_stay(rod, tendons, before, after):
             (k0, p0), (k1, p1) = load6(before, block * 6 * LANES), load6(after, block * 6 * LANES)
             c0, c1 = chord(tendons.geometry, at, k0, p0), chord(tendons.geometry, at, k1, p1)
             turn, presence = minus(c1, c0), load(tendons.geometry, at + 4 * LANES)
-            excess = squared_length(turn) - (MOST_TURN * MOST_TURN) * squared_length(c0)
+            excess = dot(turn, turn) - (MOST_TURN * MOST_TURN) * dot(c0, c0)
             if not largest(presence * excess) <= 0.0:
                 return False
     return True

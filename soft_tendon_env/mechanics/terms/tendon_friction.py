@@ -30,7 +30,9 @@ def find_shares(arm, work):
     for i in range(tendons.size):
         z = work.pull_rate[i] / math.hypot(work.pull_rate[i], friction.stiction_speed)
         turned = friction.friction * find_share(arm, i, friction.friction, z, work)
-        work.grip[i] = turned * mean_slope(turned * z) * work.tension[i]
+        a = turned * z  # the mean tension falls with it by the mean of u exp(-a u) over u from 0 to 1
+        slope = (1.0 - (1.0 + a) * math.exp(-a)) / (a * a) if abs(a) > 0.01 else 0.5 - a / 3.0 + a * a / 8.0
+        work.grip[i] = turned * slope * work.tension[i]
     return True
 
 
@@ -81,12 +83,6 @@ def leave_share(turned, z, at, work):
     """Share exp(-z mu phi) at a point, and its derivative."""
     work.share[at] = math.exp(-z * turned)
     work.slip[at] = turned * work.share[at]
-
-
-@kernel
-def mean_slope(a):
-    """Mean of u exp(-a u) over u from 0 to 1: how the mean tension falls with mu z phi = a."""
-    return (1.0 - (1.0 + a) * math.exp(-a)) / (a * a) if abs(a) > 0.01 else 0.5 - a / 3.0 + a * a / 8.0
 
 
 @kernel
