@@ -34,10 +34,10 @@ def coordinate_wrenches(arm, law, block, u, q, work):
         if tendons.first[i] <= pack < tendons.last[i]:
             wrench = actuation_wrench(tendons, blocks, block, i, work.tangent)
             mismatch = twist_sum(mismatch, twist_scaled(u[i] - work.tau[i], wrench))
-            for m in range(law.row[i], law.row[i + 1]):
-                at, column = (law.coordinate[m] * blocks + block) * 6 * LANES, wrench
+            for m in range(law.row_start[i], law.row_start[i + 1]):
+                at, column = (law.column[m] * blocks + block) * 6 * LANES, wrench
                 if law.mixed:
-                    column = twist_sum(load6(work.Phi, at), twist_scaled(law.mixing[m], wrench))
+                    column = twist_sum(load6(work.Phi, at), twist_scaled(law.weight[m], wrench))
                 store6(work.Phi, at, column)
                 store6(work.Y, at, twist_scaled(weight, column))
     for j in range(law.active, law.size):

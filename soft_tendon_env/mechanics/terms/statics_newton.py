@@ -47,8 +47,8 @@ def strain_tension(strain, q, tau):
     """Tensions of the strain law, tau = mixing q_a."""
     for i in range(tau.size):
         tau[i] = 0.0
-        for m in range(strain.row[i], strain.row[i + 1]):
-            tau[i] += strain.mixing[m] * q[strain.coordinate[m]]
+        for m in range(strain.row_start[i], strain.row_start[i + 1]):
+            tau[i] += strain.weight[m] * q[strain.column[m]]
 
 
 @kernel
