@@ -90,6 +90,7 @@ def leave(k, last, table):
     for row in range(k, last):
         copy(table[row + 1], table[row])
     table[last, 0] = NEVER
+    table[last, 1:] = 0.0
 
 
 @kernel
