@@ -35,10 +35,10 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> s
     return "\n".join([lines[0], "|" + "|".join("-" * (width + 2) for width in widths) + "|", *lines[1:]])
 
 
-def write_page(path: Path, title: str, parts: Sequence[str], preset: str = "of each row", sources: Iterable[str] = ()) -> None:
-    """A page of the docs: its first part, the stamp (preset, sources: see `soft_tendon_env.evaluation.pages.Stamp`), the others."""
+def write_page(path: Path, title: str, parts: Sequence[str]) -> None:
+    """A page of the docs: its first part, the stamp, the others."""
     first, *others = parts
-    path.write_text("\n\n".join([f"# {title}", first, stamp(preset, sources), *(own.strip("\n") for own in others)]) + "\n")
+    path.write_text("\n\n".join([f"# {title}", first, stamp(), *(own.strip("\n") for own in others)]) + "\n")
     print(f"written: {path}")
 
 

@@ -131,28 +131,24 @@ def measured(name: str, changes: dict, own: np.ndarray, full: np.ndarray, repeat
     return [Run(name, model.coordinate_count, integrator.columns, step, model.grid.per_piece, cpu, to_own, to_full)]
 
 
-def front(runs: Iterable[Run], distance: str) -> list[Run]:
-    """Those than which no other is both cheaper and nearer, cheapest first."""
+def front(runs: Iterable[Run], distance: str, nearer: float = 0.95) -> list[Run]:
+    """Those than which no other is both cheaper and nearer, cheapest first, each at most `nearer` times as far off as the one before."""
     best: list[Run] = []
     for run in sorted(runs, key=lambda run: (run.cpu, getattr(run, distance))):
-        if not best or getattr(run, distance) < 0.95 * getattr(best[-1], distance):  # 5 %: what is worth a row
+        if not best or getattr(run, distance) < nearer * getattr(best[-1], distance):
             best.append(run)
     return best
 
 
 def tables(runs: list[Run], repeats: int) -> str:
     """The report, as Markdown."""
-    names = [name for name in MODELS if any(run.model == name for run in runs)]
     parts = [
         f"Measured on: {machine()}; median of {repeats}. CPU times are milliseconds per simulated second.",
         "## What the scenes give as they ship",
         settings_table([run for run in runs if is_as_shipped(run)]),
         "## Best settings for full physics, all models together",
-        settings_table(front(runs, "full")),
+        settings_table(front(runs, "full", 0.75)),
     ]
-    for name in names:
-        parts += [f"## Best settings for {name}, by distance to its own converged solution"]
-        parts += [settings_table(front((run for run in runs if run.model == name), "own"))]
     return "\n\n".join(parts) + "\n"
 
 

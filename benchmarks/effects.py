@@ -119,7 +119,7 @@ def main() -> None:
     draw(evaluation, in_step, arguments.out / "effects.png")
     if arguments.write_docs:
         what = __doc__.split("\n\n", 2)[2]
-        write_page(DOCS, "Cost of the effects", (SUMMARY, what, table), "scene")
+        write_page(DOCS, "Cost of the effects", (SUMMARY, what, table))
 
 
 @kernel

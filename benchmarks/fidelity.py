@@ -63,7 +63,7 @@ def measured(name: str, seeds: range, seconds: float, steps: int) -> list[tuple[
     exact = {}
     for kind in KINDS:
         tolerance = (REFERENCE if kind in USUAL else WILD_REFERENCE) * rod_length(scene)
-        exact[kind] = reference_motions(scene, inputs[kind], tolerance).backbones
+        exact[kind] = reference_motions(scene, inputs[kind], tolerance).tips
     rows = []
     for label in (AS_SCENE, *PRESETS):
         own = at_fidelity(scene, label)
@@ -72,7 +72,7 @@ def measured(name: str, seeds: range, seconds: float, steps: int) -> list[tuple[
         errors, evaluations = [], []
         for kind in KINDS:
             runs = [ste.simulate(model, table, HOLD * len(table), HOLD) for table in inputs[kind]]
-            apart = [np.linalg.norm(run.tip_pose[:, :3, 3] - tips[:, -1], axis=1) for run, tips in zip(runs, exact[kind], strict=True)]
+            apart = [np.linalg.norm(run.tip_pose[:, :3, 3] - tips, axis=1) for run, tips in zip(runs, exact[kind], strict=True)]
             errors.append(f"{1e3 * np.max(apart):.3g}")
             evaluations += [run.evaluations / len(run.time[1:]) for run in runs if kind in USUAL]
         rows.append((name, label, str(model.coordinate_count), f"{np.mean(evaluations):.1f}", f"{microseconds:.0f}", *errors))

@@ -17,12 +17,10 @@ import numpy as np
 from _results import machine, markdown_table, write_csv, write_picture
 
 from soft_tendon_env.accuracy.fidelity import at_fidelity
-from soft_tendon_env.identification.fit import fit
-from soft_tendon_env.identification.intervals import intervals, shift
+from soft_tendon_env.identification.fit import fit, intervals, shift
 from soft_tendon_env.identification.markers import Marker, MarkerSet
 from soft_tendon_env.identification.parameters import read_parameters
-from soft_tendon_env.identification.plant import Plants
-from soft_tendon_env.identification.readings import Readings
+from soft_tendon_env.identification.readings import Plants, Readings
 from soft_tendon_env.identification.recordings import Recording
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
@@ -87,7 +85,7 @@ def experiment(fidelity: str, seed: int) -> Tried:
     readings = Readings(model, holds)
     found = fit(readings)
     finer = Readings(robot, holds)
-    spread = intervals(found, readings.cluster, model.parameters, None if model is robot else shift(found, finer))
+    spread = intervals(found, readings, None if model is robot else shift(found, finer))
     truth = np.array([own.at(at) for own, at in zip(model.parameters, x, strict=True)])
     hit = (spread.low <= truth) & (truth <= spread.high)
     return Tried(hit, (spread.high - spread.low) / truth, ~spread.identified, time.process_time() - start)

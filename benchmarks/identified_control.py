@@ -121,7 +121,7 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.quick:
         arguments.robots, arguments.seconds = 2, 1.2
-    page = Page(str(DOCS) if arguments.write_docs else None, [BLOCK], BELIEVED)
+    page = Page(str(DOCS) if arguments.write_docs else None, [BLOCK])
     print(f"{machine()}; {arguments.robots} robots\n")
     arguments.out.mkdir(parents=True, exist_ok=True)
     general = trained(DRAWING, {}, arguments.out / "agents" / "drawing", arguments.steps) if arguments.agents else None

@@ -147,7 +147,7 @@ def main() -> None:
     parser.add_argument("--write-docs", action="store_true", help=f"write the tables into {DOCS.name}")
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
-    page = Page(str(DOCS) if arguments.write_docs else None, [BLOCK], follow_ball.OPTIONS["fidelity"], [EXAMPLE])
+    page = Page(str(DOCS) if arguments.write_docs else None, [BLOCK])
     torch.set_num_threads(1)
     steps = ROWS * follow_ball.PERIODS * 3 if arguments.quick else arguments.steps
     arguments.out.mkdir(parents=True, exist_ok=True)

@@ -20,7 +20,7 @@ from _results import machine, markdown_table, write_csv, write_picture
 
 from soft_tendon_env.evaluation.settings import episode_steps
 from soft_tendon_env.policies import Policy, load_policy, policy_options
-from soft_tendon_env.robots import Report, RobotEnv, SimulatedRobot, read_log, rehearse, run_policy
+from soft_tendon_env.robots import Report, RobotEnv, SimulatedRobot, rehearse, run_policy
 
 ARM = {"scene": "three_tendon", "fidelity": "standard"}
 TASK = "TipPose"
@@ -112,7 +112,7 @@ def row_of(fault: str, arguments: argparse.Namespace, seconds: float) -> tuple[o
     since = f"{1e3 * (robot.slack_at - robot.begins):.0f}" if fault in FAULTS else "-"
     timing, noticed = report.timing, 1e3 * report.stop.seconds
     late = [f"{1e3 * value:.3f}" for value in (timing.p50, timing.p99, timing.worst)]
-    return fault, timing.periods, timing.overruns, *late, f"{noticed:.0f}", since, len(read_log(log).time), report.stop.cause
+    return fault, timing.periods, timing.overruns, *late, f"{noticed:.0f}", since, log.read_text().count("\n") - 2, report.stop.cause
 
 
 def ended(run: Callable[[], Report], real: RobotEnv) -> Report:

@@ -2,8 +2,8 @@
 
     python docs/generated.py [--list] [PAGE or PICTURE ...]
 
-What is current, by the digest of code and configuration in its stamp (soft_tendon_env/evaluation/pages.py), is left as it is: a stopped
-command goes on. --list only says what is not current.
+What is current, made at a commit since which no code or configuration has changed (see soft_tendon_env/evaluation/pages.py), is left as it
+is: a stopped command goes on. --list only says what is not current.
 """
 
 import argparse
@@ -37,7 +37,6 @@ class Made(Configuration):
     blocks: tuple[str, ...] = ()
     pictures: tuple[str, ...] = ()
     copied_from: str | None = None
-    preset: str = ""
     minutes: float | None = Field(default=None, gt=0.0)
 
     @property
@@ -49,7 +48,10 @@ class Made(Configuration):
         """Stamps of the blocks, or of the page, or of the pictures. Raises ValueError, FileNotFoundError."""
         if self.page is None:
             kept = read_json(STAMPS) if STAMPS.exists() else {}
-            return [Stamp(**kept[name]) if name in kept and (ROOT / name).is_file() else None for name in self.pictures]
+            return [
+                Stamp(*(kept[name][key] for key in Stamp._fields)) if name in kept and (ROOT / name).is_file() else None
+                for name in self.pictures
+            ]
         page = ROOT / self.page
         if not self.blocks and not page.exists():
             return [None]
@@ -76,7 +78,7 @@ class Made(Configuration):
         for name in self.pictures if self.copied_from is not None else ():
             shutil.copyfile(ROOT / self.copied_from / Path(name).name, ROOT / name)
         if self.page is None:
-            stamp = Stamp.of([str(ROOT / words[0]), *words[1:]] if program == "python" else words, self.preset)
+            stamp = Stamp.of([str(ROOT / words[0]), *words[1:]] if program == "python" else ["soft-tendon", *words])
             kept = {**(read_json(STAMPS) if STAMPS.exists() else {}), **dict.fromkeys(self.pictures, stamp._asdict())}
             STAMPS.write_text(json.dumps(dict(sorted(kept.items())), indent=1) + "\n")
         return True
@@ -104,18 +106,16 @@ def not_current() -> dict[Made, str]:
 
 
 def overview() -> str:
-    """A page of the documentation: every block with the command, commit and machine that made it. Raises ValueError, OSError."""
+    """A page of the documentation: every block with the command and commit that made it. Raises ValueError, OSError."""
     head = """# Generated tables and pictures
 
 `make tables` makes these tables and pictures anew where the code or the configuration has changed since. Each table carries a line with the
-command, the commit, the fidelity preset and the machine that made it. "-" stands for a table that was made before it carried such a line.
+command, the commit and the day. "-" stands for a table that was made before it carried such a line.
 """
-    rows = [head, "| made | command | commit | preset | day | machine |", "|---|---|---|---|---|---|"]
+    rows = [head, "| made | command | commit | day |", "|---|---|---|---|"]
     for made in listed():
         stamp = made.stamps()[0]
-        what = "-", "-", "-", "-"
-        if stamp is not None:
-            what = (stamp.commit or "-")[:10], stamp.preset, stamp.made, stamp.machine
+        what = ("-", "-") if stamp is None else ((stamp.commit or "-")[:10], stamp.made)
         names = ", ".join(f"[{Path(name).name}]({link(name)})" for name in made.names)
         rows.append(f"| {names} | `{made.command}` | {' | '.join(what)} |")
     return "\n".join(rows) + "\n"

@@ -1,5 +1,6 @@
 """MkDocs hook: puts what the package says of its environments in the place of lines that end with `<!-- environment: TipPose -->`,
-`<!-- arguments -->`, `<!-- reset options -->` or `<!-- presets -->`. What stands before says in the repository where to read it."""
+`<!-- arguments -->`, `<!-- reset options -->`, `<!-- presets -->` or `<!-- effects -->`. What stands before says in the repository where
+to read it."""
 
 import re
 import warnings
@@ -10,16 +11,21 @@ import gymnasium as gym
 from mkdocs.structure.pages import Page
 
 from soft_tendon_env.accuracy.fidelity import PRESETS
+from soft_tendon_env.effects import EFFECTS
+from soft_tendon_env.effects.contact.obstacles import SHAPES, Obstacle
+from soft_tendon_env.effects.disturbance import Load, Pulse, Sine
+from soft_tendon_env.effects.viscoelastic_memory import Branch
 from soft_tendon_env.envs import IDS, TASKS, Options, ResetOptions
 from soft_tendon_env.scene.scene import Quadrature
+from soft_tendon_env.tools.configuration import plain
 
-COMMENT = re.compile(r"^.*<!-- (?:environment: (\w+)|(arguments|reset options|presets)) -->$", re.MULTILINE)
+COMMENT = re.compile(r"^.*<!-- (?:environment: (\w+)|(arguments|reset options|presets|effects)) -->$", re.MULTILINE)
 FIDELITIES = ("scene", *PRESETS)
 
 
 def on_page_markdown(markdown: str, page: Page, **kwargs: Any) -> str:
     """Puts descriptions and tables in the place of comments. Raises KeyError for a task that does not exist."""
-    tables = {"arguments": arguments, "reset options": reset_options, "presets": presets}
+    tables = {"arguments": arguments, "reset options": reset_options, "presets": presets, "effects": effects}
     return COMMENT.sub(lambda match: environment(match[1]) if match[1] else tables[match[2]](), markdown)
 
 
@@ -79,6 +85,22 @@ def presets() -> str:
         rows.append([f'`"{name}"`', *(f"{100 * share:.3g} %" for share in shares), preset.quadrature["least"]])
     own = Quadrature()
     rows.append(['`"scene"`, unless the scene says', "-", "-", f"{100 * own.tolerance:.3g} %", own.least])
+    return table(rows)
+
+
+def effects() -> str:
+    """The keys of the effects, and of the tables in them, from the descriptions of their fields."""
+    tables = {f"effects.{name}": effect for name, effect in sorted(EFFECTS.items())}
+    loads = {"effects.disturbance.loads": Load, "signal = pulse": Pulse, "signal = sine": Sine}
+    tables |= {**loads, "effects.viscoelastic_memory.branches": Branch, "effects.contact.obstacles": Obstacle}
+    tables |= {f"type = {name}": shape for name, shape in SHAPES.items()}
+    rows = [["table", "key", "default", "meaning"], ["---"] * 4]
+    for name, own in tables.items():
+        known = {"type", *(Obstacle.model_fields if own is not Obstacle and issubclass(own, Obstacle) else ())}
+        for key, field in own.model_fields.items():
+            if key not in known:
+                default = "required" if field.is_required() else "-" if field.default is None else f"`{plain(field.default)}`"
+                rows.append([f"`{name}`", f"`{key}`", default, field.description])
     return table(rows)
 
 

@@ -13,6 +13,7 @@ class DragParameters(Struct):
 @register_effect("drag")
 class Drag(Effect):
     """`[effects.drag]`: the wrench -rate M eta on every slice of the rod, rate [1/s], M its inertia and eta its twist."""
+
     rate: float
 
     def parameters(self, rod):

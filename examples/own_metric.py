@@ -5,11 +5,11 @@
 
 from soft_tendon_env import load_scene
 from soft_tendon_env.cli.main import main, register_command
-from soft_tendon_env.evaluation.conditions import MODEL_ERRORS
+from soft_tendon_env.evaluation.conditions import MODEL_ERRORS, Condition
 from soft_tendon_env.evaluation.metrics import METRICS, Metric
 
 METRICS["peak"] = Metric("peak [N]", lambda episode, first: float(episode.tension.max()))
-MODEL_ERRORS["stiffness-50%"] = {"stiffness": 0.5}  # values of the option `randomize`
+MODEL_ERRORS["stiffness-50%"] = Condition(randomize={"stiffness": 0.5})
 
 
 @register_command("length", "the length of a scene's rod")

@@ -30,5 +30,5 @@ bend.options = {"observation": ["target_error"], "action": "increment"}
 
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).parent))
-    arguments = sys.argv[1:] or ["--settings", "nominal", "--difficulties", "easy", "--regimes", "tip", "--episodes", "4"]
+    arguments = sys.argv[1:] or ["--settings", "nominal", "--regimes", "tip", "--episodes", "4"]
     main(["arena", "--policies", "own_policy:bend", "filtered:tracking@fast", "--out", "out/own_policy", *arguments])

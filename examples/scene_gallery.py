@@ -41,7 +41,7 @@ def main() -> None:
         with_palette([picture(name)])[0].save(folder / f"{name}.png", optimize=True)
     if arguments.write_docs:
         page = DOCS / "reference" / "scenes.md"
-        page.write_text("\n".join([HEAD, stamp(FIDELITY), *map(section, scene_names())]) + "\n")
+        page.write_text("\n".join([HEAD, stamp(), *map(section, scene_names())]) + "\n")
         print(f"written: {page}")
 
 

@@ -6,7 +6,7 @@ from soft_tendon_env.model.inverse_statics import InverseEquilibrium, tension_fo
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import NoEquilibriumError, Simulation, SimulationDiverged, StepReport, Trajectory, simulate
 from soft_tendon_env.model.state import State
-from soft_tendon_env.model.statics import Equilibrium, commanded_equilibrium, static_equilibrium, static_stiffness
+from soft_tendon_env.model.statics import Equilibrium, commanded_equilibrium, static_equilibrium
 from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.model.terms import Energy, Terms
 from soft_tendon_env.scene.file import load_scene, save_scene, scene_names
@@ -41,7 +41,6 @@ __all__ = [
     "simulate",
     "static_derivatives",
     "static_equilibrium",
-    "static_stiffness",
     "tension_for_tip_pose",
     "tension_for_tip_position",
 ]

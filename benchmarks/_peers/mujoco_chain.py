@@ -117,7 +117,7 @@ def set_inertia(body: mujoco.MjsBody, scene: Scene, start: float, end: float) ->
     nodes, weights = np.polynomial.legendre.leggauss(4)
     arc = start + 0.5 * (end - start) * (nodes + 1.0)
     _, _, inertia = screw_matrices(scene, arc)
-    polar, across, _, mass, _, _ = (0.5 * (end - start) * weights * inertia.T)
+    polar, across, _, mass, _, _ = 0.5 * (end - start) * weights * inertia.T
     centre = mass @ (arc - start) / mass.sum()
     lever = mass @ (arc - start - centre) ** 2
     body.explicitinertial = True

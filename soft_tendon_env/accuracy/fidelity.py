@@ -13,7 +13,7 @@ from soft_tendon_env.accuracy.calibration import calibrated
 from soft_tendon_env.accuracy.test_inputs import USUAL
 from soft_tendon_env.model import build
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.passive_fields import FieldsWarning, PassiveFields, fields_of, find_fields
+from soft_tendon_env.scene.passive_fields import FieldsWarning, fields_of, find_fields
 from soft_tendon_env.scene.scene import TIP_TOLERANCE, Integrator, Quadrature, Scene, rod_length
 from soft_tendon_env.scene.strain import STRAINS, Snapshots, StaticsBased
 from soft_tendon_env.tools.checks import checked_type
@@ -98,10 +98,10 @@ def at_fidelity(scene: Scene, fidelity: str | None) -> Scene:
 
 def checked_fidelity(fidelity: str) -> str:
     """A fidelity that there is. Raises ValueError."""
-    if fidelity not in (*PRESETS, AS_SCENE) and not is_length(fidelity):
-        raise ValueError(f"should be {', '.join(map(repr, PRESETS))}, {AS_SCENE!r} or a length such as '1mm'")
     if is_length(fidelity):
         read_length(fidelity)
+    elif fidelity not in (*PRESETS, AS_SCENE):
+        raise ValueError(f"should be {', '.join(map(repr, PRESETS))}, {AS_SCENE!r} or a length such as '1mm'")
     return fidelity
 
 
@@ -113,18 +113,19 @@ def _leaves_strain_open(scene: Scene) -> bool:
 def _rod_of(scene: Scene) -> dict[str, Any]:
     """Strain table of the bare rod: the strains that exist and its borders, without what is a matter of accuracy."""
     if isinstance(scene.strain, StaticsBased):
-        own = scene.strain
-        kept = own.model_dump(include={"strains", "borders", "rank_tolerance", "include_loads"})
-        return {"type": "statics_based", **kept}
+        return scene.strain.model_dump(include={"type", "strains", "borders", "rank_tolerance", "include_loads"})
     free = [strain for strain in STRAINS if strain in scene.strain.free]
     return {"type": "statics_based", "strains": free, "borders": scene.strain.borders}
 
 
 def _passive(scene: Scene, preset: Preset) -> Any:
-    fields, file = _fields(scene.replace({"strain": _rod_of(scene)}), scene)
+    """Table of the passive fields: the arm's own, those of the file that its scene names if it does, or Legendre moments."""
+    named = scene.strain.passive if isinstance(scene.strain, StaticsBased) and isinstance(scene.strain.passive, Snapshots) else None
+    fields = fields_of(scene) if named else find_fields(scene.replace({"strain": _rod_of(scene)}))
     if fields is not None:
         count = fields.needed(preset.fields * rod_length(scene), USUAL)
         count = len(fields.coefficients) if count is None else count
+        file = {"file": named.file} if named and named.file else {}
         return {"type": "snapshots", "fields": count, "digest": fields.digest, **file} if count else ()
     warnings.warn(
         f"{scene.name!r} has no passive fields of its own, so that its accuracy is not known: Legendre moments up to order "
@@ -134,11 +135,3 @@ def _passive(scene: Scene, preset: Preset) -> Any:
     )
     angular = [strain for strain in STRAINS[:3] if strain in scene.strain.free]
     return [{"strains": angular, "order": preset.moments, "span": "rod"}] if angular else ()
-
-
-def _fields(bare: Scene, scene: Scene) -> tuple[PassiveFields | None, dict[str, str]]:
-    """The arm's own fields, those of the file that its scene names if it does, and how to name them."""
-    passive = scene.strain.passive if isinstance(scene.strain, StaticsBased) else ()
-    if isinstance(passive, Snapshots):
-        return fields_of(scene), {} if passive.file is None else {"file": passive.file}
-    return find_fields(bare), {}

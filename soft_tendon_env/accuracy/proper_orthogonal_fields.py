@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.polynomial import legendre
 
-from soft_tendon_env.accuracy.reference import LEVELS, Level, errors, full_physics, motion, reference_motions
+from soft_tendon_env.accuracy.reference import LEVELS, Level, distance, full_physics, reference_motions, tips, trajectory
 from soft_tendon_env.accuracy.test_inputs import MOTIONS, USUAL, Motion, motion_tensions
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.coordinates import actuation_columns
@@ -29,19 +29,16 @@ from soft_tendon_env.tools.parallel import processors, run_all
 from soft_tendon_env.tools.types import Array
 from soft_tendon_env.tools.user_cache import new_data_folder
 
-RUNS = 10
-"""Motions of each kind that snapshots are taken of."""
-KINDS: tuple[Motion, ...] = MOTIONS[:4]
-FIRST_SEED = 1000  # of the motions that fields are made from; those that test them have seeds from 0
+KINDS, TRAINED = USUAL, (*USUAL, "wild")
+"""Kinds of motions that fields are tested on, and that snapshots are taken of."""
+RUNS, FIRST_SEED = 10, 1000
+"""Motions of each kind that snapshots are taken of, and the first of their seeds."""
 WILD = 0.2  # weight of samples of wild motions, which are several times as large as the others
 RESOLVED = 1e-3  # of the rod's length: full physics may change by so much at its next refinement, to take snapshots of
 ENERGY = 0.01  # weight of the energy beside displacements and rotations, which fix no field that moves nothing
-TESTS = 2
-"""Motions of each kind, with seeds from 0, that the fields are tested on."""
-COUNTS = (0, 3, 4, 6, 7, 8, 9, 10, 12, 15, 18, 24)
-"""Numbers of fields that are tested."""
-TEST_INTERVALS, TEST_STEP, TEST_COLUMNS = 16, 0.005, 4
-REFERENCE, WILD_REFERENCE = 1e-4, 20.0  # of the rod's length, error of the reference motions; how much more that of wild ones
+TESTS, COUNTS = 2, (0, 3, 4, 6, 7, 8, 9, 10, 12, 15, 18, 24)
+"""Motions of each usual kind, with seeds from 0, that fields are tested on, and their numbers."""
+REFERENCE = 1e-4  # of the rod's length, error of the reference motions
 DEPENDENT = 1e-4  # relative size of tensions' fields that count as combinations of others
 
 
@@ -70,9 +67,8 @@ def make_passive_fields(scene: Scene) -> PassiveFields:
 
 def fields_path(scene: Scene) -> Path:
     """File of a scene's fields in the user's cache, named by its arm, tension limits and loads. Raises OSError where it has no folder."""
-    limits = [tendon.tension_limits for tendon in scene.tendons]
-    made_for = json.dumps([arm_of(scene), limits, scene.effects.everywhere().model_dump(mode="json", exclude_none=True)], sort_keys=True)
-    return new_data_folder("fields") / f"{hashlib.sha256(made_for.encode()).hexdigest()[:16]}{SUFFIX}"
+    made_for = [arm_of(scene), [tendon.tension_limits for tendon in scene.tendons], scene.effects.everywhere().model_dump(mode="json")]
+    return new_data_folder("fields") / f"{hashlib.sha256(json.dumps(made_for, sort_keys=True).encode()).hexdigest()[:16]}{SUFFIX}"
 
 
 def snapshots(scene: Scene) -> tuple[Array, Grid]:
@@ -81,20 +77,20 @@ def snapshots(scene: Scene) -> tuple[Array, Grid]:
     Raises ConfigurationError where full physics has none of them.
     """
     level = resolving_level(scene)
-    model = full_physics(scene, level)
 
     def residuals(which: tuple[Motion, int]) -> Array | None:
         kind, run = which
-        own = full_physics(scene.replace({"effects": _loads(scene, kind, run)}), level) if scene.effects.chosen() else model
-        q = motion(own, motion_tensions(scene, kind, FIRST_SEED + run))
-        return None if q is None else residual_wrenches(own, q[1:])
+        effects = scene.effects if run % 2 == 0 else scene.effects.sample_smaller(np.random.default_rng([run, MOTIONS.index(kind)]))
+        model = full_physics(scene.replace({"effects": effects.model_dump(mode="json", exclude_none=True)}), level)
+        found = trajectory(model, motion_tensions(scene, kind, FIRST_SEED + run))
+        weight = WILD if kind == "wild" else 1.0
+        return None if found is None else weight * residual_wrenches(model, found.q[1:]).reshape(len(found.q) - 1, -1)
 
-    runs = [(kind, run) for run in range(RUNS) for kind in KINDS]
+    runs = [(kind, run) for run in range(RUNS) for kind in TRAINED]
     wrenches = run_all(residuals, runs, processors(), "snapshots of full physics", unit="motion", threads=True)
-    found = [(wrench, WILD if kind == "wild" else 1.0) for (kind, _), wrench in zip(runs, wrenches, strict=True) if wrench is not None]
-    if not found:
+    if not (found := [wrench for wrench in wrenches if wrench is not None]):
         raise ConfigurationError([Problem((), "full physics diverges under every motion that passive fields are made from")])
-    return np.concatenate([weight * wrench.reshape(len(wrench), -1) for wrench, weight in found]), model.grid
+    return np.concatenate(found), full_physics(scene, level).grid
 
 
 def resolving_level(scene: Scene) -> Level:
@@ -102,11 +98,6 @@ def resolving_level(scene: Scene) -> Level:
     trial = [motion_tensions(scene, kind, FIRST_SEED, 0.5) for kind in USUAL]
     level = reference_motions(scene, trial, RESOLVED * rod_length(scene)).level
     return LEVELS[LEVELS.index(level) - 1]
-
-
-def _loads(scene: Scene, kind: Motion, run: int) -> dict[str, object]:
-    effects = scene.effects if run % 2 == 0 else scene.effects.sample_smaller(np.random.default_rng([run, MOTIONS.index(kind)]))
-    return dict(effects.model_dump(mode="json", exclude_none=True))
 
 
 def residual_wrenches(model: Model, q: Array) -> Array:
@@ -180,25 +171,21 @@ def fitted_polynomials(fields: Array, scene: Scene, grid: Grid) -> Array:
 
 
 def tested(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ...]]:
-    """Largest tip distance [m] from full physics on TESTS motions of each kind that the fields were not made from, for COUNTS of them.
-
-    The scene's own loads act; inf where the model, nan where full physics has no such motion.
+    """Largest tip distance [m] from full physics on TESTS motions of each usual kind that the fields were not made from, for COUNTS of
+    them. The scene's own loads act; inf where the model, nan where full physics has no such motion.
     """
     counts = [count for count in COUNTS if count <= len(fields.coefficients)]
-    inputs = {kind: [motion_tensions(scene, kind, seed) for seed in range(TESTS)] for kind in KINDS}
-    usual, wild = ([table for kind in kinds for table in inputs[kind]] for kinds in (USUAL, KINDS[len(USUAL) :]))
-    tolerance = REFERENCE * rod_length(scene)
-    exact = reference_motions(scene, usual, tolerance).backbones + reference_motions(scene, wild, WILD_REFERENCE * tolerance).backbones
+    inputs = [motion_tensions(scene, kind, seed) for kind in USUAL for seed in range(TESTS)]
+    exact = reference_motions(scene, inputs, REFERENCE * rod_length(scene)).tips
     with tempfile.TemporaryDirectory() as folder:
         fields.save(path := Path(folder) / "tested.json")
 
         def largest(count: int) -> Array:
             """Distances [m] by kind of motion."""
             passive = {"type": "snapshots", "fields": count, "file": str(path)} if count else []
-            integrator = {"step": TEST_STEP, "columns": TEST_COLUMNS}
-            model = model_on(scene.replace({"strain.passive": passive, "integrator": integrator}), TEST_INTERVALS)
-            apart = [errors(model, motion(model, tensions), own)[0] for tensions, own in zip([*usual, *wild], exact, strict=True)]
-            return np.array(apart).reshape(len(KINDS), TESTS).max(axis=1)
+            model = model_on(scene.replace({"strain.passive": passive, "integrator": {"step": 0.005, "columns": 4}}), 16)
+            apart = [distance(tips(model, tensions), own) for tensions, own in zip(inputs, exact, strict=True)]
+            return np.array(apart).reshape(len(USUAL), TESTS).max(axis=1)
 
         found = np.array(run_all(largest, counts, processors(), "tests of the fields", unit="model", threads=True)).T.tolist()
-    return {"fields": tuple(map(float, counts)), **{kind: tuple(own) for kind, own in zip(KINDS, found, strict=True)}}
+    return {"fields": tuple(map(float, counts)), **{kind: tuple(own) for kind, own in zip(USUAL, found, strict=True)}}

@@ -1,4 +1,4 @@
-"""Converged reference motions: full Cosserat-rod physics, refined until the arm's motion no longer changes, with an error bar.
+"""Converged reference motions: full Cosserat-rod physics, refined until the arm's tip no longer moves, with an error bar.
 
 Full physics is an explicit Legendre basis of every strain that the rod has. Its order, the quadrature and the step are refined together,
 so that what a motion changes by from one level to the next bounds the error of the finer one.
@@ -18,9 +18,6 @@ from soft_tendon_env.scene.scene import Scene, breakpoints, extrapolation_column
 from soft_tendon_env.tools.parallel import processors, run_all
 from soft_tendon_env.tools.types import Array
 
-STATIONS = 10
-"""Places along the rod, the tip the last, that motions are compared at."""
-
 
 class Level(NamedTuple):
     """How fine full physics is."""
@@ -39,19 +36,17 @@ LEVELS = (
     Level(8, 2, 24, 0.00125),
     Level(8, 4, 24, 0.001),
 )
-COLUMNS = 4  # where the damping allows them
 
 
 class Reference(NamedTuple):
     """Motions of full physics.
 
-    backbones: positions [m] of STATIONS places every HOLD, the start first, (rows + 1, STATIONS, 3) for every input; None where full
-    physics has no such motion. errors: [m], what each still changed by at the tip and along the backbone when it was last refined.
+    tips: positions [m] of the tip every HOLD, the start first, (rows + 1, 3) for every input; None where full physics has no such motion.
+    tip_errors: [m], what each still changed by when it was last refined.
     """
 
-    backbones: tuple[Array | None, ...]
+    tips: tuple[Array | None, ...]
     tip_errors: tuple[float, ...]
-    backbone_errors: tuple[float, ...]
     level: Level
 
 
@@ -61,8 +56,8 @@ def full_physics(scene: Scene, level: Level) -> Model:
     cuts = [a + (b - a) * np.arange(1, level.cuts) / level.cuts for a, b in zip(borders[:-1], borders[1:], strict=True)]
     modes = [{"strains": list(scene.strain.free), "order": level.order, "span": "piece"}]
     strain = {"type": "explicit", "modes": modes, "borders": [*scene.strain.borders, *np.concatenate(cuts).tolist()]}
-    columns = min(COLUMNS, max(extrapolation_columns(scene.replace({"integrator": {"step": level.step}})), 2))
-    changes = {"strain": strain, "integrator": {"step": level.step, "columns": COLUMNS if columns > 2 else 2}}
+    is_damped = extrapolation_columns(scene.replace({"integrator": {"step": level.step}})) > 2
+    changes = {"strain": strain, "integrator": {"step": level.step, "columns": 4 if is_damped else 2}}
     return model_on(scene.replace(changes), level.intervals)
 
 
@@ -79,46 +74,32 @@ def trajectory(model: Model, tensions: Array) -> Trajectory | None:
         return None
 
 
-def motion(model: Model, tensions: Array) -> Array | None:
-    """Coordinates (rows + 1, n) of the `trajectory`."""
+def tips(model: Model, tensions: Array) -> Array | None:
+    """Positions (rows + 1, 3) [m] of the tip on the `trajectory`."""
     found = trajectory(model, tensions)
-    return None if found is None else found.q
+    return None if found is None else found.tip_pose[:, :3, 3]
 
 
-def backbones(model: Model, q: Array) -> Array:
-    """Positions [m] of STATIONS places along the rod, the tip the last, at coordinates (samples, n): (samples, STATIONS, 3)."""
-    places = np.linspace(0.0, model.length, STATIONS + 1)[1:]
-    return np.array([model.backbone_at(sample, places)[:, :3, 3] for sample in q])
-
-
-def distances(found: Array, reference: Array) -> tuple[float, float]:
-    """Largest distance [m] over the motion between two tips, and between any two places along backbones (samples, STATIONS, 3)."""
-    apart = np.linalg.norm(found - reference, axis=2)
-    return float(apart[:, -1].max()), float(apart.max())
-
-
-def errors(model: Model, q: Array | None, reference: Array | None) -> tuple[float, float]:
-    """`distances` of a motion (samples, n) from a reference; inf where the model, nan where full physics has no such motion."""
+def distance(found: Array | None, reference: Array | None) -> float:
+    """Largest distance [m] of tips (samples, 3) from a reference; inf where the model, nan where full physics has no such motion."""
     if reference is None:
-        return np.nan, np.nan
-    return (np.inf, np.inf) if q is None else distances(backbones(model, q), reference)
+        return np.nan
+    return np.inf if found is None else float(np.linalg.norm(found - reference, axis=1).max())
 
 
 def reference_motions(scene: Scene, inputs: Sequence[Array], tolerance: float) -> Reference:
     """Motions of full physics under inputs (rows, n_a) [N], each row held for HOLD, each refined until it does not change by more than
-    `tolerance` [m], or to the finest of LEVELS, where errors say how far it is. The level is that of the last to be refined.
+    `tolerance` [m], or to the finest of LEVELS, where tip_errors say how far it is. The level is that of the last to be refined.
     """
     found: list[Array | None] = [None] * len(inputs)
-    changes = [(np.inf, np.inf)] * len(inputs)
-    rest = list(range(len(inputs)))
+    changes, rest = [np.inf] * len(inputs), list(range(len(inputs)))
     for level in LEVELS:
         model, label = full_physics(scene, level), f"full physics, steps of {1e3 * level.step:g} ms"
-        motions = run_all(partial(motion, model), [inputs[i] for i in rest], processors(), label, unit="motion", threads=True)
-        for i, q in zip(rest, motions, strict=True):
-            now, before = None if q is None else backbones(model, q), found[i]
-            found[i], changes[i] = now, (np.inf, np.inf) if now is None or before is None else distances(now, before)
-        rest = [i for i in rest if found[i] is None or changes[i][0] > tolerance]
+        motions = run_all(partial(tips, model), [inputs[i] for i in rest], processors(), label, unit="motion", threads=True)
+        for i, now in zip(rest, motions, strict=True):
+            changes[i] = np.inf if now is None or found[i] is None else distance(now, found[i])
+            found[i] = now
+        rest = [i for i in rest if found[i] is None or changes[i] > tolerance]
         if not any(found[i] is not None for i in rest) and len(rest) < len(inputs):
             break
-    tips, all_along = zip(*changes, strict=True)
-    return Reference(tuple(found), tips, all_along, level)
+    return Reference(tuple(found), tuple(changes), level)

@@ -2,8 +2,8 @@
 
 Each kind keeps to a band of every tendon's range of tension. On the paper's arm (0 to 60 N) they are tensions redrawn in 0 to 15 N
 every 100 ms, a walk in 0 to 20 N with increments of up to 2 N every 20 ms, sin² of about 0.8 Hz with amplitudes of up to 20 N,
-tensions redrawn in 0 to 60 N every 20 ms, a step to tensions within 20 N, tensions within 20 N with noise of 2.4 N (rms) every 20 ms, up
-to 24 N, and pulses of up to 20 N for 40 to 300 ms.
+tensions redrawn in 0 to 60 N every 20 ms, a step to tensions within 20 N, and tensions within 20 N with noise of 2.4 N (rms) every
+20 ms, up to 24 N.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,15 +14,15 @@ import numpy as np
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.types import Array
 
-Motion = Literal["redrawn", "increments", "smooth", "wild", "step", "noisy", "pulses"]
+Motion = Literal["redrawn", "increments", "smooth", "wild", "step", "noisy"]
 
 MOTIONS: tuple[Motion, ...] = get_args(Motion)
 """The kinds of inputs: the first three are what agents and controllers make, the fourth what an agent makes before it has learned."""
 
 USUAL: tuple[Motion, ...] = MOTIONS[:3]
 """The kinds that the errors of passive fields and presets are stated for."""
-CALIBRATED: tuple[Motion, ...] = (*USUAL, *MOTIONS[5:])
-"""The kinds that a scene is calibrated on: with those of exploring and of uneven hands, which move an arm faster than the usual ones."""
+CALIBRATED: tuple[Motion, ...] = (*USUAL, "noisy")
+"""The kinds that a scene is calibrated on: with those of an agent that explores, which move an arm faster than the usual ones."""
 
 HOLD = 0.02
 """Time [s] for which each row of a table of tensions is held: the environments' control period."""
@@ -30,7 +30,6 @@ HOLD = 0.02
 REDRAWN_EVERY = 5  # rows
 INCREMENT = 0.1  # of the band, the largest change from row to row
 MEAN, NOISE = 5 / 6, 0.1  # of the band: the largest mean, and the noise, root mean square
-PULSES, SHORTEST, LONGEST = 3, 2, 15  # of each tendon, rows
 FREQUENCY, DETUNED = 0.8, 0.1  # [Hz], and by what share it differs from tendon to tendon
 
 
@@ -56,15 +55,6 @@ def _noisy(random: np.random.Generator, rows: int, slack: Array) -> Array:
     return np.clip(slack + MEAN * (random.random(slack.size) - slack) + NOISE * random.normal(size=(rows, slack.size)), 0.0, 1.0)
 
 
-def _pulses(random: np.random.Generator, rows: int, slack: Array) -> Array:
-    table = np.tile(slack, (rows, 1))
-    for i in range(slack.size):
-        for _ in range(PULSES):
-            first, height = int(random.integers(rows)), random.random()
-            table[first : first + int(random.integers(SHORTEST, LONGEST + 1)), i] = height
-    return table
-
-
 class _Kind(NamedTuple):
     band: float  # share of the range of tension
     table: Callable[[np.random.Generator, int, Array], Array]  # of values in the band, from 0 to 1; slack is where the arm begins
@@ -77,7 +67,6 @@ KINDS: Mapping[Motion, _Kind] = {
     "wild": _Kind(1.0, lambda random, rows, slack: random.random((rows, slack.size))),
     "step": _Kind(1 / 3, lambda random, rows, slack: np.tile(random.random(slack.size), (rows, 1))),
     "noisy": _Kind(2 / 5, _noisy),
-    "pulses": _Kind(1 / 3, _pulses),
 }
 
 

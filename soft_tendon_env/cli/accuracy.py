@@ -9,19 +9,19 @@ from pydantic import Field, model_validator
 
 from soft_tendon_env.accuracy.calibration import (
     MARGIN,
+    REFERENCE,
     calibrate,
     check_tolerance,
     made_fields,
     own_fields,
     recommended,
-    reference_error,
     refuse_obstacles,
     usual_inputs,
 )
 from soft_tendon_env.accuracy.fidelity import PRESETS, build_model
 from soft_tendon_env.accuracy.pareto import Point, cpu_time, measure
 from soft_tendon_env.accuracy.reference import Reference, reference_motions
-from soft_tendon_env.accuracy.settings import Setting, cost_model, kernel_digest
+from soft_tendon_env.accuracy.settings import Setting
 from soft_tendon_env.accuracy.test_inputs import CALIBRATED, Motion, motion_tensions
 from soft_tendon_env.cli.arms import ArmSettings
 from soft_tendon_env.cli.errors import install_command, missing_extras, writable_folder
@@ -31,7 +31,7 @@ from soft_tendon_env.evaluation.tables import markdown_table, number, write_csv
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.file import save_scene
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields
-from soft_tendon_env.scene.scene import Scene, extrapolation_columns
+from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.files import read_numbers
 from soft_tendon_env.tools.messages import UserError, describe, say
@@ -40,18 +40,17 @@ from soft_tendon_env.tools.types import Array, GivenLength, length_text
 STOPPED = "stopped: nothing was kept"
 FIRST_UNSEEN = 3000
 """Seed of the first motion that settings are checked on."""
-HEADER = ("strain field", "coordinates", "intervals", "integrator", "evaluations", "CPU [ms]", "model [ms]", "tip [mm]", "backbone [mm]")
+HEADER = ("strain field", "coordinates", "intervals", "tolerance [um]", "evaluations", "CPU [ms]", "model [ms]", "tip [mm]")
 
 
 class Accuracy(ArmSettings):
-    """Accuracy against computing time of an arm: strain fields x quadrature x integrator x step against converged full physics.
+    """Accuracy against computing time of an arm: strain fields x quadrature x tolerance against converged full physics.
 
     The scene's loads act.
 
     Attributes:
         motion: kinds of the motions that settings are judged by.
-        seeds: seeds of the motions, each of every kind; by default 500 and on, six of noisy motions, four of pulses, three of any other
-            kind.
+        seeds: seeds of the motions, each of every kind; by default 500 to 504.
         input: a CSV file of tensions [N] in place of these motions, a column per tendon and a line of names first; rows are held 20 ms.
         within: distance of the tip from full physics to stay within, such as 1mm: the cheapest setting for it is written as a TOML scene.
         check: number of further motions of these kinds on which to count how often that setting stays within it.
@@ -96,7 +95,7 @@ def run(arguments: Sequence[str]) -> None:
         out = writable_folder(Path(settings.out))
     try:
         fields = own_fields(scene) if tolerance is None else made_fields(scene)
-        calibration = calibrate(scene, inputs, fields, tolerance)
+        calibration = calibrate(scene, inputs, fields)
         shown = [(point, build_model(point.setting.of(scene), "scene")) for point in calibration.front]
         for name in PRESETS:
             model = build_model(scene, name)
@@ -131,28 +130,24 @@ def read_input(path: Path, scene: Scene) -> Array:
 
 def preset_setting(name: str, model: Model) -> Setting:
     """Setting that a preset comes to, without its table of the strain."""
-    integrator = model.scene.integrator
-    columns = extrapolation_columns(model.scene) if integrator.tolerance is None else None
-    return Setting(f"({name})", {}, model.grid.per_piece, integrator.step, columns, integrator.tolerance)
+    return Setting(f"({name})", {}, model.grid.per_piece, model.scene.integrator.tolerance or 0.0)
 
 
 def report(settings: Accuracy, scene: Scene, reference: Reference, costs: Sequence[tuple[Point, float]], has_fields: bool) -> str:
     """The Pareto front and the presets as a table, each with its measured CPU time, and the accuracy of the reference."""
-    tip, backbone = (1e3 * max(filter(np.isfinite, errors), default=np.nan) for errors in (reference.tip_errors, reference.backbone_errors))
+    bar = 1e3 * max(filter(np.isfinite, reference.tip_errors), default=np.nan)
     level = reference.level
     parts = "" if level.cuts == 1 else f" in {level.cuts} parts"
-    lost = sum(motion is None for motion in reference.backbones)
+    lost = sum(motion is None for motion in reference.tips)
     motions = ", ".join(settings.motion) if settings.input is None else settings.input
     lines = [
-        f"{scene.name}: largest distance from full physics on {len(reference.backbones)} motions ({motions}); {machine()}.",
+        f"{scene.name}: largest distance from full physics on {len(reference.tips)} motions ({motions}); {machine()}.",
         f"Reference: Legendre order {level.order} per piece{parts}, {level.intervals} intervals, steps of {1e3 * level.step:g} ms. "
-        f"Error bar, what its last refinement changed: {number(tip)} mm at the tip, {number(backbone)} mm along the backbone.",
+        f"Error bar, what its last refinement changed: {number(bar)} mm at the tip.",
         "Evaluations and CPU times, measured and by the cost model, are of a simulated second.",
     ]
     if lost:
         lines.append(f"Full physics has no motion under {lost} of them: those do not count.")
-    if cost_model().kernels != kernel_digest():
-        lines.append("The cost model was fitted to other kernels than these: `python benchmarks/evaluation_cost.py --write` fits it anew.")
     if not has_fields:
         lines.append(f"No passive fields of the arm's own are there to be tried: `soft-tendon fields {settings.scene}` makes them.")
     table = markdown_table(HEADER, [row(point, time) for point, time in costs])
@@ -162,16 +157,16 @@ def report(settings: Accuracy, scene: Scene, reference: Reference, costs: Sequen
 def row(point: Point, time: float) -> tuple[str, ...]:
     """Cells of the table, below HEADER."""
     setting = point.setting
-    numbers = (number(1e3 * value) for value in (time, point.cost, point.tip_error, point.backbone_error))
-    return setting.name, str(point.coordinates), str(setting.intervals), setting.integrator, f"{point.evaluations:.0f}", *numbers
+    numbers = (number(1e3 * value) for value in (time, point.cost, point.tip_error))
+    sizes = str(point.coordinates), str(setting.intervals), f"{1e6 * setting.tolerance:.3g}"
+    return setting.name, *sizes, f"{point.evaluations:.0f}", *numbers
 
 
 def record(point: Point, time: float) -> dict[str, object]:
     """Columns of the CSV file, in SI units."""
     setting = {key: value for key, value in point.setting._asdict().items() if key not in ("name", "strain")}
     costs = {"evaluations": point.evaluations, "cost": point.cost, "cpu_time": time}
-    errors = {"tip_error": point.tip_error, "backbone_error": point.backbone_error}
-    return {"strain_field": point.setting.name, "coordinates": point.coordinates, **setting, **costs, **errors}
+    return {"strain_field": point.setting.name, "coordinates": point.coordinates, **setting, **costs, "tip_error": point.tip_error}
 
 
 def write_recommended(scene: Scene, point: Point, fields: PassiveFields | None, tolerance: float, out: Path) -> None:
@@ -184,7 +179,8 @@ def write_recommended(scene: Scene, point: Point, fields: PassiveFields | None, 
         found = found.replace({"strain.passive.file": beside.name})
     save_scene(found, path)
     setting = point.setting
-    what = f"{setting.name} ({point.coordinates} coordinates), {setting.intervals} intervals per piece, {setting.integrator}"
+    sizes = f"{point.coordinates} coordinates, {setting.intervals} intervals per piece, tolerance {1e6 * setting.tolerance:.3g} um"
+    what = f"{setting.name}: {sizes}"
     print(f"within {length_text(tolerance)}, with a margin of {MARGIN:g}: {what}\nwritten: {path}")
 
 
@@ -192,7 +188,7 @@ def checked(scene: Scene, point: Point, motions: Sequence[Motion], count: int, t
     """How often a setting stays within the tolerance on motions that it was not calibrated on."""
     rounds = -(-count // len(motions))
     inputs = [motion_tensions(scene, motion, FIRST_UNSEEN + seed) for seed in range(rounds) for motion in motions][:count]
-    reference = reference_motions(scene, inputs, reference_error(scene, tolerance))
+    reference = reference_motions(scene, inputs, REFERENCE * rod_length(scene))
     model = build_model(point.setting.of(scene), "scene")
     errors = np.array(measure(model, point.setting, inputs, reference).tip_errors)
     there = ~np.isnan(errors)

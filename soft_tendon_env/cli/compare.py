@@ -6,22 +6,21 @@ from typing import Any
 
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.envs import Options
 from soft_tendon_env.evaluation.comparison import (
+    TIME,
     compare,
     comparison_tables,
-    configuration_record,
-    episode_records,
     models_of,
-    outcomes_of,
     print_caveats,
+    results_record,
     shared_arms,
+    standings_of,
 )
 from soft_tendon_env.evaluation.entrants import agents_of, every_file
-from soft_tendon_env.evaluation.pages import Page, agent_sources
-from soft_tendon_env.evaluation.provenance import machine, write_json
+from soft_tendon_env.evaluation.pages import Page
+from soft_tendon_env.evaluation.provenance import machine, origin, write_json
 from soft_tendon_env.evaluation.settings import Comparison, TableSettings
-from soft_tendon_env.evaluation.tables import csv_record, write_csv
+from soft_tendon_env.evaluation.tables import records, write_csv
 from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.parallel import check_cluster
 
@@ -52,32 +51,23 @@ def run(arguments: Sequence[str]) -> None:
         files = {task: agents_of(task, settings.policies) for task in settings.tasks}
         arms = {task: shared_arms(settings, task, every_file(of_task)) for task, of_task in files.items()}
         experiments = {task: compare(settings, task, of_task, out / "cells") for task, of_task in arms.items()}
-        preset = Options.parse(settings.options, "options").fidelity or "standard"
-        page = Page(settings.write_docs, [f"compare {task}" for task in settings.tasks], preset, agent_sources(settings.policies))
+        page = Page(settings.write_docs, [f"compare {task}" for task in settings.tasks])
         check_cluster(settings.cluster)
         writable_folder(out)
         print_caveats(settings, arms)
-    from soft_tendon_env.evaluation.pictures import draw_comparison
+
+    from soft_tendon_env.evaluation.pictures import draw_errors
 
     what = f"{len(settings.seeds)} episodes of {settings.seconds:g} s"
     print(f"{what}; {machine()}")
-    write_json(out / "configuration.json", configuration_record(settings, arms))
     for task, experiment in experiments.items():
         experiment.play(f"{task}: policies x model errors", settings.workers, settings.cluster)
-        outcomes = outcomes_of(experiment, files[task])
-        summaries = {key: outcome.summary for key, outcome in outcomes.items()}
-        models = models_of(task, files[task])
-        tables = comparison_tables(summaries, models, settings.all)
+        found = standings_of(experiment, files[task])
+        tables = comparison_tables(found, models_of(task, files[task]), settings.all)
         print(f"\n## {task}\n\n{tables}\n")
-        write_json(out / f"{task}.json", {"task": task, "results": [outcome.record(*key) for key, outcome in outcomes.items()]})
-        rows = [
-            {"policy": policy, "model_error": error, **csv_record(summary), "model_in_the_loop": models[policy]}
-            for (policy, error), summary in summaries.items()
-        ]
-        write_csv(out / f"{task}.csv", rows)
-        draw_comparison(summaries, task, out / f"{task}.png")
-        if settings.episode_csv:
-            write_csv(out / f"{task}_episodes.csv", episode_records(outcomes))
+        write_json(out / f"{task}.json", {**origin(), **results_record(settings, task, arms[task], found)})
+        write_csv(out / f"{task}.csv", records(found))
+        draw_errors({task: {key: found[key] for key in found if key[1] != TIME}}, out / f"{task}.png")
         page.write(f"compare {task}", f"{what.capitalize()}.\n\n{tables}")
 
 

@@ -6,11 +6,11 @@ from pathlib import Path
 from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.demo.demo import ARM, NOTES, TASK, DemoExperiment, Demonstration, describe_policy
+from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.evaluation.comparison import opening_hint
-from soft_tendon_env.evaluation.pages import Page, agent_sources
-from soft_tendon_env.policies.agent_files import is_agent
-from soft_tendon_env.policies.trained_by import trained_by
+from soft_tendon_env.evaluation.demo import NOTES, TASK, Demonstration, run_demo
+from soft_tendon_env.evaluation.pages import Page
+from soft_tendon_env.policies.names import Agent
 from soft_tendon_env.tools.parallel import check_cluster
 
 STOPPED = "stopped: the same command goes on, with a new recording"
@@ -36,14 +36,17 @@ def run(arguments: Sequence[str]) -> None:
     out = Path(settings.out)
     with parser.mistakes():
         require("agents", "pictures", "recording")
-        demo = DemoExperiment(settings, out / "cells")
-        page = Page(settings.write_docs, [MARKER], ARM["fidelity"], agent_sources([settings.agent]))
+        page = Page(settings.write_docs, [MARKER])
         check_cluster(settings.cluster)
         file = recording.RerunFile(writable_folder(out) / "demo.rrd")
-    names = settings.policies
-    print("\n".join(f"{name:<24} {describe_policy(policy)}" for policy, name in names.items()), "\n")
-    tables = demo.run(file, out / "demo.png")
+        entries = CONTROLLERS[TASK]
+        known = {
+            name: entries[policy].description if policy in entries else Agent(policy, TASK).training
+            for policy, name in settings.policies.items()
+        }
+    print("\n".join(f"{name:<24} {text}" for name, text in known.items()), "\n")
+    tables = run_demo(settings, file, out)
     print(f"{tables}\n\n{NOTES}\n")
-    agents = "; ".join(f"{name}: {trained_by(policy, TASK)}" for policy, name in names.items() if is_agent(policy))
+    agents = "; ".join(f"{name}: {text}" for policy, name in settings.policies.items() if policy not in entries for text in (known[name],))
     page.write(MARKER, f"Episodes of {settings.seconds:g} s. {agents}.\n\n{tables}\n\n{NOTES}")
     print(opening_hint(out / "demo.rrd"))

@@ -11,13 +11,13 @@ from pydantic import Field
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.envs import IDS
+from soft_tendon_env.evaluation.comparison import shipped_notes
 from soft_tendon_env.evaluation.provenance import machine, origin
 from soft_tendon_env.evaluation.settings import TaskName
 from soft_tendon_env.evaluation.tables import markdown_table, number
 from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.policies.agent_files import AgentName, find_agent, read_config
 from soft_tendon_env.policies.protocol import Policy
-from soft_tendon_env.policies.trained_by import shipped_notes
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.files import digest
 from soft_tendon_env.tools.messages import UserError

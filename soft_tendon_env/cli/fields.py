@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.accuracy.calibration import own_fields
-from soft_tendon_env.accuracy.proper_orthogonal_fields import KINDS, fields_path, make_passive_fields
+from soft_tendon_env.accuracy.proper_orthogonal_fields import fields_path, make_passive_fields
 from soft_tendon_env.accuracy.test_inputs import USUAL
 from soft_tendon_env.cli.arms import ArmSettings
 from soft_tendon_env.cli.options import Parser
@@ -90,10 +90,10 @@ def report(scene: Scene, fields: PassiveFields, own: int) -> str:
     counts = np.array(fields.errors["fields"], dtype=int)
     rows = []
     for i, count in enumerate(counts):
-        errors = [number(1e3 * fields.errors[kind][i]) for kind in KINDS]
+        errors = [number(1e3 * fields.errors[kind][i]) for kind in USUAL]
         rest = "-" if not count else f"{fields.singular_values[count - 1]:.2g}"
         rows.append((str(own + count), str(count), rest, *errors))
-    header = ("coordinates", "fields", "singular value", *(f"{kind} [mm]" for kind in KINDS))
+    header = ("coordinates", "fields", "singular value", *(f"{kind} [mm]" for kind in USUAL))
     intro = (
         f"{scene.name}, {1e3 * fields.borders[-1]:.4g} mm long, digest {fields.digest}. Errors: largest distance of the tip from full "
         "physics\non motions that the fields were not made from, converged in time. Singular value: of the last field, in parts of the "

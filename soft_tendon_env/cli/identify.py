@@ -9,14 +9,9 @@ from pydantic import Field
 from soft_tendon_env.cli.arms import ArmSettings
 from soft_tendon_env.cli.errors import writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation.tables import markdown_table
-from soft_tendon_env.identification.design import next_holds
-from soft_tendon_env.identification.fit import Loss
-from soft_tendon_env.identification.identify import FIDELITY, Estimate, identify
+from soft_tendon_env.identification.identify import FIDELITY, identify
 from soft_tendon_env.identification.output import save_estimate, summary
-from soft_tendon_env.identification.simulated import NoHoldError
-from soft_tendon_env.identification.split import SHARE
-from soft_tendon_env.tools.messages import UserError, describe
+from soft_tendon_env.identification.recordings import SHARE
 from soft_tendon_env.tools.types import GivenLength
 
 STOPPED = "stopped: nothing was written"
@@ -31,12 +26,10 @@ class Identify(ArmSettings):
         markers: TOML file with the markers' places on the arm, the frame of the data, and names and units of its columns (by default SI).
         parameters: keys such as segments.*.young_modulus, mount.rotation, markers.*.offset or commands.*.gain; KEY=LOW..HIGH with bounds,
             KEY~SIGMA with a prior's standard deviation (of factors in parts of the value).
-        held_out: held-out recordings that judge the fit: a share or a number, stratified by tension; a column, COLUMN=NUMBER, or 0.
+        held_out: held-out recordings that judge the fit: a share or a number, stratified by tension; a column that marks them, or 0.
         noise: standard deviation of a marker's coordinate, such as 0.5mm; by default it is estimated.
-        loss: how residuals count; soft_l1 and cauchy are robust to outliers.
         fidelity: of the model that is fitted: fast, standard, fine, scene or a length such as 1mm.
-        next: number of further holds to propose, those that would narrow the intervals most.
-        out: folder for scene.toml, markers.toml, estimate.json, report.md and measured.rrd.
+        out: folder for scene.toml, markers.toml and estimate.json.
     """
 
     data: tuple[str, ...] = Field(min_length=1)
@@ -44,9 +37,7 @@ class Identify(ArmSettings):
     parameters: Annotated[tuple[str, ...], Field(min_length=1, json_schema_extra={"flag": "--parameters"})]
     held_out: str = SHARE
     noise: GivenLength | None = None
-    loss: Loss = "linear"
     fidelity: str = FIDELITY
-    next: int | None = Field(default=None, ge=1, le=100)
     out: str = "out/identified"
 
 
@@ -57,33 +48,8 @@ def run(arguments: Sequence[str]) -> None:
     with parser.mistakes():
         scene = settings.changed_scene()
         out = writable_folder(Path(settings.out))
-        found = identify(
-            scene,
-            settings.data,
-            settings.markers,
-            settings.parameters,
-            held_out=settings.held_out,
-            fidelity=settings.fidelity,
-            noise=settings.noise,
-            loss=settings.loss,
-        )
+        judged = {"held_out": settings.held_out, "fidelity": settings.fidelity}
+        found = identify(scene, settings.data, settings.markers, settings.parameters, noise=settings.noise, **judged)
     print(summary(found))
-    if settings.next is not None:
-        print(f"\n{proposals(found, settings.next)}")
     for path in save_estimate(found, out):
         print(f"written: {path}")
-
-
-def proposals(found: Estimate, count: int) -> str:
-    """Table of the holds to record next, and the standard deviations that they would leave."""
-    try:
-        chosen = next_holds(found, count)
-    except NoHoldError as error:
-        raise UserError(describe(error)) from error
-    unit = found.scene.effects.command_unit
-    header = (*(f"tendon {i} [{unit}]" for i in range(chosen.command.shape[1])), "widest interval would shrink to")
-    rows = [
-        (*(f"{value:.3g}" for value in command), f"{100 * share:.0f} %")
-        for command, share in zip(chosen.command, chosen.shrinks, strict=True)
-    ]
-    return f"Holds to record next:\n\n{markdown_table(header, rows)}"

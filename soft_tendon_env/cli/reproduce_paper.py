@@ -46,7 +46,7 @@ def run(arguments: Sequence[str]) -> None:
     out = Path(settings.out)
     with parser.mistakes():
         require("pictures")
-        page = Page(settings.write_docs, [MARKER], "scene", ["soft_tendon_env/paper"])
+        page = Page(settings.write_docs, [MARKER])
         writable_folder(out)
     from soft_tendon_env.paper.reproduce import document, reproduce
 

@@ -22,8 +22,8 @@ from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.recording import RecordRollout
 from soft_tendon_env.robots.environment import PATIENCE, SETTLE, RobotEnv, robot_of
 from soft_tendon_env.robots.log import check_log
-from soft_tendon_env.robots.protocol import Robot, load_robot
-from soft_tendon_env.robots.rest import REST, Rest
+from soft_tendon_env.robots.measured_arm import REST, Rest
+from soft_tendon_env.robots.protocol import DryRobot, Robot, load_robot
 from soft_tendon_env.robots.run import Report, rehearse, run_policy
 from soft_tendon_env.robots.simulated import OF_ARM
 from soft_tendon_env.tools.messages import UserError
@@ -103,9 +103,10 @@ def run(arguments: Sequence[str]) -> None:
 def _connected(settings: Run, env: gym.Env[Any, Any], options: dict[str, Any]) -> gym.Env[Any, Any]:
     """The environment, with these options, and its robot. Raises ValueError, TypeError, OSError, and closes the robot then."""
     of_arm = {name: options[name] for name in OF_ARM if name in options and settings.robot == SIMULATED}
-    connected: Robot | RobotEnv = load_robot(settings.robot, {**of_arm, **settings.robot_options})
+    robot = load_robot(settings.robot, {**of_arm, **settings.robot_options})
+    connected: Robot | RobotEnv = DryRobot(robot) if settings.dry_run else robot
     try:
-        safe = {"rate": settings.rate, "settle": settings.settle, "patience": settings.patience, "dry": settings.dry_run}
+        safe = {"rate": settings.rate, "settle": settings.settle, "patience": settings.patience}
         rest = Rest(speed=settings.rest_speed, wait=settings.rest_wait)
         connected = RobotEnv(env, connected, rest=rest, log=settings.out, **safe)  # type: ignore[arg-type] # each is of its type
         if settings.record is None:

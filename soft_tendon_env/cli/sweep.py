@@ -35,7 +35,7 @@ def run(arguments: Sequence[str]) -> None:
     with parser.mistakes():
         require("agents", "pictures", *(["rllib"] if settings.cluster else []))
         markers = () if settings.only_plot else [f"sweep {task}" for task in settings.tasks()]
-        page = Page(settings.write_docs, markers, "of each training", ["soft_tendon_env/learning"])
+        page = Page(settings.write_docs, markers)
         writable_folder(out)
     from soft_tendon_env.learning.curves import show_curves
 

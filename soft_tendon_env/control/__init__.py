@@ -15,20 +15,5 @@ from soft_tendon_env.control.protocol import (
 )
 from soft_tendon_env.control.sensor_noise import SensorNoise
 
-__all__ = [
-    "CONTROLLERS",
-    "Controller",
-    "ControllerOutput",
-    "Entry",
-    "Estimate",
-    "Estimator",
-    "ExtendedKalmanFilter",
-    "InputError",
-    "Measurement",
-    "Sensing",
-    "SensorNoise",
-    "ControllerInput",
-    "Uncertainty",
-    "Reference",
-    "register_controller",
-]
+__all__ = ["CONTROLLERS", "Controller", "ControllerInput", "ControllerOutput", "Entry", "Estimate", "Estimator", "ExtendedKalmanFilter"]
+__all__ += ["InputError", "Measurement", "Reference", "Sensing", "SensorNoise", "Uncertainty", "register_controller"]

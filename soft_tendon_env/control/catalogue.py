@@ -74,11 +74,10 @@ def _tracking(
     settling_time: float = 0.2,
     damping: float = 1.0,
     integral_time: float = 0.5,
-    tight: float = 0.0,
 ) -> Controller:
     aim = objective(model)
     tracking = TipTracking(model, limits, period, aim, settling_time=settling_time, damping=damping, integral_time=integral_time)
-    return ReferenceGovernor(StaticFeedforward(model, limits, period, aim, tight=tight), tracking)
+    return ReferenceGovernor(StaticFeedforward(model, limits, period, aim), tracking)
 
 
 def _predictive(objective: Objectives, model: Model, limits: Array, period: float, **tuning: Any) -> Controller:
@@ -87,14 +86,16 @@ def _predictive(objective: Objectives, model: Model, limits: Array, period: floa
     return predictive if isinstance(aim, Shape) else ReferenceGovernor(StaticFeedforward(model, limits, period, aim), predictive)
 
 
+def _predictive_entry(objective: Objectives) -> Entry:
+    return Entry("model-predictive control", partial(_predictive, objective), DEFAULT.looks_ahead, DEFAULT._asdict())
+
+
 def _tip_controllers(objective: Objectives) -> dict[str, Entry]:
     """Controllers of the tip with their presets."""
-    tracking = entry_of("(39) at the control period, within limits, with integral", partial(_tracking, objective))
-    predictive = Entry("model-predictive control", partial(_predictive, objective), DEFAULT.looks_ahead, DEFAULT._asdict())
     found = {
         "feedforward": Entry("inverse statics along the target, nothing measured", partial(_feedforward, objective)),
-        "tracking": tracking,
-        "predictive": predictive,
+        "tracking": entry_of("(39) at the control period, within limits, with integral", partial(_tracking, objective)),
+        "predictive": _predictive_entry(objective),
     }
     for name, (base, description, parameters) in PRESETS.items():
         preset = found[base].with_parameters(parameters)
@@ -109,27 +110,19 @@ PRESETS: dict[str, tuple[str, str, dict[str, float]]] = {
     "robust_predictive": ("predictive", ROBUST, {"settling_time": 0.41, "effort": 1e-3, "smoothness": 1.13}),
     "long_horizon_predictive": ("predictive", LATE, {"settling_time": 0.4, "horizon": 12, "hold": 2, "smoothness": 1.5}),
 }
-"""Tuned controllers: which one, what its description adds, and its numbers.
-
-The robust ones were found by a search like that of configs/tune_predictive.toml, but for the smoothness, which fell with the default one
-when linearisations became more accurate. The long horizon was tried in water, where six periods end before the arm has moved: horizons
-of 0.12, 0.24 and 0.48 s have 66, 33 and 22 mm there.
-"""
-TIP = _tip_controllers(tip_pose_objective)
-POSITION = entry_of("(39) at the control period, within limits, with integral; the position alone", partial(_tracking, _tip_position))
-TIGHT = replace(TIP["tracking"].with_parameters({"tight": 0.1}), description=f"{TIP['tracking'].description}; tendons kept tight")
+"""Tuned controllers: which one, what its description adds, and its numbers. The robust ones were found by a search like that of
+configs/tune_predictive.toml. Horizons of 0.12, 0.24 and 0.48 s have 66, 33 and 22 mm in water."""
 CONTROLLERS: dict[str, dict[str, Entry]] = {
     "TipPose": {
         "paper": Entry("(39) as printed, kp = 10,000 and kd = 1,000", PaperTipPose),
-        **TIP,
-        "tracking_position": POSITION,
-        "tracking_co_contraction": TIGHT,
+        **_tip_controllers(tip_pose_objective),
+        "tracking_position": entry_of("`tracking` for the position alone", partial(_tracking, _tip_position)),
     },
     "Shape": {
         "paper": Entry("(37) or (38) as printed, kp = 1,000 and kd = 100", PaperShape),
         "feedforward": Entry("u = q_a_bar, nothing measured", ShapeFeedforward),
         "tracking": entry_of("(37) or (38) at the control period, within limits", ShapeTracking),
-        "predictive": Entry("model-predictive control", partial(_predictive, Shape), DEFAULT.looks_ahead, DEFAULT._asdict()),
+        "predictive": _predictive_entry(Shape),
     },
     "Reach": _tip_controllers(_tip_position),
 }

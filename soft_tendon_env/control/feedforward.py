@@ -38,24 +38,20 @@ class StaticMemory(NamedTuple):
 
 
 class StaticFeedforward(ModelController):
-    """Feedforward by inverse statics. `limits` (n_a, 2) [N]; the reference is that one `period` [s] ahead, when tensions have acted.
+    """Feedforward by inverse statics, of least effort. `limits` (n_a, 2) [N]; the reference is that one `period` [s] ahead, when tensions
+    have acted."""
 
-    tight: what the null space of the task is used for: of the tensions that do equally well those nearest to this share of their
-    greatest. 0 is least effort, more is co-contraction.
-    """
-
-    def __init__(self, model: Model, limits: Array, period: float, objective: Objective, *, tight: float = 0.0) -> None:
+    def __init__(self, model: Model, limits: Array, period: float, objective: Objective) -> None:
         super().__init__(model, limits, period)
         self.objective = objective
-        self.preferred = np.clip(tight * np.maximum(self.greatest, 0.0), self.least, self.greatest)
+        self.preferred = np.clip(0.0, self.least, self.greatest)
 
     def act(self, now: ControllerInput, memory: StaticMemory | None = None) -> ControllerOutput:
         """Tensions of the equilibrium nearest to the target; one that cannot be reached is followed as near as the statics come."""
         at, steps = memory, STEPS
         if at is None:
-            slack = np.clip(0.0, self.least, self.greatest)
-            found = static_equilibrium(self.model, slack)
-            at, steps = StaticMemory(slack, found.q, found.tip_pose, np.zeros_like(slack)), FIRST_STEPS
+            found = static_equilibrium(self.model, self.preferred)
+            at, steps = StaticMemory(self.preferred, found.q, found.tip_pose, np.zeros_like(self.preferred)), FIRST_STEPS
         limited = 0.0
         for _ in range(steps):
             at, limited = self._improved(at, now.reference)
@@ -92,9 +88,8 @@ class StaticFeedforward(ModelController):
 class ReferenceGovernor:
     """Reference governor: `statics` before a `controller` with the same objective replace what an arm at rest cannot hold by the nearest.
 
-    Without that, feedback pulls for ever towards what is out of reach, with tensions that jump from limit to limit. The nearest pose is
-    that of `StaticFeedforward`, which follows the target by itself; how far it is from the target moves the target by as much, less a
-    margin within which the dynamic controller does better. The controller also gets the tensions that hold the nearest pose.
+    Without that, feedback pulls for ever towards what is out of reach, with tensions that jump from limit to limit. How far the nearest
+    pose is from the target moves the target by as much, less a margin. The controller also gets the tensions that hold the nearest pose.
     """
 
     statics: StaticFeedforward

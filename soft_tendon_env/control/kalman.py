@@ -1,10 +1,8 @@
 """Extended Kalman filter on the reduced model: the state of an arm from whatever is measured of it, with offsets and gains of its inputs.
 
-The motion is predicted by the model's own simulation and its covariance by the Jacobians that come with it (`Simulation.rollout`). Beside
-coordinates and rates the filter estimates what the model has wrong, as slow random walks: a tension that is added (offset-free control, as
-in Pannocchia and Rawlings, Disturbance models for offset-free model-predictive control, AIChE J. 49, 2003) and a gain of every tendon, by
-which a stiffness that is wrong shows too; the displacement between the model's tip and the one that is measured; and the latency of the
-commands, if it is not known, by how the prediction would change with it.
+The motion is predicted by the model's own simulation, its covariance by the Jacobians that come with it. The filter also estimates what the
+model has wrong, as slow random walks: a tension that is added (offset-free control, Pannocchia and Rawlings, AIChE J. 49, 2003), a gain of
+every tendon, the displacement between the model's tip and the measured one, and the latency of the commands, if it is not known.
 """
 
 from typing import NamedTuple
@@ -40,7 +38,7 @@ class Uncertainty(NamedTuple):
 
     force: float = 1.5e-3  # white generalised forces, held over a period each, as a share of those that bend the arm by 1 rad
     tension: float = 2e-3  # white tensions, held over a period each
-    timing: float = 0.15  # more white tensions, as a share of the change of commands that may arrive in a period of uncertain latency
+    timing: float = 1.0  # more white tensions, as a share of the change of commands that may arrive in a period of uncertain latency
     offset: float = 0.02  # tensions that are added
     offset_start: float = 0.01
     offset_time: float = 5.0  # [s] in which they are forgotten

@@ -9,13 +9,10 @@ import torch
 from soft_tendon_env.differentiable.period import ArmTensors, as_tensors
 from soft_tendon_env.differentiable.poses import pose_logarithm
 from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.envs.observation import CHANGE, Group, Observed, RestValues
+from soft_tendon_env.envs.observation import CHANGE, Observed, RestValues
 from soft_tendon_env.envs.randomization import Measured
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-
-ALLOWED = "operators and methods that arrays and tensors both have, of what Observed has but contact"
-"""Contents of a group that can be differentiated."""
 
 
 class TensorObservation:
@@ -25,7 +22,7 @@ class TensorObservation:
     """
 
     def __init__(self, episodes: Episodes, dtype: torch.dtype) -> None:
-        """dtype: of the observations; groups that cannot be differentiated are refused by `check_groups`, before."""
+        """dtype: of the observations."""
         self._episodes, self._dtype, layout, history = episodes, dtype, episodes.layout, episodes.history
         self._scale, self._bound, self._kept = as_tensors(layout.scale, layout.bound, layout.kept)
         self._past = None if history is None else torch.tensor(history.frames[:, 1:], dtype=torch.float64)
@@ -71,18 +68,9 @@ def _measured(seen: Observed, arms: ArmTensors) -> Any:
     return Measured(**shifted)
 
 
-def check_groups(episodes: Episodes, arms: ArmTensors, action: torch.Tensor, command: torch.Tensor) -> None:
-    """Raises ConfigurationError naming the chosen observation groups that cannot be differentiated."""
-    probe = ArmTensors(*(value.detach().clone().requires_grad_() for value in arms))
-    observed = tensors_observed(episodes, probe, action.detach().requires_grad_(), command.detach().requires_grad_())
-    bad = [name for name, group in episodes.layout.groups.items() if not _is_differentiable(group, observed)]
+def check_groups(episodes: Episodes) -> None:
+    """Raises ConfigurationError naming the chosen observation groups that have no gradients: those of contact."""
+    bad = [name for name, group in episodes.layout.groups.items() if group.of_contact]
     if bad:
-        text = f"names {', '.join(bad)}: a rollout in PyTorch allows groups of {ALLOWED}"
+        text = f"names {', '.join(bad)}: a rollout in PyTorch allows groups of what Observed has but contact"
         raise ConfigurationError([Problem(("observation",), text)], "environment")
-
-
-def _is_differentiable(group: Group, observed: Any) -> bool:
-    try:
-        return not group.of_contact and isinstance(group.values(observed), torch.Tensor)
-    except (AttributeError, RuntimeError, TypeError, ValueError):  # of what takes no tensors, or none that carry gradients
-        return False

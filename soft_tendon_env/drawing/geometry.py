@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.drawing.renderer import mount_size, view_box, viewpoint
+from soft_tendon_env.drawing.renderer import box_corners, mount_size, view_box, viewpoint
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import rod_radius
 from soft_tendon_env.tools.types import Array
@@ -50,13 +50,9 @@ class Camera(NamedTuple):
 
 def body(model: Model, arc_length: Array, position: Array) -> Body:
     """The body at stations (m,) [m] whose positions are (samples, m, 3) [m]."""
-    middle = 0.5 * (arc_length[1:] + arc_length[:-1])
-    return Body(
-        np.diff(arc_length),
-        rod_radius(model.scene, middle)[0],
-        0.5 * (position[:, 1:] + position[:, :-1]),
-        rotation_from_z(np.diff(position, axis=1)),
-    )
+    radius, _ = rod_radius(model.scene, 0.5 * (arc_length[1:] + arc_length[:-1]))
+    center = 0.5 * (position[:, 1:] + position[:, :-1])
+    return Body(np.diff(arc_length), radius, center, rotation_from_z(np.diff(position, axis=1)))
 
 
 def rotation_from_z(direction: Array) -> Array:
@@ -96,8 +92,7 @@ def _visited(model: Model) -> Array:
     """Corners (9, 3) [m] of what an arm at the origin moves in, and the place of its name."""
     lower, upper, *_ = view_box(model.scene)
     middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower) * [1.0, VISITED, VISITED]
-    corners = np.stack(np.meshgrid(*zip(middle - half, middle + half, strict=True)), axis=-1).reshape(-1, 3)
-    return np.concatenate([corners, label_place(model)[None]])
+    return np.concatenate([box_corners(middle - half, middle + half), label_place(model)[None]])
 
 
 def tension_colors(model: Model, tension: Array) -> NDArray[np.uint32]:

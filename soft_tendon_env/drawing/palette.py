@@ -1,7 +1,6 @@
 """Colours and markers of policies, by name: a policy looks the same in every picture and recording.
 
-The kind of policy chooses the colour. What it is told, or how it is tuned (filtered:NAME, robust_NAME, ...), makes the colour lighter or
-darker, and chooses the marker of a model-based one. Learned policies are circles.
+The kind of policy chooses the colour; learned ones are circles, model-based ones squares, those behind a filter diamonds.
 """
 
 import colorsys
@@ -12,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 RGB = tuple[int, int, int]
-BLUE, ORANGE, GREEN, PINK, VIOLET, YELLOW, TEAL, BROWN = OTHERS = (
+OTHERS: tuple[RGB, ...] = (
     (78, 154, 240),
     (242, 142, 43),
     (64, 184, 96),
@@ -23,24 +22,11 @@ BLUE, ORANGE, GREEN, PINK, VIOLET, YELLOW, TEAL, BROWN = OTHERS = (
     (200, 140, 110),
 )
 """Colours of arms whose names say nothing of their policies, in their order of appearance: distinct on black and on white."""
-MODEL_BASED: dict[str, RGB] = {"paper": BLUE, "printed": BLUE, "feedforward": BROWN, "tracking": ORANGE, "predictive": GREEN, "mpc": GREEN}
-LEARNED: dict[str, RGB] = {
-    "agent": PINK,
-    "dagger": (190, 60, 200),
-    "ppo": VIOLET,
-    "sac": YELLOW,
-    "tqc": (150, 160, 60),
-    "apg": TEAL,
-}
-VARIANTS = {
-    "filtered": (0.8, "D"),
-    "filter": (0.8, "D"),
-    "adaptive": (0.6, "X"),
-    "robust": (0.7, "P"),
-    "long": (1.2, "v"),
-    "told": (1.15, "h"),
-}
-"""Shares of the lightness, and markers."""
+BLUE, ORANGE, GREEN, PINK, VIOLET, YELLOW, TEAL, BROWN = OTHERS
+MODEL_BASED = {"paper": BLUE, "printed": BLUE, "feedforward": BROWN, "tracking": ORANGE, "predictive": GREEN, "mpc": GREEN}
+LEARNED = {"agent": PINK, "dagger": (190, 60, 200), "ppo": VIOLET, "sac": YELLOW, "tqc": (150, 160, 60), "apg": TEAL}
+FILTERS = {"filtered": 0.8, "filter": 0.8, "adaptive": 0.6}
+"""Shares of the lightness."""
 SIBLINGS = (1.0, 0.75, 1.25, 0.5, 1.45, 0.62)
 """Shares of the lightness of policies that are alike otherwise, such as several trainings by one algorithm."""
 LIGHTEST = 0.92
@@ -64,15 +50,12 @@ class Style(NamedTuple):
 def style(policy: str, taken: Collection[Style] = ()) -> Style:
     """The style of a policy, by any of its names. Where others have `taken` its colour, another lightness of it; where its name
     says nothing, or no lightness is left, the next free colour."""
-    words = re.split(r"[^a-z0-9]+", policy.lower())
-    kind = next((word for word in words if word in MODEL_BASED or word in LEARNED), None)
-    colours = [other.colour for other in taken]
-    marker = "^"
-    if kind is not None:
-        colour, marker = (LEARNED[kind], "o") if kind in LEARNED else (MODEL_BASED[kind], "s")
-        for share, own in (VARIANTS[word] for word in words if word in VARIANTS):
-            colour, marker = lightened(colour, share), marker if kind in LEARNED else own
-        own_shades = (lightened(colour, share) if share != 1.0 else colour for share in SIBLINGS)
+    words, colours, marker = re.split(r"[^a-z0-9]+", policy.lower()), [other.colour for other in taken], "^"
+    kinds = {**MODEL_BASED, **LEARNED}
+    if (kind := next((word for word in words if word in kinds), None)) is not None:
+        share = next((FILTERS[word] for word in words if word in FILTERS), 1.0)
+        marker = "o" if kind in LEARNED else "s" if share == 1.0 else "D"
+        own_shades = (lightened(kinds[kind], share * own) if share * own != 1.0 else kinds[kind] for own in SIBLINGS)
         if (free := next((shade for shade in own_shades if shade not in colours), None)) is not None:
             return Style(free, marker)
     return Style(next((other for other in OTHERS if other not in colours), OTHERS[len(taken) % len(OTHERS)]), marker)

@@ -1,8 +1,7 @@
-"""Rendered frames of an arm without a display: a shaded tube with its tendons, mount and shadow, the trail of its tip, its target.
+"""Rendered frames of an arm without a display: a shaded tube with its tendons and mount, the trail of its tip, its target.
 
-The box around the arm is painted once; a frame restores it and paints over it what moves. matplotlib sorts three-dimensional things
-artist by artist, a tendon wholly before or wholly behind the tube. Here everything solid is cut into small pieces, projected by the
-box's own matrix, and painted as one flat collection from far to near.
+The floor is painted once; a frame restores it and paints over it what moves. Everything solid is cut into small pieces and painted as one
+flat collection from far to near.
 """
 
 from typing import Any, NamedTuple
@@ -20,24 +19,23 @@ from soft_tendon_env.tools.types import Array
 SECTIONS, AROUND = 40, 32
 """Sections along the rod (more where it has many borders), and corners around each."""
 
-TUBE, MOUNT, SHADOW, TRAIL, OBSTACLE = np.array(
-    [[0.62, 0.71, 0.82], [0.40, 0.42, 0.46], [0.86, 0.87, 0.89], [0.42, 0.24, 0.66], [0.80, 0.72, 0.58]]
-)
-PAPER, WALL, TEXT, TARGET = (1.0, 1.0, 1.0), (0.965, 0.968, 0.975), (0.30, 0.30, 0.33), (0.05, 0.58, 0.30)
+TUBE, MOUNT, TRAIL, OBSTACLE = np.array([[0.62, 0.71, 0.82], [0.40, 0.42, 0.46], [0.42, 0.24, 0.66], [0.80, 0.72, 0.58]])
+PAPER, FLOOR, TEXT, TARGET = (1.0, 1.0, 1.0), (0.86, 0.87, 0.89), (0.30, 0.30, 0.33), (0.05, 0.58, 0.30)
 POSE_AXES = np.array([[0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.12, 0.35, 0.80]])  # x, y, z
-SLACK = (0.97, 0.96, 0.91)
-TENSIONS = [(0.0, SLACK), (0.12, (1.0, 0.82, 0.40)), (0.4, (0.96, 0.49, 0.15)), (0.7, (0.80, 0.10, 0.14)), (1.0, (0.40, 0.03, 0.12))]
-"""Colours (red, green, blue); of tensions from the lower to the upper limit."""
+LOADS = np.array([0.0, 0.12, 0.4, 0.7, 1.0])
+LOAD_COLOURS = np.array([[0.97, 0.96, 0.91], [1.0, 0.82, 0.40], [0.96, 0.49, 0.15], [0.80, 0.10, 0.14], [0.40, 0.03, 0.12]])
+"""Colours (red, green, blue) of tensions at these shares of the way from the lower to the upper limit."""
 
 BEHIND = 0.1
 """Depth of the mount behind the rod's base, in lengths of the rod."""
-
+GRID = 0.25
+"""Distance between lines on the floor, in lengths of the rod."""
 ELEVATION, AZIMUTH = 15.0, -58.0
 """Direction from which an arm is seen [deg]: above the floor, and around the vertical."""
-
+ROOM = 0.9, 0.84
+"""Shares of a frame's width and height that the box around the arm fills at most; the title is above."""
 SEAM = 0.5
 """Width [pt] of edges that close the gaps between neighbouring quadrilaterals."""
-
 FADED = 0.7
 """How far the colour of a tendon on the far side of the tube goes over into the tube's."""
 
@@ -58,12 +56,11 @@ class Picture(NamedTuple):
 class Camera(NamedTuple):
     """Parallel projection of points (..., 3) [m]."""
 
-    flat: Array  # (2, 4) to the axes' flat coordinates, of homogeneous points
     turn: Array  # (3, 3) rows: right, up and towards the viewer as seen
 
     def project(self, points: Array) -> Array:
-        """(..., 2)"""
-        return np.asarray(points @ self.flat[:, :3].T + self.flat[:, 3])
+        """(..., 2) [m]"""
+        return np.asarray(points @ self.turn[:2].T)
 
     def depth(self, points: Array) -> Array:
         """(...,) [m], greater is farther away."""
@@ -94,15 +91,14 @@ class ArmRenderer:
         self._radius, _ = rod_radius(scene, self._arc_length)
         ends = [tendon_ends(scene, tendon) for tendon in scene.tendons]
         self._inside = [(self._arc_length >= start) & (self._arc_length <= end) for start, end in ends]
+        limits = np.array([tendon.tension_limits for tendon in scene.tendons])
+        self._limits = limits[:, 0].min(), limits[:, 1].max()
+        self._box, self._camera = view_box(scene)[:2], Camera(viewpoint(*view_box(scene)[2:]))
 
         dpi = 100.0 * min(width / 640, height / 480)
         figure = Figure(figsize=((width + 0.1) / dpi, (height + 0.1) / dpi), dpi=dpi, facecolor=PAPER)  # 0.1: pixels are rounded down
         self._canvas = FigureCanvasAgg(figure)
-        axes, self._floor = paint_box(figure, scene)
-        self._camera = camera_of(axes)
-        self._box = view_box(scene)[:2]
-        self._colours = paint_colour_bar(figure, scene)
-        self._moving = Moving(figure, axes)
+        self._moving = Moving(figure, paint_floor(figure, scene, self._camera))
         self._canvas.draw()
         self._background = self._canvas.copy_from_bbox(figure.bbox)
 
@@ -111,7 +107,8 @@ class ArmRenderer:
         base = base_poses(self._model, np.array([scene.time]), scene.effects)
         backbone = backbones(self._model, scene.strain[None], self._arc_length, base)
         pieces = [*self._arm(backbone[0], base[0]), *self._tendons(backbone, scene.tension), *trail(scene.trail, self._camera)]
-        pieces += self._solids(scene.effects or self._model.scene.effects, scene.time)
+        solids = (scene.effects or self._model.scene.effects).solids(scene.time)
+        pieces += [solid(surface(shape, self._box), OBSTACLE, self._camera) for shape in solids]
         self._moving.show(pieces, scene, self._camera, 0.09 * self._model.length)
         self._canvas.restore_region(self._background)
         for artist in self._moving.artists:
@@ -119,29 +116,19 @@ class ArmRenderer:
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
 
     def _arm(self, backbone: Array, base: Array) -> list[Pieces]:
-        """Shadow, mount and tube, both closed by rings without radius; backbone (m, 4, 4), base (4, 4)."""
+        """Mount and tube, both closed by rings without radius; backbone (m, 4, 4), base (4, 4)."""
         rod = tube(np.concatenate([backbone, backbone[-1:]]), np.append(self._radius, 0.0))
         ends = np.tile(np.eye(4), (4, 1, 1))
         depth, radius = mount_size(self._model.scene)
         ends[:2, 0, 3] = -depth
         mount = tube(base @ ends, np.array([0.0, 1.0, 1.0, 0.0]) * radius)
-        camera = self._camera
-        return [shadow(np.concatenate([mount, rod]), *self._floor), solid(mount, MOUNT, camera), solid(rod, TUBE, camera)]
-
-    def _solids(self, effects: Effects, time: float) -> list[Pieces]:
-        """Solids of the effects at a time [s], with shadows of those above the floor."""
-        pieces, (axis, height) = [], self._floor
-        for shape in effects.solids(time):
-            corners = surface(shape, self._box)
-            if shape.kind != "plane" and len(corners):
-                pieces.append(shadow(corners, axis, height))
-            pieces.append(solid(corners, OBSTACLE, self._camera))
-        return pieces
+        return [solid(mount, MOUNT, self._camera), solid(rod, TUBE, self._camera)]
 
     def _tendons(self, backbone: Array, tension: Array) -> list[Pieces]:
         """Lines coloured by tension (n_a,), all on the near surface of the tube; those of the far side are faded."""
-        camera, colours, loads = self._camera, self._colours.to_rgba(tension)[:, :3], self._colours.norm(tension)
-        colours[tension == 0.0] = SLACK
+        camera, (least, greatest) = self._camera, self._limits
+        loads = np.clip((tension - least) / (greatest - least), 0.0, 1.0)
+        colours = np.stack([np.interp(loads, LOADS, channel) for channel in LOAD_COLOURS.T], axis=1)
         axis, reach = camera.depth(backbone[0, :, :3, 3]), np.gradient(self._arc_length)  # by which neighbours differ in depth
         far_side = axis - 1.5 * self._radius - reach
         near_side = far_side - 0.1 * self._radius - reach
@@ -150,7 +137,7 @@ class ArmRenderer:
             behind = middle(camera.depth(curve) - axis[inside]) > 0.0
             shade = np.where(behind[:, None], (1.0 - FADED) * colour + FADED * 0.9 * TUBE, colour)
             depth = np.where(behind, middle(far_side[inside]), middle(near_side[inside]))
-            lines.append(line(curve, shade, 1.1 + 1.2 * float(np.clip(load, 0.0, 1.0)), depth))
+            lines.append(line(curve, shade, 1.1 + 1.2 * float(load), depth))
         return lines
 
 
@@ -220,14 +207,6 @@ def solid(corners: Array, colour: Array, camera: Camera) -> Pieces:
     return Pieces(seen, shade, np.full(len(seen), SEAM), camera.depth(seen.mean(axis=1)))
 
 
-def shadow(corners: Array, axis: int, height: float) -> Pieces:
-    """Shadow of closed surfaces on the floor, which lies across `axis` at `height` [m]; behind everything."""
-    flat = corners[normals(corners)[:, axis] > 0.0]  # the other half would fall on the same places
-    flat[..., axis] = height
-    count = len(flat)
-    return Pieces(flat, np.tile(SHADOW, (count, 1)), np.full(count, SEAM), np.full(count, np.inf))
-
-
 def line(points: Array, colour: Array, width: float, depth: Array) -> Pieces:
     """A line through points (m, 3) whose parts have colours (m - 1, 3) and depths (m - 1,) [m]."""
     corners = np.stack([points[:-1], points[:-1], points[1:], points[1:]], axis=1)
@@ -239,7 +218,7 @@ def trail(points: Array, camera: Camera) -> list[Pieces]:
     if len(points) < 2:
         return []
     age = np.linspace(0.75, 0.0, len(points) - 1)[:, None]
-    return [line(points, age * WALL + (1.0 - age) * TRAIL, 1.2, middle(camera.depth(points)))]
+    return [line(points, age * np.array(PAPER) + (1.0 - age) * TRAIL, 1.2, middle(camera.depth(points)))]
 
 
 def middle(values: Array) -> Array:
@@ -263,10 +242,9 @@ def view_box(scene: Scene) -> tuple[Array, Array, int, bool]:
 
 
 def viewpoint(vertical: int, upright: bool, elevation: float = ELEVATION) -> Array:
-    """Rotation (3, 3) of the camera in the world frame: rows to the right, up and towards the viewer as seen.
+    """Rotation (3, 3) of the camera of frames and recordings in the world frame: rows to the right, up and towards the viewer as seen.
 
-    `vertical` and `upright` as `view_box` has them; elevation [deg] above the floor. Frames and recordings share it, so that an arm
-    stands in both in the same way.
+    `vertical` and `upright` as `view_box` has them; elevation [deg] above the floor.
     """
     elevation, azimuth = np.radians(elevation), np.radians(AZIMUTH if upright else 180.0 - AZIMUTH)
     sign = 1.0 if upright else -1.0
@@ -277,63 +255,34 @@ def viewpoint(vertical: int, upright: bool, elevation: float = ELEVATION) -> Arr
     return np.stack([right, np.cross(towards, right), towards])
 
 
+def box_corners(lower: Array, upper: Array) -> Array:
+    """Corners (8, 3) of a box."""
+    return np.stack(np.meshgrid(*zip(lower, upper, strict=True)), axis=-1).reshape(-1, 3)
+
+
 def mount_size(scene: Scene) -> tuple[float, float]:
     """Depth behind the rod's base and radius [m] of the cylinder that holds it."""
     length = rod_length(scene)
     return BEHIND * length, max(1.9 * float(rod_radius(scene, np.zeros(1))[0][0]), 0.03 * length)
 
 
-def paint_box(figure: Any, scene: Scene) -> tuple[Any, tuple[int, float]]:
-    """Axes with three walls that fill the figure's middle; the axis across the floor and the floor's place on it [m]."""
-    from matplotlib.ticker import MaxNLocator
+def paint_floor(figure: Any, scene: Scene, camera: Camera) -> Any:
+    """Flat axes in which the box around the arm fills the figure, with lines on its floor; coordinates are those of the camera [m]."""
+    from matplotlib.collections import LineCollection
 
     lower, upper, vertical, upright = view_box(scene)
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d", proj_type="ortho", facecolor="none")
-    elevation, azimuth, roll = (ELEVATION, AZIMUTH, 0.0) if upright else (-ELEVATION, 180.0 - AZIMUTH, 180.0)
-    axes.view_init(elev=elevation, azim=azimuth, roll=roll, vertical_axis="xyz"[vertical])
-    axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]))
-    for name, wall in zip("xyz", (axes.xaxis, axes.yaxis, axes.zaxis), strict=True):
-        wall.set_pane_color(WALL)
-        wall.line.set_color("none")
-        wall.gridlines.set_alpha(0.35)
-        wall.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10], prune="both"))
-        wall.set_tick_params(labelsize=7, labelcolor=TEXT, pad=0, color=TEXT, width=0.5)
-        wall.set_label_text(f"{name} [m]", fontsize=8, color=TEXT)
-    fit(figure, axes, lower, upper)
-    return axes, (vertical, lower[vertical] if upright else upper[vertical])
-
-
-def fit(figure: Any, axes: Any, lower: Array, upper: Array) -> None:
-    """Magnify and move the axes until the box fills what text, ticks and colour bar leave of the figure."""
-    room = np.array([[0.05, 0.10], [0.84, 0.92]]) * figure.bbox.size
-    corners = np.stack(np.meshgrid(*zip(lower, upper, strict=True)), axis=-1).reshape(-1, 3)
-    side = figure.bbox.size.max() / figure.bbox.size  # square, so that matplotlib does not shrink it
-    axes.set_box_aspect(upper - lower)
-    axes.set_position([0.0, 0.0, *side])
-    shown = axes.transData.transform(camera_of(axes).project(corners))
-    axes.set_box_aspect(upper - lower, zoom=float(np.min((room[1] - room[0]) / np.ptp(shown, axis=0))))
-    shown = axes.transData.transform(camera_of(axes).project(corners))
-    shift = room.mean(axis=0) - 0.5 * (shown.min(axis=0) + shown.max(axis=0))
-    axes.set_position([*(shift / figure.bbox.size), *side])
-
-
-def camera_of(axes: Any) -> Camera:
-    """The projection of axes without perspective."""
-    matrix = axes.get_proj()
-    turn = np.array([1.0, 1.0, -1.0])[:, None] * matrix[:3, :3]
-    return Camera(matrix[:2] / matrix[3, 3], turn / np.linalg.norm(turn, axis=1)[:, None])
-
-
-def paint_colour_bar(figure: Any, scene: Scene) -> Any:
-    """The bar of tensions at the right; returns what maps tensions (n_a,) [N] to colours."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import LinearSegmentedColormap, Normalize
-
-    limits = np.array([tendon.tension_limits for tendon in scene.tendons])
-    scale = LinearSegmentedColormap.from_list("tension", TENSIONS)
-    colours = ScalarMappable(Normalize(limits[:, 0].min(), limits[:, 1].max()), scale)
-    bar = figure.colorbar(colours, cax=figure.add_axes((0.925, 0.32, 0.014, 0.34)))
-    bar.outline.set(linewidth=0.4, edgecolor=TEXT)
-    bar.ax.tick_params(labelsize=7, length=2, width=0.4, labelcolor=TEXT, color=TEXT)
-    bar.ax.set_title("tension [N]", fontsize=7.5, color=TEXT, pad=6)
-    return colours
+    corners = camera.project(box_corners(lower, upper))
+    size, middle = figure.bbox.size, 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    half = 0.5 * np.max(np.ptp(corners, axis=0) / (ROOM * size)) * size
+    middle[1] += 0.3 * (1.0 - ROOM[1]) * half[1]
+    (left, low), (right, high) = middle - half, middle + half
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(left, right), ylim=(low, high))
+    axes.set_axis_off()
+    (a, b), spacing, lines = [k for k in range(3) if k != vertical], GRID * rod_length(scene), []
+    for along, across in ((a, b), (b, a)):
+        for place in np.arange(np.ceil(lower[across] / spacing), upper[across] / spacing) * spacing:
+            ends = np.full((2, 3), (lower if upright else upper)[vertical])
+            ends[:, across], ends[:, along] = place, (lower[along], upper[along])
+            lines.append(camera.project(ends))
+    axes.add_collection(LineCollection(lines, colors=[FLOOR], linewidths=0.8))
+    return axes

@@ -15,7 +15,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
+from soft_tendon_env.effects.base import Array, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.terms.command_filter import NEVER
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import NotNegative, Positive
@@ -52,6 +52,3 @@ class Actuators(Effect):
         table = np.zeros((math.ceil(self.delay / rod.step * (1.0 - 1e-9)) + 2 if self.delay else 1, 1 + tendons))
         table[1:, 0] = NEVER
         return np.concatenate([np.zeros(tendons), table.ravel()])
-
-    def potential_energy(self, arm: Configured) -> float:
-        return 0.0

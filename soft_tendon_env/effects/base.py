@@ -5,6 +5,7 @@ An effect is one file, in this package or a user's own: its configuration class 
 `[effects.name]` of every scene. A scene without that table neither compiles nor calls it. `examples/own_effect.py` is one from outside.
 """
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar
@@ -12,9 +13,8 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar
 import numpy as np
 from pydantic import ConfigDict
 
-from soft_tendon_env.effects.kernel_checks import check_kernels
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.effects import DIRECT, EffectTable
+from soft_tendon_env.mechanics.effects import DIRECT, EffectTable, kernels_of
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, odd_keys, shown
 from soft_tendon_env.tools.types import Array as Array
 
@@ -24,36 +24,21 @@ class Discretisation:
     """The discretised rod as effects see it when their parameters are made: slices around nodes, and quadrature points.
 
     Arrays over nodes and points are in order from base to tip; `mechanics.types.node_field` and `point_field` lay them out for kernels.
-
-    Attributes:
-        length: of the rod [m].
-        borders: arc lengths [m] of base, tip and ends of tendons and segments, between which all fields are smooth.
-        node: arc lengths (nodes,) [m].
-        point: arc lengths (nodes, 2) [m].
-        radius: the rod's radius [m] at arc lengths (m,) [m], (m,).
-        elasticity: screw elasticity diag(Sigma) [N m^2, N] of its section at arc lengths (m,) [m], (m, 6).
-        line_mass: mass per length [kg/m] at arc lengths (m,) [m], (m,).
-        over_nodes: the integral of a line density, a function from arc lengths (m,) [m] to (m, k), over the slice of each node, (nodes, k).
-        tendon_length: lengths (n_a,) [m] of the tendons along the stress-free rod.
-        tendon_turn: angles (n_a,) [rad] by which the tendons turn along the stress-free rod.
-        tension_limits: of the tendons (n_a, 2) [N].
-        effects: all effects of the scene, for those that depend on another one, as buoyancy on gravity.
-        step: the longest time step [s] of the scene's integrator.
     """
 
-    length: float
-    borders: Array
-    node: Array
-    point: Array
-    radius: Callable[[Array], Array]
-    elasticity: Callable[[Array], Array]
-    line_mass: Callable[[Array], Array]
-    over_nodes: Callable[[Callable[[Array], Array]], Array]
-    tendon_length: Array
-    tendon_turn: Array
-    tension_limits: Array
-    effects: "Effects"
-    step: float
+    length: float  # [m] of the rod
+    borders: Array  # arc lengths [m] of base, tip and ends of tendons and segments, between which all fields are smooth
+    node: Array  # (nodes,) arc lengths [m]
+    point: Array  # (nodes, 2) arc lengths [m]
+    radius: Callable[[Array], Array]  # [m] of the rod at arc lengths (m,) [m], (m,)
+    elasticity: Callable[[Array], Array]  # screw elasticity diag(Sigma) [N m^2, N] of the section there, (m, 6)
+    line_mass: Callable[[Array], Array]  # mass per length [kg/m] there, (m,)
+    over_nodes: Callable[[Callable[[Array], Array]], Array]  # integral of a line density, (m,) to (m, k), over each slice, (nodes, k)
+    tendon_length: Array  # (n_a,) [m] along the stress-free rod
+    tendon_turn: Array  # (n_a,) [rad] by which the tendons turn along it
+    tension_limits: Array  # (n_a, 2) [N]
+    effects: "Effects"  # all of the scene, for those that depend on another one, as buoyancy on gravity
+    step: float  # [s], the longest time step of the scene's integrator
 
 
 class Configured(NamedTuple):
@@ -81,10 +66,6 @@ class DeadLoads(NamedTuple):
         return any(component != 0.0 for vector in self for component in vector)
 
 
-class NoParameters(Struct):
-    """Parameters of an effect that no kernel reads."""
-
-
 class Solid(NamedTuple):
     """A simple solid, as pictures and recordings show it."""
 
@@ -101,11 +82,13 @@ class Effect(Configuration):
         is_actuation: whether it lies between commands and tensions, as numbers of the `transmission`: what is told of the arm under given
             tensions is without it.
         command_unit: unit of the commands that it takes; "N": the tension that comes of them at rest.
+        strengths: fields, numbers or vectors, whose size says how strong it is.
     """
 
     is_contact: ClassVar[bool] = False
     is_actuation: ClassVar[bool] = False
     command_unit: ClassVar[str] = "N"
+    strengths: ClassVar[tuple[str, ...]] = ()
 
     @property
     def acts(self) -> bool:
@@ -114,8 +97,6 @@ class Effect(Configuration):
 
     def parameters(self, rod: Discretisation) -> Any:
         """The parameters that the kernels read: an instance of the effect's own `Struct` class, see mechanics/effects.py."""
-        if self.is_actuation:
-            return NoParameters()
         raise NotImplementedError(f"{type(self).__name__} needs a method parameters(rod)")
 
     def transmission(self, rod: Discretisation) -> dict[str, Any]:
@@ -136,41 +117,49 @@ class Effect(Configuration):
         return np.zeros(0)
 
     def potential_energy(self, arm: Configured) -> float:
-        """Potential energy [J] of the effect. Raises ValueError where it has none, as unless a class says so."""
+        """Potential energy [J]: that of an effect between commands and tensions is 0. Raises ValueError where it has none, as unless a
+        class says so."""
+        if self.is_actuation and self.command_unit == "N":
+            return 0.0
         raise ValueError(f"the effect {type(self).__name__} has no potential energy")
 
     def dead_loads(self) -> DeadLoads | None:
         """Dead loads in place of the kernel, for a strain with `include_loads`: all that it would add, or None."""
         return None
 
-    def command_limits(self, limits: Array) -> Array:
-        """Limits (n_a, 2) of commands where those of tensions are `limits` (n_a, 2) [N]."""
-        return limits
-
     def solids(self, time: float = 0.0) -> tuple[Solid, ...]:
         """Solids that show the effect at a time [s], always as many, in the same order: none unless a class says so."""
         return ()
 
     def sample_smaller(self, random: np.random.Generator) -> Self:
-        """This effect at a random size up to its own and in a random direction, for what is to hold under all of those; unless a class
-        says how, itself."""
-        return self
+        """This effect with its strengths at a random size up to their own, and vectors in random directions."""
+        drawn = {name: (1.0 - random.random()) * np.array(getattr(self, name)) for name in self.strengths}
+        for name, own in drawn.items():
+            if own.ndim:
+                direction = random.normal(size=own.size)
+                drawn[name] = np.linalg.norm(own) / np.linalg.norm(direction) * direction
+        return type(self)(**{**self.model_dump(), **drawn})
 
     def includes(self, other: Self) -> bool:
         """Whether `sample_smaller` reaches another effect of the class: what was made under the one holds under the other."""
-        return self == other
+        alike = self.model_dump(exclude={*self.strengths}) == other.model_dump(exclude={*self.strengths})
+        return alike and all(np.linalg.norm(getattr(self, name)) >= np.linalg.norm(getattr(other, name)) for name in self.strengths)
 
 
-def size(vector: tuple[float, float, float]) -> float:
-    """Euclidean norm."""
-    return float(np.linalg.norm(vector))
+class TimeWarning(UserWarning):
+    """An effect depends on time without limiting the length of integrator steps."""
 
 
-def random_vector(random: np.random.Generator, vector: tuple[float, float, float]) -> tuple[float, float, float]:
-    """A vector in a random direction with a size between zero and that of `vector`."""
-    direction = random.normal(size=3)
-    x, y, z = (random.random() * size(vector) * direction / np.linalg.norm(direction)).tolist()
-    return x, y, z
+def _check_kernels(name: str, kind: type[Struct]) -> None:
+    """Raises TypeError where no kernel is registered for parameters of this class; warns of one that reads the time, but lets steps be as
+    long as they like."""
+    kernels = kernels_of(kind)
+    if not kernels:
+        raise TypeError(f"the effect {name!r} has no kernel for its parameters: decorate one with @adds_wrench({kind.__name__})")
+    read = {word for own in kernels.values() for word in getattr(own, "py_func", own).__code__.co_names}
+    if "limit" not in kernels and "time" in read and "time" not in kind.names():
+        text = "reads the time, but no kernel of it is decorated with @limits_step: steps may pass over its changes"
+        warnings.warn(f"the effect with parameters {kind.__name__} {text}", TimeWarning, stacklevel=2)
 
 
 Class = TypeVar("Class", bound=type[Effect])
@@ -234,16 +223,15 @@ class Effects(Configuration):
 
     def table(self, rod: Discretisation) -> EffectTable:
         """Table of the acting effects for the kernels, in the order of their names. Raises TypeError where one has no kernel."""
-        effects = self.acting()
-        parameters = {name: effect.parameters(rod) for name, effect in effects.items()}
-        for name, own in parameters.items():
-            if not effects[name].is_actuation:
-                check_kernels(name, type(own))
+        effects, parameters = self.acting(), []
         numbers: dict[str, Any] = {}
         states = [effect.state(rod) for effect in effects.values()]
-        for i, effect in enumerate(effects.values()):
+        for i, (name, effect) in enumerate(effects.items()):
+            parameters.append(Struct() if effect.is_actuation else effect.parameters(rod))
+            if not effect.is_actuation:
+                _check_kernels(name, type(parameters[i]))
             numbers.update(effect.transmission(rod), **({"filter": i} if effect.is_actuation and states[i].size else {}))
-        return EffectTable(list(parameters.values()), states, DIRECT.replaced(**numbers))
+        return EffectTable(parameters, states, DIRECT.replaced(**numbers))
 
     def added_inertia(self, rod: Discretisation) -> Array:
         """Screw inertia (nodes, 6) that the effects add to the slices of the rod."""
@@ -257,12 +245,11 @@ class Effects(Configuration):
     def potential_energy(self, arm: Configured) -> float:
         """Potential energy [J] of all effects, `arm.state` being their internal states one after the other. Raises ValueError where one
         has none."""
-        total, first = 0.0, 0
-        for effect in self.chosen().values():
-            last = first + effect.state(arm.rod).size
-            total += effect.potential_energy(arm._replace(state=arm.state[first:last]))
-            first = last
-        return float(total)
+        ends = np.cumsum([effect.state(arm.rod).size for effect in self.chosen().values()])
+        states = np.split(arm.state, ends[:-1].astype(int))
+        return float(
+            sum(own.potential_energy(arm._replace(state=state)) for own, state in zip(self.chosen().values(), states, strict=False))
+        )
 
     def everywhere(self) -> "Effects":
         """Effects that act on the arm, and that it does not come upon in places only."""
@@ -284,9 +271,8 @@ class Effects(Configuration):
 
     def command_limits(self, limits: Array) -> Array:
         """Limits (n_a, 2) of commands where those of tensions are `limits` (n_a, 2) [N]."""
-        for effect in reversed(self.chosen().values()):
-            limits = effect.command_limits(limits)
-        return limits
+        elastic = self.tendon_elasticity
+        return limits if elastic is None else np.tile(np.array(elastic.displacement_limits), (len(limits), 1))
 
     def outside(self) -> "Effects":
         """Effects without dead loads, which stay outside of a strain with `include_loads`."""
@@ -306,7 +292,7 @@ class Effects(Configuration):
         return tuple(solid for effect in self.chosen().values() for solid in effect.solids(time))
 
     def sample_smaller(self, random: np.random.Generator) -> "Effects":
-        """Each effect at a random size up to its own and in a random direction, as far as it varies."""
+        """Each effect with its strengths at a random size up to their own."""
         return Effects(**{name: effect.sample_smaller(random) for name, effect in self.chosen().items()})
 
     def includes(self, other: "Effects") -> bool:

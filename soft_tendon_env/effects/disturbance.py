@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, random_vector, register_effect, size
+from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
 from soft_tendon_env.mechanics.algebra.lie import rotate_back, times, twist_sum
 from soft_tendon_env.mechanics.algebra.structs import Struct
@@ -33,11 +33,6 @@ class Constant(Configuration):
 
     type: Literal["constant"] = "constant"
 
-    @property
-    def numbers(self) -> Triple:
-        """The signal as three numbers: kind and parameters."""
-        return CONSTANT, 0.0, 0.0
-
 
 class Pulse(Configuration):
     """1 for a time, before and after it 0. Integrator steps end where it begins and ends."""
@@ -45,10 +40,6 @@ class Pulse(Configuration):
     type: Literal["pulse"] = "pulse"
     start: Positive = Field(description="begin [s], after 0")
     duration: Positive = Field(description="duration [s]")
-
-    @property
-    def numbers(self) -> Triple:
-        return PULSE, self.start, self.start + self.duration
 
 
 class Sine(Configuration):
@@ -58,9 +49,12 @@ class Sine(Configuration):
     frequency: Annotated[Frequency, Field(gt=0)] = Field(description="frequency [Hz]")
     phase: Number = Field(0.0, description="phase [deg]")
 
-    @property
-    def numbers(self) -> Triple:
-        return SINE, 2.0 * np.pi * self.frequency, np.deg2rad(self.phase)
+
+def signal_numbers(signal: Constant | Pulse | Sine) -> Triple:
+    """A signal as `signal_at` reads it: kind and parameters."""
+    if isinstance(signal, Pulse):
+        return PULSE, signal.start, signal.start + signal.duration
+    return (SINE, 2.0 * np.pi * signal.frequency, np.deg2rad(signal.phase)) if isinstance(signal, Sine) else (CONSTANT, 0.0, 0.0)
 
 
 class Load(Configuration):
@@ -94,24 +88,13 @@ class Disturbance(Effect):
             if end > rod.length * (1.0 + SAME):
                 key = ("effects", "disturbance", "loads", i, "at" if own.along is None else "along")
                 raise ConfigurationError([Problem(key, f"ends at {end:g} m: the rod has {rod.length:g} m")])
-        rows = [[*own.signal.numbers, float(own.frame == "body"), *own.moment, *own.force] for own in self.loads]
+        rows = [[*signal_numbers(own.signal), float(own.frame == "body"), *own.moment, *own.force] for own in self.loads]
         return DisturbanceParameters(np.array(rows), np.array([node_field(weights(rod, own)[:, None]) for own in self.loads]))
 
     def potential_energy(self, arm: Configured) -> float:
         if any(own.signal.type != "constant" or own.frame == "body" or any(own.moment) for own in self.loads):
             raise ValueError("a disturbance that changes in time, follows the rod or has a moment has no potential energy")
         return -sum(float(weights(arm.rod, own) @ (arm.pose[:, :3, 3] @ np.array(own.force))) for own in self.loads)
-
-    def sample_smaller(self, random: np.random.Generator) -> "Disturbance":
-        drawn = [{"force": random_vector(random, own.force), "moment": random_vector(random, own.moment)} for own in self.loads]
-        return Disturbance(loads=tuple(own.model_copy(update=update) for own, update in zip(self.loads, drawn, strict=True)))
-
-    def includes(self, other: "Disturbance") -> bool:
-        def alike(own: Load, needed: Load) -> bool:
-            here, there = ((load.at, load.along, load.frame, load.signal) for load in (own, needed))
-            return here == there and size(own.force) >= size(needed.force) and size(own.moment) >= size(needed.moment)
-
-        return len(self.loads) == len(other.loads) and all(map(alike, self.loads, other.loads))
 
 
 def weights(rod: Discretisation, own: Load) -> Array:

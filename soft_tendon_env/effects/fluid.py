@@ -15,11 +15,13 @@ Left out: a payload's volume and drag, pressure drag on the tip's face, viscous 
 pressure (internal forces are effective tensions). The whole rod is under the surface, however it moves.
 """
 
+from typing import ClassVar
+
 import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, random_vector, register_effect, size
+from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, sqrt, store
 from soft_tendon_env.mechanics.algebra.lie import minus, plus, rotate_back, times, twist_sum
 from soft_tendon_env.mechanics.algebra.structs import Struct
@@ -35,6 +37,8 @@ STILL = 1e-60  # [m^2/s^2], added to a squared speed that is divided by
 @register_effect("fluid")
 class Fluid(Effect):
     """`[effects.fluid]`: drag coefficients are those of a cylinder across a stream at Reynolds numbers of 1e3 to 1e5, and of friction."""
+
+    strengths: ClassVar[tuple[str, ...]] = ("density", "current")
 
     density: Positive = Field(description="density of the fluid [kg/m^3], 1000 for water")
     current: Triple = Field((0.0, 0.0, 0.0), description="its velocity (x, y, z) [m/s], world frame, everywhere and always the same")
@@ -60,13 +64,6 @@ class Fluid(Effect):
         if any(self.current):
             raise ValueError("a fluid that streams has no potential energy")
         return float(self.displaced_mass(arm.rod)[:, 0] @ (arm.pose[:, :3, 3] @ np.array(_gravity(arm.rod))))
-
-    def sample_smaller(self, random: np.random.Generator) -> "Fluid":
-        return self.model_copy(update={"density": (1.0 - random.random()) * self.density, "current": random_vector(random, self.current)})
-
-    def includes(self, other: "Fluid") -> bool:
-        sizes = ((own.density, size(own.current), own.normal_drag, own.tangential_drag, own.added_mass) for own in (self, other))
-        return all(most >= needed for most, needed in zip(*sizes, strict=True))
 
 
 def _gravity(rod: Discretisation) -> Triple:

@@ -1,10 +1,12 @@
 """Uniform gravity: the force rho A dX g on every slice of the rod, and m g on a tip mass."""
 
+from typing import ClassVar
+
 import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.base import Configured, DeadLoads, Discretisation, Effect, random_vector, register_effect, size
+from soft_tendon_env.effects.base import Configured, DeadLoads, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
 from soft_tendon_env.mechanics.algebra.lie import plus, rotate_back, times
 from soft_tendon_env.mechanics.algebra.structs import Struct
@@ -18,6 +20,8 @@ from soft_tendon_env.tools.types import Triple
 class Gravity(Effect):
     """`[effects.gravity]`, in the world frame, in which the straight rod lies along x."""
 
+    strengths: ClassVar[tuple[str, ...]] = ("acceleration",)
+
     acceleration: Triple = Field(description="acceleration (x, y, z) [m/s^2]")
 
     def parameters(self, rod: Discretisation) -> "GravityParameters":
@@ -28,12 +32,6 @@ class Gravity(Effect):
 
     def dead_loads(self) -> DeadLoads:
         return DeadLoads(acceleration=self.acceleration)
-
-    def sample_smaller(self, random: np.random.Generator) -> "Gravity":
-        return Gravity(acceleration=random_vector(random, self.acceleration))
-
-    def includes(self, other: "Gravity") -> bool:
-        return size(self.acceleration) >= size(other.acceleration)
 
 
 class GravityParameters(Struct):

@@ -46,13 +46,6 @@ class NonlinearElasticity(Effect):
     def potential_energy(self, arm: Configured) -> float:
         return 0.25 * float(arm.weight @ (arm.stiffness * arm.strain**4) @ np.array(self.rate))
 
-    def sample_smaller(self, random: np.random.Generator) -> "NonlinearElasticity":
-        softer = (1.0 - random.random()) ** -0.5  # the added stress falls with the square of e0
-        return NonlinearElasticity(**{name: softer * strain for name, strain in self.model_dump(exclude_none=True).items()})
-
-    def includes(self, other: "NonlinearElasticity") -> bool:
-        return all(most >= needed for most, needed in zip(self.rate, other.rate, strict=True))
-
 
 class NonlinearElasticityParameters(Struct):
     """1 / e0^2 of the six strains."""

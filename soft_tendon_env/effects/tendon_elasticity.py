@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import Field, field_validator
 
-from soft_tendon_env.effects.base import Array, Discretisation, Effect, register_effect
+from soft_tendon_env.effects.base import Discretisation, Effect, register_effect
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Number, Positive
 
@@ -51,6 +51,3 @@ class TendonElasticity(Effect):
         strength = np.maximum(rod.tension_limits[:, 1], 0.0) if self.strength is None else self.strength
         each = {"stiffness": np.full(tendons, self.stiffness), "strength": np.full(tendons, strength), "length": rod.tendon_length.copy()}
         return {"elastic": 1, **each}
-
-    def command_limits(self, limits: Array) -> Array:
-        return np.tile(np.array(self.displacement_limits), (len(limits), 1))

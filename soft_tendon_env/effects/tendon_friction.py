@@ -20,7 +20,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from soft_tendon_env.effects.base import Configured, Discretisation, Effect, register_effect
+from soft_tendon_env.effects.base import Discretisation, Effect, register_effect
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Positive
 
@@ -43,6 +43,3 @@ class TendonFriction(Effect):
             problem = f"{text} {STEEPEST / rod.tendon_turn[i]:.3g}, or the tension let out grows by more than exp({STEEPEST:g})"
             raise ConfigurationError([Problem(("effects", "tendon_friction", "coefficient"), problem)])
         return {"friction": self.coefficient, "stiction_speed": self.stiction_speed}
-
-    def potential_energy(self, arm: Configured) -> float:
-        return 0.0

@@ -1,12 +1,12 @@
 """A wrench at the tip, and a payload fixed to it."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.base import Array, Configured, DeadLoads, Discretisation, Effect, random_vector, register_effect, size
+from soft_tendon_env.effects.base import Array, Configured, DeadLoads, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import rotate_back
 from soft_tendon_env.mechanics.algebra.structs import Struct
@@ -18,6 +18,8 @@ from soft_tendon_env.tools.types import NotNegative, Triple
 @register_effect("tip_load")
 class TipLoad(Effect):
     """`[effects.tip_load]`."""
+
+    strengths: ClassVar[tuple[str, ...]] = ("force", "moment", "mass")
 
     force: Triple = Field((0.0, 0.0, 0.0), description="force (x, y, z) at the tip [N]")
     moment: Triple = Field((0.0, 0.0, 0.0), description="moment (x, y, z) at the tip [N m]")
@@ -44,17 +46,6 @@ class TipLoad(Effect):
     def dead_loads(self) -> DeadLoads | None:
         follows = self.frame == "tip" and (any(self.force) or any(self.moment))
         return None if follows else DeadLoads(force=self.force, moment=self.moment)
-
-    def sample_smaller(self, random: np.random.Generator) -> "TipLoad":
-        part, (x, y, z) = random.random(), self.inertia
-        payload = {"mass": part * self.mass, "inertia": (part * x, part * y, part * z)}
-        wrench = {"force": random_vector(random, self.force), "moment": random_vector(random, self.moment)}
-        return self.model_copy(update={**payload, **wrench})
-
-    def includes(self, other: "TipLoad") -> bool:
-        sizes = ((own.mass, size(own.inertia), size(own.force), size(own.moment)) for own in (self, other))
-        alike = self.frame == other.frame or not (any(other.force) or any(other.moment))
-        return alike and all(most >= needed for most, needed in zip(*sizes, strict=True))
 
 
 class TipLoadParameters(Struct):

@@ -42,31 +42,17 @@ class ViscoelasticMemory(Effect):
     branches: tuple[Branch, ...] = Field(min_length=1, description="one or more tables, see `Branch`")
 
     def parameters(self, rod: Discretisation) -> "MemoryParameters":
-        time = np.array([branch.relaxation_time for branch in self.branches])
+        moduli, time = np.array([[branch.modulus, branch.relaxation_time] for branch in self.branches]).T.copy()
         lasting = np.where(rod.step > SHORT * time, np.exp(-0.5 * rod.step / time), 1.0)  # substeps are shorter than steps
-        spring, damper = lasting * self.moduli, (1.0 - lasting) * time * self.moduli
-        return MemoryParameters(self.moduli, time, spring, damper)
-
-    @property
-    def moduli(self) -> Array:
-        """Modulus ratios (branches,) [-]."""
-        return np.array([branch.modulus for branch in self.branches])
+        return MemoryParameters(moduli, time, lasting * moduli, (1.0 - lasting) * time * moduli)
 
     def state(self, rod: Discretisation) -> Array:
         return np.zeros(len(self.branches) * rod.point.size * 6)
 
     def potential_energy(self, arm: Configured) -> float:
         strain, stiffness = (point_field(field.reshape(-1, 2, 6)) for field in (arm.strain, arm.weight[:, None] * arm.stiffness))
-        return 0.5 * float(self.moduli @ ((strain - arm.state.reshape(-1, strain.size)) ** 2 @ stiffness))
-
-    def sample_smaller(self, random: np.random.Generator) -> "ViscoelasticMemory":
-        part = 1.0 - random.random()
-        branches = ({"modulus": part * own.modulus, "relaxation_time": own.relaxation_time} for own in self.branches)
-        return ViscoelasticMemory(branches=tuple(Branch(**branch) for branch in branches))
-
-    def includes(self, other: "ViscoelasticMemory") -> bool:
-        own, needed = ({branch.relaxation_time: branch.modulus for branch in memory.branches} for memory in (self, other))
-        return all(time in own and own[time] >= modulus for time, modulus in needed.items())
+        energies = (strain - arm.state.reshape(-1, strain.size)) ** 2 @ stiffness
+        return 0.5 * float(sum(branch.modulus * energy for branch, energy in zip(self.branches, energies, strict=True)))
 
 
 class MemoryParameters(Struct):

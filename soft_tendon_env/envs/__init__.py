@@ -3,8 +3,7 @@
 Every registered task has a class `<name>Env` in single.py and `<name>VectorEnv` in vector.py.
 """
 
-from soft_tendon_env.envs.options import Options
-from soft_tendon_env.envs.reset_options import ResetOptions
+from soft_tendon_env.envs.options import Options, ResetOptions
 from soft_tendon_env.envs.single import TendonRodEnv, environment_class
 from soft_tendon_env.envs.targets import TARGETS, Target, register_target
 from soft_tendon_env.envs.tasks import TASKS, Task, register_reward_term, register_task

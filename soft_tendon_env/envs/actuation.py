@@ -55,7 +55,8 @@ class Actuation:
     """Rows of actuators.
 
     `command` (rows, n_a) is what was last asked for, `in_transit` (rows, periods, n_a) what was asked for by control period, the newest
-    last, where commands can be late; `gain` and `offset` (rows, n_a) err, where actuators are `imperfect`.
+    last, where commands can be late; `gain` and `offset` (rows, n_a) err, where actuators are `imperfect`. A tendon that can only pull
+    goes slack at `slack` (n_a,), 0; others have their least command there.
     """
 
     def __init__(self, options: Options, limits: Array, start: Array, share: Array, rows: int, substeps: int) -> None:
@@ -66,7 +67,7 @@ class Actuation:
         """
         increment = share * (options.tension_rate * options.control_period) if options.action == "increment" else None
         self.actions = ActionScale(limits[:, 0].copy(), limits[:, 1].copy(), increment)
-        self.substeps, self._share, self._period = substeps, share, options.control_period
+        self.substeps, self._share, self._period, self.slack = substeps, share, options.control_period, np.minimum(limits[:, 0], 0.0)
         self.start_action = self.actions.action(start, start)
         self.command = np.tile(start, (rows, 1))
         self._randomize, self.imperfect = options.randomize, options.randomize.of_actuators
@@ -94,13 +95,8 @@ class Actuation:
         return float(self._periods_late[row] * self._period + self._durations[row, 0])
 
     def acting(self, command: Array, row: int) -> Array:
-        """Commands (..., n_a) with the errors of a row's actuators; a tendon that can only pull goes slack."""
+        """Commands (..., n_a) with the errors of a row's actuators."""
         return np.asarray(np.maximum(self.gain[row] * command + self.offset[row], self.slack))
-
-    @property
-    def slack(self) -> Array:
-        """Commands (n_a,) below which actuators that err do not go: 0 where a tendon can only pull."""
-        return np.minimum(self.actions.least, 0.0)
 
     def commanded(self, acting: Array, row: int) -> Array:
         """Commands (..., n_a) of which a row's actuators make `acting` (..., n_a): the inverse of `acting`, where there is one."""
@@ -121,10 +117,10 @@ class Actuation:
         """Commands (rows, parts, n_a) of the period that begins, for actions (rows, n_a) in [-1, 1] of the rows `members`, and how long
         each is held (rows, parts) [s]; None: for an integrator step."""
         wanted, durations = self.actions.command(action, self.command), None
-        if members.size == len(wanted):
-            self.command = wanted
-        else:
+        if members.size < len(wanted):
             self.command[members] = wanted[members]
+            wanted = self.command
+        self.command = wanted
         if self.in_transit is None:
             acting = self.command[:, None].repeat(self.substeps, axis=1)
         else:  # the command before acts on until this one comes

@@ -9,18 +9,20 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import rod_radius
 from soft_tendon_env.tools.types import Array
 
+SECTIONS = 5
+"""Equal sections of the rod by which contact is observed."""
 INSIDE = 0.1
 """Depth in an obstacle, in radii of the rod, from which an arm at rest counts as inside of it: ten times what its own weight makes."""
 NO_CONTACT = ContactReading(np.zeros((0, 0, 3)), np.zeros((0, 0)), np.zeros(0), np.zeros(0))
 
 
 class Contacts:
-    """Contact of rows of arms with the obstacles of their scene, by so many equal sections of the rod."""
+    """Contact of rows of arms with the obstacles of their scene, by sections of the rod."""
 
-    def __init__(self, arms: Arms, sections: int) -> None:
+    def __init__(self, arms: Arms) -> None:
         places, rows = arms.model.scene.effects.contact.sample_places(arms.model.discretisation), arms.size
-        self._arms, self._section = arms, np.minimum(sections * places / arms.model.length, sections - 1).astype(np.int64)
-        self._reading = ContactReading(np.zeros((rows, sections, 3)), np.zeros((rows, sections)), np.zeros(rows), np.zeros(rows))
+        self._arms, self._section = arms, np.minimum(SECTIONS * places / arms.model.length, SECTIONS - 1).astype(np.int64)
+        self._reading = ContactReading(np.zeros((rows, SECTIONS, 3)), np.zeros((rows, SECTIONS)), np.zeros(rows), np.zeros(rows))
 
     def read(self, members: Indices) -> ContactReading:
         """Contact now, after the rows `members` have moved on; new arrays."""

@@ -17,16 +17,23 @@ from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.contacts import NO_CONTACT, Contacts
 from soft_tendon_env.envs.kernels import ContactReading
 from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, stress_free_strain, units_of
-from soft_tendon_env.envs.options import GOAL_BOUND, Options, check_fit, check_target, groups_of, resolved_scene, sensor_places
+from soft_tendon_env.envs.options import (
+    GOAL_BOUND,
+    Options,
+    ResetOptions,
+    check_fit,
+    check_target,
+    groups_of,
+    resolved_scene,
+    sensor_places,
+)
 from soft_tendon_env.envs.randomization import Measured, Sensors
-from soft_tendon_env.envs.reset_options import ResetOptions
 from soft_tendon_env.envs.rewards import Reward, Weight, goal_distance, goal_reward
-from soft_tendon_env.envs.starts import Beginning, Begun, Starts
-from soft_tendon_env.envs.target_draws import TargetDraws
-from soft_tendon_env.envs.targets import TARGETS, TargetSamples
+from soft_tendon_env.envs.starts import Drawn, Starts
+from soft_tendon_env.envs.targets import TARGETS, Course, Target, TargetSamples
 from soft_tendon_env.envs.tasks import STATIONS, Task
 from soft_tendon_env.envs.tracking import CONTACT_ERRORS, Tracking, TrackingError, norm
-from soft_tendon_env.envs.trajectories import TargetTrajectories
+from soft_tendon_env.envs.trajectories import TargetDraws, TargetTrajectories
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
 from soft_tendon_env.mechanics.motion.scratch import Motion
@@ -38,18 +45,17 @@ from soft_tendon_env.model.step_control import cause_of, step_control
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
+MANY = 16
+"""Rows from which on all motions that targets come from are computed when an environment is made, since its first resets need most."""
 THRESHOLD, EVERYWHERE = 0.01, 7.0
 """Distance within which a goal is reached, in lengths of the rod, unless options say otherwise, and that beyond which all goals are."""
 
 
-class Snapshot(NamedTuple):
-    """Strain, tensions and poses of all rows in one step, copied, for recordings of rows that are reset in the same step."""
+class Beginning(NamedTuple):
+    """How an episode of a row is to begin."""
 
-    strain: Array  # (rows, m) as the kernels have it
-    tension: Array  # (rows, n_a) [N]
-    tip_pose: Array  # (rows, 4, 4)
-    target_pose: Array  # (rows, 4, 4)
-    target_backbone: Array  # (rows, stations, 3) [m]
+    target: Target | Course  # one that is drawn, or the course of one that is not
+    state: State | None = None  # in which the arm begins; None: at rest
 
 
 class Episodes:
@@ -58,7 +64,7 @@ class Episodes:
     After `begin` or `step`: `errors` (name to (rows,)), `terms` (likewise), `reward` (rows,), `diverged` (rows,);
     `observation()` and `info()` make what environments return. `step_count` (rows,), `tension` (rows, n_a) [N] applied at last and
     `target` (TargetSamples of rows, 1 + previews, `ahead` (1 + previews,) [s] of now) are the present ones, and `observed` what the
-    observation is made of. `arms.reading` and `arms.rows` are written in place at every step; `last` is what `remember` kept.
+    observation is made of. `arms.reading` and `arms.rows` are written in place at every step.
 
     From the options: `limits` of tensions (n_a, 2) [N], `start_tension` (n_a,) [N] at reset and `start_command` (n_a,) that holds it,
     `sensors` (s,) arc lengths [m] of strain sensors, `goal_bound` the largest coordinate [m] of goals, `threshold` [m] of reached ones.
@@ -73,7 +79,7 @@ class Episodes:
         self.goal_bound, self.sensors = GOAL_BOUND * model.length, sensor_places(options, scene)
         stations = np.linspace(0.0, model.length, STATIONS + 1)[1:] if task.shapes else np.empty(0)
         self.arms = Arms(model, rows, self.period, stations, self.sensors, threads)
-        self._contacts = Contacts(self.arms, options.contact_sections) if model.scene.effects.contact else None
+        self._contacts = Contacts(self.arms) if model.scene.effects.contact else None
         self._make_draws(options, task)
         self._make_actuation(options, rows)
         if task.goal is None:
@@ -93,7 +99,6 @@ class Episodes:
         self.target, error, _ = self._courses.now_and_ahead(self.step_count, reading.tip_pose)
         self.observed = self._seen(reading, error, self._contact(self._all))
         self.history = History(rows, options.history, self.layout.kept) if options.history else None
-        self.last: Snapshot | None = None
 
     def _make_draws(self, options: Options, task: Task) -> None:
         """Make what episodes begin with: starts and targets."""
@@ -103,9 +108,11 @@ class Episodes:
         self.starts = starts = Starts(options, self.arms)
         self.limits, (self.start_tension, self.start_command, _) = starts.limits, starts.rest
         self.threshold = THRESHOLD * self.model.length if options.threshold is None else options.threshold
-        away = self.threshold if task.goal is not None and self.threshold <= EVERYWHERE * self.model.length else 0.0
-        self._draws = TargetDraws(starts.setting, self._courses, self.period, not starts.drawn.redraws, away)
-        self._usual = starts.beginning(options.start, self._draws.settled(options.target or TARGETS[task.target](type=task.target)))
+        away = self.threshold if task.goal and self.threshold <= EVERYWHERE * self.model.length else 0.0
+        self._draws = TargetDraws(starts.setting, self._courses, self.period, away)
+        self._usual = Beginning(self._draws.settled(options.target or TARGETS[task.target](type=task.target)))
+        if self.size >= MANY and self.model.scene.effects.contact is None:  # among obstacles a motion can take seconds
+            self._draws.fill_bank(self._usual.target)
 
     def _make_actuation(self, options: Options, rows: int) -> None:
         """Make the actuators, and what they did last."""
@@ -117,12 +124,7 @@ class Episodes:
         self._action, self._action_change = np.tile(self.actuation.start_action, (rows, 1)), np.zeros_like(self.tension)
 
     def attach(self, arms: Arms) -> None:
-        """Take other arms of the same model in place of the simulated ones, as measured ones: their readings have noise of their own.
-
-        Raises ConfigurationError where episodes do not begin at rest.
-        """
-        if self.options.start != "rest":
-            raise ConfigurationError([Problem(("start",), f"is {self.options.start!r}: robots begin at rest")], "environment")
+        """Take other arms of the same model in place of the simulated ones, as measured ones: their readings have noise of their own."""
         self.arms, self._sensors, self._simulated = arms, None, False
 
     @cached_property
@@ -147,40 +149,35 @@ class Episodes:
         found = {}
         for row in members.tolist() if given else ():
             own, target = given[row], self._usual.target
-            if not self._simulated and (own.state or own.start not in (None, "rest")):
-                raise ConfigurationError([Problem((), "should have no state or start: robots begin at rest")], "options")
+            if own.state is not None and not self._simulated:
+                raise ConfigurationError([Problem((), "should have no state: robots begin at rest")], "options")
+            if own.state is not None and not self.options.randomize.of_arm:
+                checked_motion(self.model, own.state)
             if (wanted := own.goal or own.target) is not None:
                 check_target(wanted, self.task, self.model.scene)
                 target = self._draws.settled(wanted)
-            found[row] = self.starts.beginning(own.start or self.options.start, target, own.state)
+            found[row] = Beginning(target, own.state)
         return found
 
     def begin(self, members: Indices, generators: Sequence[np.random.Generator], beginnings: Mapping[int, Beginning] | None = None) -> None:
         """New episodes for the rows `members`, each drawn from its generator; `beginnings` of rows that do not begin as usual."""
         hows = [(beginnings or {}).get(row, self._usual) for row in members.tolist()]
-        rows, begun = list(zip(members.tolist(), hows, generators, strict=True)), dict[int, Begun]()
-        for row, how, generator in rows:
-            begun[row] = self.starts.begin(row, how, generator, self._draws.inside)
-            self.actuation.begin(row, generator, begun[row].shape.command)
-        tension, command, q = (np.array(parts) for parts in zip(*(own.shape for own in begun.values()), strict=True))
-        self.arms.place(members, q, tension)
+        rows, drawn, (_, command, _) = list(zip(members.tolist(), hows, generators, strict=True)), dict[int, Drawn](), self.starts.rest
+        for row, _, generator in rows:
+            drawn[row] = self.starts.begin(row, generator)
+            self.actuation.begin(row, generator, command)
+        motions = {row: checked_motion(drawn[row].model, how.state) for row, how, _ in rows if how.state is not None}
+        tensions, commands = (np.tile(own, (members.size, 1)) for own in (self.start_tension, command))
+        self.arms.place(members, np.array([own.rest for own in drawn.values()]), tensions)
         self.step_count[members] = 0
-        self._keep(members, tension, command, self.actions.action(command, command), np.zeros_like(command))
-        if motions := {row: own.motion for row, own in begun.items() if own.motion is not None}:
+        self._keep(members, tensions, commands, self.actions.action(commands, commands), np.zeros_like(commands))
+        if motions:
             self._put(motions)
         for row, how, generator in rows:
-            self._draws.begin(row, how.target, generator, begun[row].setting, self.arms.reading.tip_pose[row, :3, 3])
+            self._draws.begin(row, how.target, generator, drawn[row].setting, self.arms.reading.tip_pose[row, :3, 3])
             if self._sensors is not None:  # after the target, which is the same with and without noise
                 self._sensors.begin(row, int(generator.integers(2**63)))
         self._observe(members)
-
-    def put(self, states: Mapping[int, State]) -> None:
-        """Put rows into states: their arms alone, while targets, last actions, commands that are on their way and counts of steps stay, and
-        a history begins anew. Raises TypeError or ValueError before anything changes, where a state is none of its row's arm."""
-        if not self._simulated:
-            raise TypeError("the state of a robot cannot be set")
-        self._put({row: checked_motion(self.arms.model_of(row), state) for row, state in states.items()})
-        self._observe(np.array([*states], dtype=np.int64), moved=False)
 
     def _put(self, motions: dict[int, tuple[Motion, float]]) -> None:
         """Put rows into motions, each with the step [s] to try next."""
@@ -217,22 +214,22 @@ class Episodes:
         parts = (_replaced(old, members, own) for old, own in zip(before, new, strict=True))
         self.tension, self._applied, self._action, self._action_change = parts
 
-    def _observe(self, members: Indices, moved: bool = True) -> None:
-        """Compare the arms with their targets, after the rows `members` moved on or were put elsewhere: observation, errors, reward."""
+    def _observe(self, members: Indices) -> None:
+        """Compare the arms with their targets, after the rows `members` moved on: observation, errors, reward."""
         self._courses.prepare(self.step_count, members)
         reading = self.arms.reading
         self.target, error, off = self._courses.now_and_ahead(self.step_count, reading.tip_pose)
         measured: Reading | Measured = reading
         measured_error = error
         if self._sensors is not None:
-            measured = self._sensors.measured(reading, self.step_count, members if moved else members[:0])
+            measured = self._sensors.measured(reading, self.step_count, members)
             measured_error = np.empty_like(error)
             pose_errors(measured.tip_pose, self.target.tip_pose, measured_error)
         contact = self._contact(members)
         self.observed = self._seen(measured, measured_error, contact)
         self.present = self.layout.present(self.observed)
         if self.history is not None:
-            self.history.keep(self.present, self.step_count if moved else np.zeros_like(self.step_count), members)
+            self.history.keep(self.present, self.step_count, members)
         tracking = Tracking(self.arms, reading, error[:, 0], off[0], off[1], self.target, self._applied, self._action_change, contact)
         self.errors = {error.name: error.value(tracking) for error in self._measures}
         self.diverged = self.arms.outcome.status != OK
@@ -291,11 +288,6 @@ class Episodes:
         if self.task.goal:
             info["is_success"] = goal_distance(*self._goals) <= self.threshold
         return info
-
-    def remember(self) -> None:
-        """Keep where the rows stand in `last`."""
-        rows, reading = self.arms.rows, self.arms.reading
-        self.last = Snapshot(rows.xi.copy(), self.tension.copy(), reading.tip_pose.copy(), self.target_pose, self.target_backbone)
 
     def cause(self, row: int) -> str:
         """Why the last step of a row failed."""

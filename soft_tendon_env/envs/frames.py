@@ -12,12 +12,9 @@ from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.tools.types import Array
 
-RENDERERS = {
-    "rgb_array": "soft_tendon_env.envs.frames:RowRenderer",
-    "human": "soft_tendon_env.recording.live:LiveRows",
-}
-"""Entry points of the render modes' classes, as Gymnasium names those of environments: imported when an environment is made with one."""
-RENDER_MODES = tuple(RENDERERS)
+RENDER_MODES = ("rgb_array", "human")
+LIVE = "soft_tendon_env.recording.live:LiveRows"
+"""Entry point of the renderer of "human", which is imported when an environment is made with it: Rerun is an extra."""
 TRAIL = 250
 """Tip positions that are shown."""
 
@@ -27,14 +24,13 @@ Frames = tuple[NDArray[np.uint8], ...]
 def make_renderer(episodes: Episodes, render_mode: str | None) -> Any:
     """The renderer of a mode, which has the methods of RowRenderer; None for None.
 
-    Raises ValueError for other modes, gymnasium.error.DependencyNotInstalled where matplotlib or Rerun is missing, gymnasium.error.Error
-    where the viewer cannot be opened.
+    Raises ValueError for other modes, gymnasium.error.Error where a package is missing or the viewer cannot be opened.
     """
     if render_mode is None:
         return None
-    if render_mode not in RENDERERS:
+    if render_mode not in RENDER_MODES:
         raise ValueError(f"render_mode should be None, {' or '.join(map(repr, RENDER_MODES))}, not {render_mode!r}")
-    return pkgutil.resolve_name(RENDERERS[render_mode])(episodes)
+    return RowRenderer(episodes) if render_mode == "rgb_array" else pkgutil.resolve_name(LIVE)(episodes)
 
 
 class RowRenderer:

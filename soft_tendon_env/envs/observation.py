@@ -50,29 +50,12 @@ class Observed:
     contact: ContactReading  # no rows without obstacles
     rest: RestValues
 
-    @property
-    def q(self) -> Array:
-        return self.arms.rows.q
-
-    @property
-    def q_dot(self) -> Array:
-        return self.arms.rows.q_dot
-
-    @property
-    def tip_pose(self) -> Array:
-        return self.measured.tip_pose
-
-    @property
-    def tip_twist(self) -> Array:
-        return self.arms.reading.tip_twist
-
-    @property
-    def tendon_length(self) -> Array:
-        return self.measured.tendon_length - self.rest.tendon_length
-
-    @property
-    def target_length(self) -> Array:
-        return self.target.tendon_length[:, 0] - self.rest.tendon_length
+    q = property(lambda self: self.arms.rows.q)
+    q_dot = property(lambda self: self.arms.rows.q_dot)
+    tip_pose = property(lambda self: self.measured.tip_pose)
+    tip_twist = property(lambda self: self.arms.reading.tip_twist)
+    tendon_length = property(lambda self: self.measured.tendon_length - self.rest.tendon_length)
+    target_length = property(lambda self: self.target.tendon_length[:, 0] - self.rest.tendon_length)
 
 
 class Units(NamedTuple):
@@ -102,20 +85,20 @@ class Group:
     of_arm: bool = False
 
 
-def _twist_unit(units: Units) -> Array:
-    return np.repeat([5.0, 5.0 * units.length], 3)
+def _flat(values: Array) -> Array:
+    return values.reshape(len(values), -1)
 
 
-def _error_unit(units: Units) -> Array:
-    return np.repeat([0.5, 0.1 * units.length], 3)
+def _pairs(angular: float, linear: float) -> Callable[[Units], Array]:
+    """Units of twists and logarithms: angular, and linear in lengths of the rod."""
+    return lambda units: np.repeat([angular, linear * units.length], 3)
 
 
 def _strain_unit(units: Units) -> Array:
     return np.repeat([1.0 / units.length, 0.1], 3)
 
 
-def _flat(values: Array) -> Array:
-    return values.reshape(len(values), -1)
+_twist_unit, _error_unit = _pairs(5.0, 5.0), _pairs(0.5, 0.1)
 
 
 GROUPS: Mapping[str, Group] = {

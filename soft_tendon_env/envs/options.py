@@ -1,13 +1,11 @@
-"""Keyword arguments of the environments: plain values, so that specs serialise and worker processes get them."""
+"""Keyword arguments of the environments, and options of their `reset`: plain values, so that specs serialise and workers get them."""
 
 import contextlib
-import os
 import re
-from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal, NoReturn
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, SerializeAsAny, Tag, ValidationInfo, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field, InstanceOf, SerializeAsAny, field_validator, model_validator
 
 from soft_tendon_env.accuracy.fidelity import at_fidelity, checked_fidelity
 from soft_tendon_env.envs.observation import Group
@@ -16,46 +14,34 @@ from soft_tendon_env.envs.rewards import GoalReward, Weight, weights_of
 from soft_tendon_env.envs.targets import TARGETS, Target
 from soft_tendon_env.envs.targets.set_points import Hold
 from soft_tendon_env.envs.tasks import Task
+from soft_tendon_env.model.state import State
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene, TensionLimits, extrapolation_columns, rod_length, scene_to_dict
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Key, Problem, not_among, shown
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, shown
 from soft_tendon_env.tools.types import Array, NotNegative, Positive
 
-LEAST_PERIOD, MOST_SUBSTEPS = 1e-6, 10_000
-"""Shortest control period [s], and integrator steps in the longest one."""
 MOST_AHEAD = 10_000
 """Control periods by which a preview looks ahead: every row keeps its target for that long."""
 GOAL_BOUND = 2.0
 """Largest coordinate of goals in the world frame, in lengths of the rod."""
 SCENES = "should be the name of a shipped scene, the path of a TOML file, a Scene, or a table, such as scene_to_dict gives"
 
-KINDS: dict[str, tuple[Any, str]] = {
-    "scene": ((str, dict, Scene), SCENES),
-    "observation": ((str, tuple), "should be 'full', 'measurable' or a list of the names of groups"),
-    "sensors": ((int, tuple), "should be a whole number, or a list of arc lengths"),
-}
-"""Types that options of several types may have, and the words for them."""
+
+MASK = "reset_mask"
+"""Key of the rows that a vector environment resets, (rows,) bool; the others go on."""
 
 
 def _target_by_name(target: Any) -> Any:
     settings = {"type": target} if isinstance(target, str) else target
     if not isinstance(settings, dict):
         return target
-    kind = settings.get("type")
-    if not isinstance(kind, str) or kind not in TARGETS:
-        given = f"is {shown(kind)}" if "type" in settings else "is missing"
-        raise ConfigurationError([Problem(("type",), f"{given}: {not_among(str(kind), TARGETS)}")])
+    kind = str(settings.get("type"))
+    if kind not in TARGETS:
+        raise ConfigurationError([Problem(("type",), f"is {shown(settings.get('type'))}: {not_among(kind, TARGETS)}")])
     return TARGETS[kind](**settings)
 
 
-def _start(start: Any) -> Any:
-    if not (isinstance(start, tuple) or isinstance(start, str) and start in ("rest", "random")):
-        raise ValueError("should be 'rest', 'random' or a list of tensions, one per tendon")
-    return start
-
-
 NamedTarget = Annotated[SerializeAsAny[Target], BeforeValidator(_target_by_name)]
-Start = Annotated[str | tuple[float, ...], BeforeValidator(_start)]
 
 
 class Options(Configuration):
@@ -67,7 +53,7 @@ class Options(Configuration):
         fidelity: accuracy of the simulation. "fast", "standard" and "fine" are presets of strain field, quadrature and integrator; "scene"
             keeps the scene's own settings; a length such as "1mm" takes the settings that a calibration of the arm finds, once. None keeps
             what the scene sets and takes the rest from "standard".
-        control_period: time [s] between actions. The scene's integrator takes equal steps within it, at most 10,000.
+        control_period: time [s] between actions. The scene's integrator takes equal steps within it.
         tension_limits: (minimum, maximum) tension [N] of every tendon; None takes the scene's. With a negative minimum tendons push.
         action: "tension" maps [-1, 1] to the tension limits; "increment" maps it to changes of at most `tension_rate` times the control
             period.
@@ -75,13 +61,10 @@ class Options(Configuration):
         target: name of a target ("random", "hold", "circle", "ramp", "steps", "out_of_reach" or a registered one), a table with that `type`
             and its settings, or a target object. None takes the task's default.
         observation: "full", "measurable" (tip pose, tendon lengths, strain sensors), or a list of observation groups.
-        start: shape at rest in which episodes begin, that under the tensions nearest to zero, "rest", or under "random" ones, drawn within
-            their limits and halved until the arm holds them.
         preview: times ahead [s] at which the target is observed too, rounded to whole control periods (1 to 10,000). The default is 0.1 and
             0.2 s, or one and two control periods where a period is longer than that.
         history: number of past control periods that are observed too, for the groups that describe the arm.
         sensors: arc lengths [m] of strain sensors, or their number; then each is in the middle of one of as many equal parts of the rod.
-        contact_sections: number of equal parts of the rod for which contact is observed.
         reward: weight of each reward term, a number or a table with `weight` and `scale`; None takes the task's. Reach takes "sparse" (the
             default) or "dense".
         threshold: distance [m] to the goal within which Reach counts as successful; None takes a hundredth of the rod's length. Drawn
@@ -89,41 +72,32 @@ class Options(Configuration):
         randomize: domain randomization, parameters that are drawn at every reset.
         tip_speed_limit: tip speed [m/s] above which an episode ends early and counts as diverged; None sets no limit. It is for training: a
             policy that has made the arm oscillate gains nothing from the rest of that episode.
-        on_divergence: "terminate" or "truncate" ends the episode when no time step of the simulation succeeds, with the last good
-            observation and `info["diverged"]`; "raise" raises SimulationDiverged.
     """
 
     scene: str | dict[str, Any] = "paper"
     fidelity: Annotated[str, AfterValidator(checked_fidelity)] | None = None
-    control_period: Annotated[float, Field(gt=0)] = 0.02
+    control_period: Annotated[float, Field(ge=1e-6, le=100.0)] = 0.02
     tension_limits: TensionLimits | None = None
     action: Literal["tension", "increment"] = "tension"
     tension_rate: Positive = 100.0
     target: NamedTarget | None = None
     observation: str | tuple[str, ...] = "full"
-    start: Literal["rest", "random"] = "rest"
     preview: tuple[Positive, ...] = Field(
         default_factory=lambda given: tuple(max(0.1 * k, k * given.get("control_period", 0.0)) for k in (1, 2))
     )
     history: int = Field(default=0, ge=0, le=1_000)  # every row keeps its observations for that long
-    sensors: Annotated[
-        Annotated[int, Field(ge=1, le=10_000), Tag("count")] | Annotated[tuple[NotNegative, ...], Field(max_length=10_000), Tag("places")],
-        Discriminator(lambda value: "count" if isinstance(value, int) else "places"),
-    ] = ()
-    contact_sections: int = Field(default=5, ge=1, le=1_000)
+    sensors: Annotated[int, Field(ge=1, le=10_000)] | Annotated[tuple[NotNegative, ...], Field(max_length=10_000)] = ()
     reward: dict[str, Weight] | GoalReward | None = None
     threshold: Annotated[Positive, Field(ge=1e-9)] | None = None
     randomize: Randomization = Field(default=Randomization())
     tip_speed_limit: Positive | None = None
-    on_divergence: Literal["terminate", "truncate", "raise"] = "terminate"
 
-    @field_validator(*KINDS, mode="before")
+    @field_validator("scene", mode="before")
     @classmethod
-    def _is_of_kind(cls, value: Any, field: ValidationInfo) -> Any:
-        kinds, allowed = KINDS[str(field.field_name)]
-        if not isinstance(value, kinds) or field.field_name == "observation" and not all(isinstance(name, str) for name in value):
-            raise ValueError(allowed)
-        return scene_to_dict(value) if isinstance(value, Scene) else value
+    def _plain_scene(cls, scene: Any) -> Any:
+        if not isinstance(scene, str | dict | Scene):
+            raise ValueError(SCENES)
+        return scene_to_dict(scene) if isinstance(scene, Scene) else scene
 
     @field_validator("reward", mode="before")
     @classmethod
@@ -131,30 +105,67 @@ class Options(Configuration):
         return weights_of(reward) if isinstance(reward, dict) else reward
 
 
-class UnknownKeyword(ConfigurationError, TypeError):
-    """Keyword argument that environments do not have: a TypeError too, as of any function. TorchRL tries keywords by that."""
+class ResetOptions(Configuration):
+    """Entries of `reset(options={...})` for one episode; None, as without the entry: what the environment's own arguments say.
 
-    def __init__(self, problems: Iterable[Problem] | str, source: str = "environment"):
-        super().__init__([Problem((), problems)] if isinstance(problems, str) else problems, source)  # text: Gymnasium raises it anew
+    Attributes:
+        state: `State` in which the arm begins, with its rates, the internal states of effects and its time; of an arm like this episode's.
+            Commands before are those of an arm at rest.
+        goal: position of the tip to reach, three numbers [m] in the world frame (Reach), or its pose, 4 x 4 (Reach, TipPose).
+        target: target of this episode, as the argument `target`.
+        episode_steps: steps after which the episode is truncated, where that is sooner than otherwise.
+    """
+
+    state: InstanceOf[State] | None = None
+    goal: Hold | None = None
+    target: NamedTarget | None = None
+    episode_steps: int | None = Field(default=None, ge=1)
+
+    @field_validator("goal", mode="before")
+    @classmethod
+    def _as_hold(cls, goal: Any) -> Any:
+        try:
+            place: Any = np.asarray(goal, dtype=np.float64)
+            return {(3,): lambda: Hold(position=place), (4, 4): lambda: Hold(pose=place)}[place.shape]()
+        except (KeyError, TypeError, ValueError) as error:
+            if isinstance(error, ConfigurationError):
+                raise
+            raise ValueError("should be a position of three numbers [m], or a pose, 4 x 4") from None
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> "ResetOptions":
+        if self.goal is not None and self.target is not None:
+            raise ConfigurationError([Problem(("goal",), "is given, and target too: give one of the two")])
+        return self
 
 
-def parsed_options(values: Mapping[str, Any], source: str) -> Options:
-    """The keyword arguments of an environment; `source`: its class. Raises ConfigurationError."""
-    unknown: dict[Key, str] = {(name,): f"; unexpected keyword argument {name!r}" for name in values if name not in Options.model_fields}
-    try:
-        return Options.parse(values, source)
-    except ConfigurationError as error:
-        problems = [Problem(key, text + unknown.get(key, "")) for key, text in error.problems]
-        raise (UnknownKeyword if unknown else ConfigurationError)(problems, source) from None
+def reset_options(options: Any, rows: int | None = None) -> dict[int, ResetOptions]:
+    """The options of a reset by row; `rows` of a vector environment, None for one environment, which is row 0.
+
+    A vector environment takes for every key a sequence of one value per row, None for what is usual. Raises ConfigurationError, TypeError
+    where they are no table.
+    """
+    if not isinstance(options, dict | None):
+        raise TypeError(f"options should be a dict or None, not {type(options).__name__}")
+    allowed = {*ResetOptions.model_fields, *([] if rows is None else [MASK])}
+    if unknown := [str(key) for key in options or () if key not in allowed]:
+        raise ConfigurationError([Problem((key,), f"is no option of reset: {not_among(key, allowed)}") for key in unknown], "options")
+    given = {key: value for key, value in (options or {}).items() if value is not None and key != MASK}
+    if rows is None:
+        return {0: ResetOptions.parse(given, "options")} if given else {}
+    for key, value in given.items():
+        if not isinstance(value, list | tuple | np.ndarray) or len(value) != rows:
+            raise ConfigurationError([Problem((key,), f"should have one value per row, {rows}, each None for what is usual")], "options")
+    tables = [{key: values[row] for key, values in given.items() if values[row] is not None} for row in range(rows)]
+    return {row: ResetOptions.parse(table, f"options of row {row}") for row, table in enumerate(tables)} if given else {}
 
 
 def resolved_scene(options: Options) -> Scene:
     """The scene of the options: at their fidelity, with their tension limits, and with as many columns of extrapolation as the least
     damping and the greatest stiffness allow that can be drawn, where the scene leaves them open. Raises ConfigurationError."""
     scene = at_fidelity(given_scene(options.scene), options.fidelity)
-    limits, changes = options.tension_limits, dict[str, Any]()
-    if limits is not None:
-        changes = {f"tendons.{i}.tension_limits": limits for i in range(len(scene.tendons))}
+    tendons = range(0 if options.tension_limits is None else len(scene.tendons))
+    changes: dict[str, Any] = {f"tendons.{i}.tension_limits": options.tension_limits for i in tendons}
     ends: dict[str, float] = {}
     for own in options.randomize.ranges(scene):
         if re.fullmatch(r"segments\..*\.(young_modulus|damping)", own.name):
@@ -169,10 +180,8 @@ def given_scene(scene: Any) -> Scene:
     """The scene that the option `scene` names, as it is written. Raises ConfigurationError, FileNotFoundError."""
     if isinstance(scene, Scene):
         return scene
-    if isinstance(scene, str | os.PathLike):
-        return load_scene(scene)
     if not isinstance(scene, dict):
-        _fail("scene.scene", f"is {shown(scene)}: it {SCENES}")
+        return load_scene(scene)
     if "segments" in scene:
         return Scene.parse(scene, "scene")
     changes = dict(scene)
@@ -208,10 +217,7 @@ def groups_of(options: Options, task: Task, scene: Scene) -> dict[str, Group]:
 
 def check_fit(options: Options, task: Task, scene: Scene) -> None:
     """Raises ConfigurationError where options do not fit the task or the scene, or times would be rounded to something else."""
-    period, step, length = options.control_period, scene.integrator.step, rod_length(scene)
-    if not LEAST_PERIOD <= period <= MOST_SUBSTEPS * step:
-        allowed = f"at least {LEAST_PERIOD:g} s, and at most {MOST_SUBSTEPS} integrator steps of {step:g} s"
-        _fail("control_period", f"is {period:g}: it should be {allowed}")
+    period, length = options.control_period, rod_length(scene)
     for i, time in enumerate(options.preview):
         if not 0.5 < time / period <= MOST_AHEAD:
             allowed = f"more than half a control period, {period / 2:g} s, and at most {MOST_AHEAD} of them, {MOST_AHEAD * period:g} s"
@@ -237,17 +243,6 @@ def check_target(target: Target, task: Task, scene: Scene) -> None:
             key = "target.pose" if target.position is None else "target.position"
             _fail(key, f"is at {shown(place.tolist())} m: goals should lie within ±{bound:g} m, {GOAL_BOUND:g} lengths of the rod")
     target.check(scene)
-
-
-def check_start(start: Start, scene: Scene) -> None:
-    """Raises ConfigurationError unless the tensions to begin under, if they are given, are one per tendon and within its limits."""
-    if isinstance(start, str):
-        return
-    if len(start) != len(scene.tendons):
-        _fail("start", f"has {len(start)} entries: it should have one per tendon, {len(scene.tendons)}")
-    for i, (tension, (least, greatest)) in enumerate(zip(start, (own.tension_limits for own in scene.tendons), strict=True)):
-        if not least <= tension <= greatest:
-            _fail(f"start[{i}]", f"is {tension:g}: it should be within the limits of the tendon, {least:g} to {greatest:g} N")
 
 
 def _fail(key: str, text: str) -> NoReturn:

@@ -1,6 +1,5 @@
 """Domain randomisation per episode: numbers of the scene, actuators, sensors, latency. All off by default."""
 
-from copy import deepcopy
 from itertools import pairwise
 from typing import Annotated, Any, NamedTuple
 
@@ -31,10 +30,8 @@ SHORT = {
 
 def _as_range(value: Any) -> Any:
     ends = value if isinstance(value, tuple) else (value, value)
-    if len(ends) != 2 or not all(type(end) in (int, float) for end in ends) or not ends[0] <= ends[1]:
-        raise ValueError("should be a number, or (least, greatest)")
-    if max(-ends[0], ends[1]) > GREATEST:
-        raise ValueError(f"should lie within ±{GREATEST:g}")
+    if len(ends) != 2 or not all(type(end) in (int, float) for end in ends) or not -GREATEST <= ends[0] <= ends[1] <= GREATEST:
+        raise ValueError(f"should be a number, or (least, greatest), within ±{GREATEST:g}")
     return ends
 
 
@@ -73,8 +70,8 @@ class Randomization(Configuration):
         table = {name: value for name, value in values.items() if name not in own}
         unknown = [name for name in table if name not in SHORT and name.replace("[", ".").split(".")[0] not in TABLES]
         if unknown:
-            texts = {name: f"is an unknown key (given {shown(table[name])}): {not_among(name, valid)}" for name in unknown}
-            raise ConfigurationError([Problem((name,), text) for name, text in texts.items()], type(self).__name__)
+            problems = [Problem((name,), f"is an unknown key (given {shown(table[name])}): {not_among(name, valid)}") for name in unknown]
+            raise ConfigurationError(problems, type(self).__name__)
         super().__init__(**own | {"numbers": _in_full(dotted_ranges(plain({**own.get("numbers", {}), **table})))})
 
     def ranges(self, scene: Scene) -> tuple[Range, ...]:
@@ -108,15 +105,7 @@ def _in_full(numbers: dict[str, Any]) -> dict[str, Any]:
         if key in found:
             raise ConfigurationError([Problem((name,), f"is {key}, which is drawn already: leave one of them out")])
         found[key] = {kind: value} if kind else value
-    return {key: value for key, value in found.items() if value not in _NOTHING}
-
-
-_NOTHING = [{kind: interval} for kind, value in (("factor", 1.0), ("offset", 0.0)) for interval in (value, [value, value])]
-
-
-def own_stream(generator: np.random.Generator, *purpose: int) -> np.random.Generator:
-    """A generator that another one seeds, without moving it on; another one for every purpose."""
-    return np.random.default_rng([*deepcopy(generator).integers(2**63, size=4), *purpose])
+    return found
 
 
 class Measured(NamedTuple):

@@ -14,17 +14,13 @@ from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field
 
 from soft_tendon_env.envs.kernels import EFFORT, SMOOTHNESS, TermTable, closeness, reward_terms
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, shown
 from soft_tendon_env.tools.types import Array
 
 GoalReward = Literal["sparse", "dense"]
 HALF = 5.0
 """Thresholds at which the dense reward is 1/2: near enough that the last of them still counts."""
-Scale = Annotated[float, Field(gt=0, ge=1e-9)]
-
-
-def _as_tuple(value: Any) -> Any:
-    return value if isinstance(value, tuple | None) else (value,)
+Scales = Annotated[tuple[Annotated[float, Field(gt=0, ge=1e-9)], ...], Field(min_length=1)]
 
 
 class Weight(Configuration):
@@ -35,7 +31,7 @@ class Weight(Configuration):
     """
 
     weight: float = Field(default=1.0, ge=0, le=1e9)
-    scale: Annotated[tuple[Scale, ...], Field(min_length=1), BeforeValidator(_as_tuple)] | None = None
+    scale: Annotated[Scales | None, BeforeValidator(lambda own: own if isinstance(own, tuple | None) else (own,))] = None
 
 
 def weights_of(table: Mapping[str, Any]) -> dict[str, Weight]:
@@ -43,7 +39,7 @@ def weights_of(table: Mapping[str, Any]) -> dict[str, Weight]:
     weights, problems = dict[str, Weight](), list[Problem]()
     for name, value in table.items():
         try:
-            weights[name] = Weight(**value if isinstance(value, dict) else {"weight": value})
+            weights[name] = value if isinstance(value, Weight) else Weight(**value if isinstance(value, dict) else {"weight": value})
         except ConfigurationError as error:
             problems += [Problem((name, *key), text) for key, text in error.problems]
     if problems:
@@ -62,8 +58,6 @@ class Term(NamedTuple):
 TERMS: Mapping[str, Term] = {"effort": Term(EFFORT), "smoothness": Term(SMOOTHNESS)}
 """The terms that every task has besides those of its errors: mean square tension, as a part of the limits, and change of the action."""
 
-CONTACT_TERMS = ("penetration", "contact_force")
-"""Terms of errors that there are in scenes with obstacles alone."""
 OWN_TERMS: dict[str, Term] = {}
 """The terms of `register_reward_term`, by name, which every task has too."""
 
@@ -77,7 +71,8 @@ class Reward:
         Raises ConfigurationError for other terms, scales of terms that have none, and unless one has a weight above 0.
         """
         total = sum(weight.weight for weight in weights.values())
-        problems = [Problem(("reward", name), _unknown(name, available)) for name in weights if name not in available]
+        unknown = [name for name in weights if name not in available]
+        problems = [Problem(("reward", name), f"is no term of this environment: {not_among(name, available)}") for name in unknown]
         own: dict[str, Any] = {name: available[name].of for name in weights if name in available and callable(available[name].of)}
         scaled = [name for name in own if weights[name].scale]
         problems += [Problem(("reward", name, "scale"), "is of a term that has no scale: leave it out") for name in scaled]
@@ -114,20 +109,11 @@ class Reward:
         return {name: terms[name] for name in self._shares}, reward
 
 
-def _unknown(name: str, available: Mapping[str, Term]) -> str:
-    """Reason why there is no such term."""
-    if name in CONTACT_TERMS:
-        return "needs a scene with obstacles, effects.contact"
-    return f"is no term of this task: {not_among(name, available)}"
-
-
 def _checked(name: str, value: Any, rows: int) -> Array:
     """Values (rows,) of a user's own term, copied. Raises ValueError."""
     values = np.array(value, dtype=np.float64)
-    if values.shape != (rows,):
-        raise ValueError(f"the reward term {name!r} should have values of shape ({rows},), not {values.shape}")
-    if not ((values >= 0.0) & (values <= 1.0)).all():
-        raise ValueError(f"the reward term {name!r} should have values between 0 and 1, not {values.min():.4g} to {values.max():.4g}")
+    if values.shape != (rows,) or not ((values >= 0.0) & (values <= 1.0)).all():
+        raise ValueError(f"the reward term {name!r} should have values of shape ({rows},) between 0 and 1, not {shown(value)}")
     return values
 
 

@@ -2,72 +2,39 @@
 
 from __future__ import annotations
 
-import dataclasses
-import warnings
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.spaces import Box, Dict
-from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.frames import RENDER_MODES, Frames, make_renderer
-from soft_tendon_env.envs.options import parsed_options
-from soft_tendon_env.envs.reset_options import reset_options
+from soft_tendon_env.envs.options import Options, reset_options
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.envs.tasks import Task, task_of_class
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.model.state import State
-from soft_tendon_env.registration import MAX_EPISODE_STEPS
 from soft_tendon_env.tools.checks import checked_array, checked_count
-from soft_tendon_env.tools.configuration import plain
 
+Class = TypeVar("Class", bound="EpisodesEnv")
 ONE = np.zeros(1, dtype=np.int64)
 
 
-def refuse_closed(closed: bool, called: str) -> None:
-    """Raises ClosedEnvironmentError."""
-    if closed:
-        raise ClosedEnvironmentError(f"{called} was called after close: make a new environment")
-
-
 class EpisodesEnv:
-    """Base of environments with one row of `Episodes` and with many: `self.episodes`, its spaces and its renderer.
-
-    `spec` goes to JSON, whatever options were given as: NumPy's numbers and arrays, paths, a Scene.
-    """
+    """Base of environments with one row of `Episodes` and with many: `self.episodes`, its spaces and its renderer."""
 
     task: ClassVar[Task]
-    _spec: EnvSpec | None = None
+    closed = False
 
-    def _make(self, options: dict[str, Any], rows: int, threads: int | None, steps: int | None, render_mode: str | None) -> None:
-        """Make the episodes, with a warning where the usual number of steps, which does not follow the control period, lasts below 5 s."""
+    def _make(self, options: dict[str, Any], rows: int, threads: int | None, render_mode: str | None) -> None:
         self.render_mode = render_mode
-        chosen = parsed_options(options, type(self).__name__)
-        self.episodes, period = Episodes(self.task, chosen, rows, threads), chosen.control_period
-        if steps == MAX_EPISODE_STEPS and steps * period < 5.0:
-            text = f"control_period is {period:g} s: an episode has {steps} steps, {steps * period:g} s, unless max_episode_steps is given"
-            warnings.warn(f"{text}: {round(10.0 / period)} of them last 10 s", stacklevel=4)
-        self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": max(1, round(1.0 / period))}
-        self._on_divergence, self._begun = chosen.on_divergence, False
+        self.episodes = Episodes(self.task, Options.parse(options, type(self).__name__), rows, threads)
+        self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": max(1, round(1.0 / self.episodes.period))}
+        self._begun = False
         self._renderer = make_renderer(self.episodes, render_mode)
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """How Gymnasium made the environment."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        if spec is not None:
-            named = {key: value.name.lower() if isinstance(value, AutoresetMode) else value for key, value in spec.kwargs.items()}
-            spec = dataclasses.replace(spec, kwargs=plain(named))
-        self._spec = spec
 
     @property
     def model(self) -> Model:
@@ -83,11 +50,12 @@ class EpisodesEnv:
         goal = Box(-reach, reach, (3,), np.float32)
         return Dict({"observation": seen, "achieved_goal": goal, "desired_goal": goal}), actions
 
-    def _require_begun(self, closed: bool, called: str) -> None:
-        """Raises ClosedEnvironmentError or ResetNeeded."""
-        refuse_closed(closed, called)
-        if not self._begun:
-            raise ResetNeeded(f"{called} was called before reset")
+    def _refuse(self, called: str, begun: bool) -> None:
+        """Raises ClosedEnvironmentError after close, and ResetNeeded unless begun."""
+        if self.closed:
+            raise ClosedEnvironmentError(f"{called} was called after close: make a new environment")
+        if not begun:
+            raise ResetNeeded(f"{called} was used before reset")
 
     def _frames(self) -> Frames | None:
         """Frames of all rows, with a warning where there is no renderer."""
@@ -106,16 +74,15 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
         """`render_mode`: None, "rgb_array", or "human", which opens the Rerun viewer; options: see `Options`.
 
-        Raises ConfigurationError, ValueError for other modes, gymnasium.error.DependencyNotInstalled or gymnasium.error.Error where what a
-        mode needs is not there.
+        Raises ConfigurationError, ValueError for other modes, gymnasium.error.Error where what a mode needs is not there.
         """
-        self._make(options, 1, None, MAX_EPISODE_STEPS, render_mode)
+        self._make(options, 1, None, render_mode)
         self.observation_space, self.action_space = self._spaces()
-        self._closed, self._most_steps = False, np.inf
+        self._most_steps = np.inf
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """A new episode; options: see `ResetOptions`. Raises ValueError or TypeError for bad seeds and options, before anything changes."""
-        refuse_closed(self._closed, "reset")
+        self._refuse("reset", begun=True)
         seed, given = None if seed is None else checked_count("seed", seed, 0), reset_options(options)
         beginnings = self.episodes.beginnings(given, ONE)
         super().reset(seed=seed)
@@ -128,35 +95,24 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """One control period. Raises ValueError or TypeError for an action of wrong shape or type or with NaN, before anything changes."""
-        self._require_begun(self._closed, "step")
+        self._refuse("step", self._begun)
         self.episodes.step(checked_array("action", action, (self.episodes.model.tendon_count,))[None])
         if self._renderer is not None:
             self._renderer.step(ONE)
         info = self._info()
-        terminated, truncated = False, bool(self.episodes.step_count[0] >= self._most_steps)
-        if info["diverged"]:
+        terminated, truncated = info["diverged"], bool(self.episodes.step_count[0] >= self._most_steps)
+        if terminated:
             info["cause"] = self.episodes.cause(0)
-            if self._on_divergence == "raise":
-                raise SimulationDiverged(self.episodes.state(0), info["cause"], self.episodes.tension[0])
-            terminated, truncated = self._on_divergence == "terminate", truncated or self._on_divergence == "truncate"
         return self._observation(), float(self.episodes.reward[0]), terminated, truncated, info
 
     @property
     def state(self) -> State:
-        """A copy of the arm's state, as `Simulation` has it. Set, it is taken whole, see `Episodes.put`; TypeError or ValueError leave the
-        environment as it was."""
+        """A copy of the arm's state, as `Simulation` has it."""
         return self.episodes.state(0)
-
-    @state.setter
-    def state(self, state: State) -> None:
-        if not self._begun:
-            raise ResetNeeded("the state was set before reset")
-        self.episodes.put({0: state})
 
     def target_at(self, times: ArrayLike) -> TargetSamples:
         """The episode's target at times (m,) [s] from its beginning, past or future."""
-        if not self._begun:
-            raise ResetNeeded("the target is drawn by reset")
+        self._refuse("target_at", self._begun)
         return self.episodes.target_at(0, checked_array("times", times, (None,)))
 
     def _observation(self) -> Any:
@@ -171,7 +127,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
 
         None without a render mode, and with "human": there every reset and step shows itself in the viewer, no faster than in real time.
         """
-        self._require_begun(self._closed, "render")
+        self._refuse("render", self._begun)
         frames = self._frames()
         return None if frames is None else frames[0]
 
@@ -179,7 +135,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         """The end: the rest of what is shown is sent (the viewer stays open); reset, step and render are refused from now on."""
         if self._renderer is not None:
             self._renderer.close()
-        self._closed = True
+        self.closed = True
 
 
 def compute_reward(self: EpisodesEnv, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any) -> Any:
@@ -191,7 +147,7 @@ def compute_reward(self: EpisodesEnv, achieved_goal: NDArray[Any], desired_goal:
 _CLASSES: dict[str, Any] = {}
 
 
-def class_of(task: Task, suffix: str, base: type, doc: str) -> Any:
+def class_of(task: Task, suffix: str, base: type[Class], doc: str) -> type[Class]:
     """The class `<task><suffix>`, the same at every call; one of a goal-conditioned task has `compute_reward`."""
     name = f"{task.name}{suffix}"
     if name not in _CLASSES or _CLASSES[name].task is not task:
@@ -202,8 +158,7 @@ def class_of(task: Task, suffix: str, base: type, doc: str) -> Any:
 
 def environment_class(task: Task) -> type[TendonRodEnv]:
     """The class of a task's environments with one arm, `<name>Env`; the same at every call."""
-    made: type[TendonRodEnv] = class_of(task, "Env", TendonRodEnv, task.description)
-    return made
+    return class_of(task, "Env", TendonRodEnv, task.description)
 
 
 def __getattr__(name: str) -> type[TendonRodEnv]:

@@ -11,7 +11,6 @@ from soft_tendon_env.envs.kernels import ContactReading
 from soft_tendon_env.envs.rewards import OWN_TERMS, TERMS, Term
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.mechanics.motion.batch import Reading
-from soft_tendon_env.tools.configuration import shown
 from soft_tendon_env.tools.types import Array
 
 
@@ -19,9 +18,7 @@ class Tracking(NamedTuple):
     """The arm and its target now, rows first, without noise: what tracking errors and reward terms are functions of."""
 
     arms: Arms
-    reading: (
-        Reading  # what is read of the arms, such as `tip_twist` (rows, 6), `tendon_length` (rows, n_a) [m], and `strain` at the sensors
-    )
+    reading: Reading  # of the arms, such as `tip_twist` (rows, 6), `tendon_length` (rows, n_a) [m], and `strain` at the sensors
     error: Array  # (rows, 6) SE(3) logarithm from tip to target
     distance: Array  # (rows,) [m] from tip to target
     angle: Array  # (rows,) [rad], likewise
@@ -39,11 +36,6 @@ class Tracking(NamedTuple):
     def target_pose(self) -> Array:
         """Target poses (rows, 4, 4)."""
         return self.target.tip_pose[:, 0]
-
-    @property
-    def target_twist(self) -> Array:
-        """Body twists of the target (rows, 6), angular [rad/s] before linear [m/s]."""
-        return self.target.tip_twist[:, 0]
 
     @property
     def q(self) -> Array:
@@ -76,16 +68,14 @@ def norm(vectors: Array) -> Array:
     return np.asarray(np.sqrt(np.add.reduce(vectors * vectors, -1)))
 
 
+def _backbone_distance(t: Tracking) -> Array:
+    return np.asarray(np.sqrt(np.mean(norm(t.target.backbone[:, 0] - t.reading.backbone[..., :3, 3]) ** 2, axis=1)))
+
+
 POSITION = TrackingError("position_error", "position", "tip position error [m]", 0.05, lambda t: t.distance, of_length=True)
 ANGLE = TrackingError("angle_error", "angle", "angle between the tip's and the target's frame [rad]", 0.5, lambda t: t.angle)
-BACKBONE = TrackingError(
-    "backbone_error",
-    "backbone",
-    "root mean square distance between backbone and target [m]",
-    0.05,
-    lambda t: np.sqrt(np.mean(norm(t.target.backbone[:, 0] - t.reading.backbone[..., :3, 3]) ** 2, axis=1)),
-    of_length=True,
-)
+_ROOT_MEAN_SQUARE = "root mean square distance between backbone and target [m]"
+BACKBONE = TrackingError("backbone_error", "backbone", _ROOT_MEAN_SQUARE, 0.05, _backbone_distance, of_length=True)
 COORDINATES = TrackingError(
     "coordinate_error", "coordinates", "norm of the coordinates' error, newton for tensions", 10.0, lambda t: norm(t.target.q[:, 0] - t.q)
 )
@@ -101,12 +91,9 @@ def register_reward_term(function: Callable[[Tracking], Array]) -> Callable[[Tra
     """Function decorator: make a reward term available to every task and to the option `reward`, by the function's name.
 
     It takes a Tracking and returns values (rows,) between 0 and 1, 1 the best, so that no episode gains by ending early. Registering a
-    function of the same module and name again replaces it, as in a notebook. Raises ValueError for a name that is taken, TypeError for
-    what is no function with a name.
+    function of the same module and name again replaces it, as in a notebook. Raises ValueError for a name that is taken.
     """
-    name = getattr(function, "__name__", "")
-    if not callable(function) or not name.isidentifier():
-        raise TypeError(f"a reward term should be a function with a name, not {shown(function)}")
+    name = function.__name__
     taken = {error.term for error in (POSITION, ANGLE, BACKBONE, COORDINATES, *CONTACT_ERRORS)} | TERMS.keys()
     present = getattr(OWN_TERMS.get(name), "of", function)
     if name in taken or (present.__module__, present.__qualname__) != (function.__module__, function.__qualname__):
@@ -137,9 +124,8 @@ class ErrorUnit(NamedTuple):
         return f"{self.factor * value:.3g} {self.symbol}".rstrip()
 
 
-MILLIMETRES = ("mm", 1e3)
 SYMBOLS = {
-    **dict.fromkeys(("position_error", "backbone_error", "penetration"), MILLIMETRES),
+    **dict.fromkeys(("position_error", "backbone_error", "penetration"), ("mm", 1e3)),
     "angle_error": ("deg", 57.29577951308232),
     "contact_force": ("N", 1.0),
 }

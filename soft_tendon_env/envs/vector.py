@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -14,26 +14,23 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from soft_tendon_env.envs.arms import Indices
-from soft_tendon_env.envs.reset_options import MASK, reset_options
-from soft_tendon_env.envs.single import EpisodesEnv, class_of, refuse_closed
-from soft_tendon_env.envs.starts import Beginning
+from soft_tendon_env.envs.episodes import Beginning
+from soft_tendon_env.envs.options import MASK, reset_options
+from soft_tendon_env.envs.single import EpisodesEnv, class_of
 from soft_tendon_env.envs.tasks import Task, task_of_class
-from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.model.state import State
 from soft_tendon_env.tools.checks import checked_array, checked_count
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import Array
 
 MODES = {mode.name.lower(): mode for mode in AutoresetMode}
-MOST_ROWS = 100_000
-"""A row takes 0.06 to 0.26 MB, see docs/appendix/scaling.md."""
 
 
 class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
     """Rows of one environment; row i with seed s is the single environment with seed s + i, bit for bit.
 
     Args:
-        num_envs: rows, at most MOST_ROWS.
+        num_envs: rows.
         max_episode_steps: steps after which a row is truncated; None: never.
         autoreset_mode: "next_step" (an ended row is reset by the next step, whose action it ignores), "same_step" (at once; what it ended
             with is in `info["final_obs"]` and `info["final_info"]`) or "disabled" (by `reset(options={"reset_mask": ...})`).
@@ -53,12 +50,12 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
     ) -> None:
         """Raises ConfigurationError, ValueError or TypeError."""
         self.num_envs = num_envs = checked_count("num_envs", num_envs, 1)
-        if num_envs > MOST_ROWS:
-            raise ValueError(f"num_envs should be at most {MOST_ROWS}, not {num_envs}")
         self.max_episode_steps = None if max_episode_steps is None else checked_count("max_episode_steps", max_episode_steps, 1)
-        self.autoreset_mode = _checked_mode(autoreset_mode)
-        most_threads = None if threads is None else checked_count("threads", threads, 1)
-        self._make(options, num_envs, most_threads, self.max_episode_steps, render_mode)
+        if autoreset_mode not in (*MODES, *MODES.values()):
+            problem = Problem(("autoreset_mode",), f"is {autoreset_mode!r}: {not_among(str(autoreset_mode), MODES)}")
+            raise ConfigurationError([problem], "environment")
+        self.autoreset_mode = autoreset_mode if isinstance(autoreset_mode, AutoresetMode) else MODES[autoreset_mode]
+        self._make(options, num_envs, None if threads is None else checked_count("threads", threads, 1), render_mode)
         self.metadata["autoreset_mode"] = self.autoreset_mode
         self.single_observation_space, self.single_action_space = self._spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -76,7 +73,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         seed: an int s seeds row i with s + i; a list names one for each, None to go on with its generator.
         Raises ValueError or TypeError for bad seeds and options, before anything changes.
         """
-        refuse_closed(self.closed, "reset")
+        self._refuse("reset", begun=True)
         members, seeds, given = self._all, _checked_seeds(seed, self.num_envs), reset_options(options, self.num_envs)
         if options is not None and MASK in options:
             mask = np.asarray(options[MASK])
@@ -105,7 +102,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
 
     def step(self, actions: ArrayLike) -> tuple[Any, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """One control period of every row. Raises ValueError or TypeError for bad actions, before anything changes."""
-        self._require_begun(self.closed, "step")
+        self._refuse("step", self._begun)
         action = checked_array("actions", actions, (self.num_envs, self.episodes.model.tendon_count))
         stepped, members = ~self._ended, self._all
         if self._ended.any():
@@ -117,25 +114,15 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         if self._renderer is not None:
             self._renderer.step(members)
         reward = np.where(stepped, self.episodes.reward, 0.0)
-        failed, late = self.episodes.diverged & stepped, stepped & self.timed_out
-        terminated, truncated = (failed, late) if self._on_divergence != "truncate" else (np.zeros_like(failed), late | failed)
+        terminated, truncated = self.episodes.diverged & stepped, stepped & self.timed_out
         self._ended = terminated | truncated
         observation, info = self.episodes.observation(), self._info(stepped)
-        if failed.any():
-            info.update(self._failures(failed))
+        if terminated.any():
+            causes = [self.episodes.cause(row) if failed else None for row, failed in enumerate(terminated.tolist())]
+            info |= {"cause": np.array(causes, dtype=object), "_cause": terminated.copy()}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
             observation, info = self._restarted(observation, info)
         return observation, reward, terminated, truncated, info
-
-    def _failures(self, failed: NDArray[np.bool_]) -> dict[str, Any]:
-        """Entries of info for the rows that diverged: the cause of each."""
-        cause = np.full(self.num_envs, None, dtype=object)
-        for row in np.flatnonzero(failed).tolist():
-            cause[row] = self.episodes.cause(row)
-        if self._on_divergence == "raise":
-            row = int(np.flatnonzero(failed)[0])
-            raise SimulationDiverged(self.episodes.state(row), f"row {row}: {cause[row]}", self.episodes.tension[row])
-        return {"cause": cause, "_cause": failed.copy()}
 
     def _restarted(self, observation: Any, info: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         """Reset the ended rows at once; what they ended with goes to final_obs and final_info."""
@@ -143,7 +130,6 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         for row in np.flatnonzero(ended):
             final_obs[row] = {key: value[row] for key, value in observation.items()} if isinstance(observation, dict) else observation[row]
         final_info = {key: value & ended if key.startswith("_") else value for key, value in info.items()}
-        self.episodes.remember()
         self._begin(np.flatnonzero(ended))
         final = {"final_obs": final_obs, "_final_obs": ended, "final_info": final_info, "_final_info": ended}
         return self.episodes.observation(), {**self._info(~ended), **final}
@@ -156,18 +142,8 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
 
     @property
     def state(self) -> tuple[State, ...]:
-        """Copies of the rows' states. Set, to one for all rows or one per row, None for rows that stay, they are taken whole, see
-        `Episodes.put`; TypeError or ValueError leave the environment as it was."""
+        """Copies of the rows' states."""
         return tuple(self.episodes.state(row) for row in range(self.num_envs))
-
-    @state.setter
-    def state(self, state: State | Sequence[State | None]) -> None:
-        if not self._begun:
-            raise ResetNeeded("the state was set before reset")
-        states = [state] * self.num_envs if isinstance(state, State) else [*state]
-        if len(states) != self.num_envs:
-            raise ValueError(f"state should be a State or a list of {self.num_envs}, not of {len(states)}")
-        self.episodes.put({row: own for row, own in enumerate(states) if own is not None})
 
     @property
     def timed_out(self) -> NDArray[np.bool_]:
@@ -176,7 +152,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A frame (height, width, 3) per row; None without a render mode, and with "human"."""
-        refuse_closed(self.closed, "render")
+        self._refuse("render", begun=True)
         return self._frames()
 
     def close_extras(self, **kwargs: Any) -> None:
@@ -186,28 +162,21 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
             self._renderer.close()
 
 
-def _checked_mode(mode: str | AutoresetMode) -> AutoresetMode:
-    if not isinstance(mode, AutoresetMode) and str(mode) not in MODES:
-        raise ConfigurationError([Problem(("autoreset_mode",), f"is {mode!r}: {not_among(str(mode), MODES)}")], "environment")
-    return mode if isinstance(mode, AutoresetMode) else MODES[str(mode)]
-
-
 def _checked_seeds(seed: Any, rows: int) -> list[int | None]:
     """A seed for each row: s + i from a number s, or those of a list, None to go on. Raises TypeError or ValueError."""
     if seed is None:
         return [None] * rows
-    if not (isinstance(seed, list | tuple) or isinstance(seed, np.ndarray) and seed.ndim > 0):
-        first = checked_count("seed", seed, 0)
-        return [first + i for i in range(rows)]
-    if len(seed) != rows:
-        raise ValueError(f"seed should be an int or a list of {rows}, not of {len(seed)}")
-    return [None if own is None else checked_count(f"seed[{i}]", own, 0) for i, own in enumerate(seed)]
+    if isinstance(seed, list | tuple | np.ndarray) and np.ndim(seed):
+        if len(seed) != rows:
+            raise ValueError(f"seed should be an int or a list of {rows}, not of {len(seed)}")
+        return [None if own is None else checked_count(f"seed[{i}]", own, 0) for i, own in enumerate(seed)]
+    first = checked_count("seed", seed, 0)
+    return [first + i for i in range(rows)]
 
 
 def vector_environment_class(task: Task) -> type[TendonRodVectorEnv]:
     """The class of a task's environments with many arms, `<name>VectorEnv`; the same at every call."""
-    made: type[TendonRodVectorEnv] = class_of(task, "VectorEnv", TendonRodVectorEnv, f"Rows of `{task.name}Env`.")
-    return made
+    return class_of(task, "VectorEnv", TendonRodVectorEnv, f"Rows of `{task.name}Env`.")
 
 
 def __getattr__(name: str) -> type[TendonRodVectorEnv]:

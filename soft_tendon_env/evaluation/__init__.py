@@ -1,8 +1,8 @@
 """Evaluation of policies on fixed lists of episodes: tracking errors, settling times, effort, and their summaries."""
 
-from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, MODEL_ERRORS, SEEDS, VALIDATION_SEEDS, model_error
+from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, MODEL_ERRORS, SEEDS, VALIDATION_SEEDS, Condition, model_error
 from soft_tendon_env.evaluation.metrics import METRICS, EpisodeScore, Metric
-from soft_tendon_env.evaluation.play import evaluate, evaluate_rows, validation_error
+from soft_tendon_env.evaluation.play import evaluate, evaluate_rows
 from soft_tendon_env.evaluation.summaries import Summary, summarise
 
 __all__ = [
@@ -11,6 +11,7 @@ __all__ = [
     "MODEL_ERRORS",
     "SEEDS",
     "VALIDATION_SEEDS",
+    "Condition",
     "EpisodeScore",
     "Metric",
     "Summary",
@@ -18,5 +19,4 @@ __all__ = [
     "evaluate_rows",
     "model_error",
     "summarise",
-    "validation_error",
 ]

@@ -1,68 +1,58 @@
-"""Conditions that policies are judged under: how the arm differs from its model (model errors, settings), which targets they follow
-(difficulties), and on which seeds; what they observe is one of REGIMES in policies/regimes.py.
+"""Conditions of an evaluation: what differs from the arm that policies know, and the seeds of the episodes.
 
-To add a condition, add an entry to its table, here or from your own module.
+To add a condition, add an entry to MODEL_ERRORS or SETTINGS, here or from your own module.
 """
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from soft_tendon_env.evaluation.metrics import BAD
-from soft_tendon_env.policies.regimes import NOISE
+from soft_tendon_env.envs.options import given_scene
+from soft_tendon_env.policies.regimes import NOISE, REGIMES
 from soft_tendon_env.scene.scene import Scene, rod_length
-from soft_tendon_env.tools.configuration import not_among
+from soft_tendon_env.tools.configuration import not_among, plain
 
 NOMINAL = "nominal"
-"""Model error and setting of an arm that is as its model says."""
+"""Condition of an arm that is as its model says."""
 AND = ","
-"""Separator between the names of model errors that an arm has together."""
-
-MODEL_ERRORS: dict[str, Mapping[str, Any]] = {
-    NOMINAL: {},
-    "stiffness-20%": {"stiffness": 0.8},
-    "stiffness+20%": {"stiffness": 1.2},
-    "damping-halved": {"damping": 0.5},
-    "damping-doubled": {"damping": 2.0},
-    "payload-20g": {"payload": 0.02},  # a tenth of the paper's arm
-    "tension-10%": {"tension_gain": 0.9},
-    "tension+10%": {"tension_gain": 1.1},
-    "noise": {"noise": {**NOISE, "curvature_rate": 0.5, "stretch_rate": 0.01}},
-    "latency-20ms": {"latency": 0.02},
-}
-"""Single, fixed differences between the arm and its model, by name: values of the option `randomize`."""
-
-COMBINED = {"stiffness": (0.8, 1.2), "damping": (0.5, 2.0), "payload": (0.0, 0.02), "tension_gain": (0.9, 1.1), "latency": (0.0, 0.02)}
-"""Ranges from which all model errors are drawn together, as agents with domain randomisation train on them: values of `randomize`."""
-
-
-def model_error(name: str) -> dict[str, Any]:
-    """Values of the option `randomize` for a name of MODEL_ERRORS, or for several, "stiffness+20%,payload-20g".
-
-    Raises ValueError for unknown names, and where two set the same value.
-    """
-    found: dict[str, Any] = {}
-    for part in name.split(AND):
-        if part not in MODEL_ERRORS:
-            raise ValueError(f"names {part!r}: {not_among(part, MODEL_ERRORS)}; several at once with {AND!r} between them")
-        if twice := found.keys() & MODEL_ERRORS[part].keys():
-            raise ValueError(f"names {name!r}, in which {', '.join(sorted(twice))} is said twice")
-        found |= MODEL_ERRORS[part]
-    return found
+"""Separator between the names of conditions that hold together."""
 
 
 @dataclass(frozen=True)
-class Setting:
-    """Perturbation of the arm that is unknown to the policy.
+class Condition:
+    """Difference of an arm from nominal, unknown to the policy.
 
-    scene: changes of the scene by dotted keys, such as effects, as a function of the scene. randomize: the environment's option, drawn
-    anew for every episode.
+    Attributes:
+        description: in words.
+        randomize: values of the environment's option, fixed or drawn anew for every episode.
+        scene: changes of the scene by dotted keys, such as effects, as a function of the scene.
     """
 
-    description: str
-    scene: Callable[[Scene], dict[str, Any]] = lambda scene: {}
+    description: str = ""
     randomize: Mapping[str, Any] = field(default_factory=dict)
+    scene: Callable[[Scene], dict[str, Any]] = lambda scene: {}
+
+    def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """The given options of an environment under this condition, which overrides what they have drawn."""
+        scene = given.get("scene", "paper")
+        changes = self.scene(given_scene(scene))
+        arm = {"scene": {**(scene if isinstance(scene, Mapping) else {"scene": scene}), **changes}} if changes else {}
+        return {**given, **arm, "randomize": {**plain(given.get("randomize", {})), **self.randomize}}
+
+
+MODEL_ERRORS: dict[str, Condition] = {
+    NOMINAL: Condition("the arm as its model says"),
+    "stiffness-20%": Condition(randomize={"stiffness": 0.8}),
+    "stiffness+20%": Condition(randomize={"stiffness": 1.2}),
+    "damping-halved": Condition(randomize={"damping": 0.5}),
+    "damping-doubled": Condition(randomize={"damping": 2.0}),
+    "payload-20g": Condition(randomize={"payload": 0.02}),  # a tenth of the paper's arm
+    "tension-10%": Condition(randomize={"tension_gain": 0.9}),
+    "tension+10%": Condition(randomize={"tension_gain": 1.1}),
+    "noise": Condition(randomize={"noise": {**NOISE, "curvature_rate": 0.5, "stretch_rate": 0.01}}),
+    "latency-20ms": Condition(randomize={"latency": 0.02}),
+}
+"""Model errors, single and fixed: the conditions of `evaluate` and `compare`."""
 
 
 def _pushes(scene: Scene) -> dict[str, Any]:
@@ -83,62 +73,65 @@ def _obstacles(scene: Scene) -> dict[str, Any]:
     return {"effects.contact": {"obstacles": balls}}
 
 
-SETTINGS: dict[str, Setting] = {
-    NOMINAL: Setting("the arm as its model says, at finer discretisation"),
-    "model_errors": Setting("stiffness, damping, payload up to 20 g, tension gains and latency up to 20 ms, together", randomize=COMBINED),
-    "latency": Setting("commands that arrive 0 to 60 ms late", randomize={"latency": (0.0, 0.06)}),
-    "load": Setting(
+SETTINGS: dict[str, Condition] = {
+    NOMINAL: MODEL_ERRORS[NOMINAL],
+    "model_errors": Condition(
+        "stiffness, damping, payload up to 20 g, tension gains and latency up to 20 ms, together",
+        {"stiffness": (0.8, 1.2), "damping": (0.5, 2.0), "payload": (0.0, 0.02), "tension_gain": (0.9, 1.1), "latency": (0.0, 0.02)},
+    ),
+    "latency": Condition("commands that arrive 0 to 60 ms late", {"latency": (0.0, 0.06)}),
+    "load": Condition(
         "a payload up to 50 g and gravity of any direction, up to 9.8 m/s^2",
-        lambda scene: {"effects.gravity.acceleration": [0.0, 0.0, 0.0]},
         {"payload": (0.0, 0.05), "effects": {"gravity.acceleration": [(-5.66, 5.66)] * 3}},
+        lambda scene: {"effects.gravity.acceleration": [0.0, 0.0, 0.0]},
     ),
-    "actuation": Setting(
+    "actuation": Condition(
         "friction of tendons (coefficient up to 0.1) and first-order lag of actuators (5 to 40 ms)",
-        lambda scene: {"effects.tendon_friction.coefficient": 0.05, "effects.actuators.time_constant": 0.03},
         {"effects": {"tendon_friction.coefficient": (0.0, 0.1), "actuators.time_constant": (0.005, 0.04)}},
+        lambda scene: {"effects.tendon_friction.coefficient": 0.05, "effects.actuators.time_constant": 0.03},
     ),
-    "obstacles": Setting(
+    "obstacles": Condition(
         "two balls that swing through the middle of the arm's space and push it aside",
-        _obstacles,
         {"effects": {f"contact.obstacles.{i}.phase": (60.0, 120.0) for i in range(2)}},
+        _obstacles,
     ),
-    "water": Setting(
+    "water": Condition(
         "immersion in water with a current up to 0.2 m/s each way",
-        lambda scene: {"effects.fluid.density": 1000.0},
         {"effects": {"fluid.current": [(-0.2, 0.2)] * 3}},
+        lambda scene: {"effects.fluid.density": 1000.0},
     ),
-    "pushes": Setting(
+    "pushes": Condition(
         "pushes at the tip and in the middle, up to 0.5 N each way",
-        _pushes,
         {"effects": {f"disturbance.loads.{i}.force": [(-0.5, 0.5)] * 3 for i in range(3)}},
+        _pushes,
     ),
 }
-"""Settings of the arena by name."""
-
-PLANT = "fine"
-"""Fidelity of the arm that the arena plays on."""
-BELIEF = "standard"
-"""Fidelity of the model that controllers believe in, unless their name says another, as in filtered:predictive@fast."""
+"""Settings of the benchmark, and of searches for parameters of controllers."""
 
 
-@dataclass(frozen=True)
-class Difficulty:
-    """Target to follow: the environment's option `target`. bad: share of the rod's length above which an episode counts as bad, see
-    `EpisodeScore.is_bad`; infinite where the target cannot be reached: only divergence does."""
-
-    description: str
-    target: Mapping[str, Any]
-    bad: float = BAD
+def model_error(names: str) -> Condition:
+    """Condition of a name of MODEL_ERRORS, or of several together, "stiffness+20%,payload-20g". Raises as `condition`."""
+    return condition(names, MODEL_ERRORS)
 
 
-DIFFICULTIES: dict[str, Difficulty] = {
-    "easy": Difficulty("small and slow: tensions within a quarter of their range, a knot a second", {"type": "random"}),
-    "medium": Difficulty("within 0.4 of it, a knot every 0.6 s", {"type": "random", "fraction": 0.4, "knot_period": 0.6}),
-    "hard": Difficulty("within 0.6 of it, a knot every 0.3 s", {"type": "random", "fraction": 0.6, "knot_period": 0.3}),
-    "steps": Difficulty("set points that change every 2 s", {"type": "steps", "fraction": 0.4}),
-    "out_of_reach": Difficulty("a pose 1.2 lengths away from the base", {"type": "out_of_reach", "fraction": 0.4}, bad=math.inf),
-}
-"""Difficulties by name."""
+def condition(names: str, known: Mapping[str, Condition] | None = None) -> Condition:
+    """Condition of a name, by default of SETTINGS or REGIMES (their noise), or of several together, "sensors,water".
+
+    Raises ValueError for unknown names, and where two set the same value.
+    """
+    regimes = {name: Condition(regime.description, {"noise": dict(regime.noise)}) for name, regime in REGIMES.items()}
+    known, parts = known or {**SETTINGS, **regimes}, list[Condition]()
+    for name in names.split(AND):
+        if name not in known:
+            raise ValueError(f"names {name!r}: {not_among(name, known)}; several at once with {AND!r} between them")
+        parts.append(known[name])
+    keys = [key for part in parts for key, value in part.randomize.items() if value]
+    if twice := sorted({key for key in keys if keys.count(key) > 1}):
+        raise ValueError(f"names {names!r}, in which {', '.join(twice)} is said twice")
+    randomize = {key: value for part in parts for key, value in part.randomize.items()}
+    description = "; ".join(part.description for part in parts if part.description)
+    return Condition(description, randomize, lambda scene: {key: own for part in parts for key, own in part.scene(scene).items()})
+
 
 SEEDS = {
     "tuning": range(100, 112),

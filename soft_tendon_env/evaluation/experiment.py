@@ -1,63 +1,38 @@
 """Experiments: policies x conditions x seeds, as cells that are played once, kept in a file each, and so go on where they were stopped.
 
-`evaluate`, `compare`, `demo` and `arena` are experiments. A cell's file is named after all that its result depends on: the arm and what is
-believed of it, as resolved; observation and target; the policy and its files; the episodes; and the code. What changes is played again.
+`evaluate`, `compare`, `demo` and `arena` are lists of cells. A cell's file is named after a digest of the cell, with its scenes and the
+policy's files, and of the sources: what changes is played again.
 """
 
-import ast
-import functools
 import hashlib
 import json
-import operator
 import sys
 import sysconfig
-import time
 import warnings
-from collections.abc import Callable, Hashable, Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Generic, Literal, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import gymnasium as gym
-import numpy as np
 
+from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.envs import IDS, Options
 from soft_tendon_env.envs.options import resolved_scene
-from soft_tendon_env.evaluation.entrants import believed_scene, fingerprint
 from soft_tendon_env.evaluation.metrics import EpisodeScore, score
-from soft_tendon_env.evaluation.play import play, play_steps
-from soft_tendon_env.evaluation.provenance import machine, origin, write_json
+from soft_tendon_env.evaluation.play import play
+from soft_tendon_env.evaluation.provenance import machine, origin
 from soft_tendon_env.evaluation.settings import episode_steps
 from soft_tendon_env.policies.agent_checks import TrainingWarning
-from soft_tendon_env.policies.names import PolicyName
+from soft_tendon_env.policies.names import Controller, PolicyName, UserPolicy
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.scene.passive_fields import FieldsWarning
-from soft_tendon_env.tools.files import PACKAGE, digest, read_json, replacing
+from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.tools.files import PACKAGE, digest, read_json, replacing, sources_digest
 from soft_tendon_env.tools.parallel import run_all
 
-SHOWS_ALONE = (
-    "arena/",
-    "cli/",
-    "demo/",
-    "differentiable/",
-    "drawing/",
-    "export/",
-    "identification/",
-    "learning/",
-    "paper/",
-    "recording/",
-    "robots/",
-    "tuning/",
-    "evaluation/summaries.",
-    "evaluation/tables.",
-    "evaluation/pages.",
-    "evaluation/pictures.",
-    "policies/trained_by.",
-)
-"""Parts of the package on which no result of an episode depends."""
-SOURCES = (".py", ".toml", ".json", ".npz")
-INSTALLED = {"site-packages", "dist-packages"}
-PROBED, STEPS = 4, 10
-"""Episodes side by side, and steps of each, from which the time of a cell is estimated."""
+BELIEF = "standard"
+"""Fidelity of the model that controllers are told of, unless their name says another, as in filtered:predictive@fast."""
 Label = TypeVar("Label", bound=Hashable)
 Opened = tuple[Policy, Any]
 """A policy and its environment, single or vector."""
@@ -66,10 +41,10 @@ Opened = tuple[Policy, Any]
 class Cell(NamedTuple):
     """Unit of work: a policy under a condition, over its episodes. Plain values, which other processes and machines can get.
 
-    options: of the environment, the condition: arm, observation, target. seconds: length of an episode; errors count from `skip` [s] on.
-    measured: scores of "episodes"; those with nothing beside them, for the "time" of an action of a single arm. rows: episodes
-    are side by side, else one after another. told: option `scene` of the arm that controllers believe in, at BELIEF unless their name says
-    another fidelity, while agents may have been trained with other effects; None: the environment's own model.
+    options: of the environment: arm, condition, observation, target. seconds: length of an episode; errors count from `skip` [s] on.
+    alone: played with nothing beside it, for times per action. rows: episodes are side by side, else one after another. told: option
+    `scene` of the arm that controllers believe in, at BELIEF unless their name says another fidelity, while agents may have been trained
+    with other effects; None: the environment's own model.
     """
 
     task: str
@@ -78,40 +53,46 @@ class Cell(NamedTuple):
     seeds: tuple[int, ...]
     seconds: float
     skip: float
-    measured: Literal["episodes", "time"] = "episodes"
+    alone: bool = False
     rows: bool = True
     told: Mapping[str, Any] | None = None
 
     def open(self) -> Opened:
         """The policy and its environment: a single one, or with a row per seed. Raises ConfigurationError, ValueError, OSError."""
-        steps = episode_steps(self.seconds, self.skip, self.options)
-        with warnings.catch_warnings():
-            if self.told is not None:  # fields made for other loads are taken as they are: the page of the results says so
-                warnings.simplefilter("ignore", FieldsWarning)
-            if not self.rows:
-                env: Any = gym.make(IDS[self.task], max_episode_steps=steps, **self.options)
-            else:
-                env = gym.make_vec(IDS[self.task], num_envs=len(self.seeds), threads=1, max_episode_steps=steps, **self.options)
+        given = {"max_episode_steps": episode_steps(self.seconds, self.skip, self.options), **self.options}
         policy = PolicyName.parse(self.policy, self.task)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", TrainingWarning)  # what the commands print says it once
+            if self.told is not None:  # fields made for other loads are taken as they are: the page of the results says so
+                warnings.simplefilter("ignore", FieldsWarning)
+            rows: dict[str, Any] = {"num_envs": len(self.seeds), "threads": 1}
+            env: Any = gym.make_vec(IDS[self.task], **rows, **given) if self.rows else gym.make(IDS[self.task], **given)
             return policy.load(env, believed_scene(policy, self.told), other_effects=self.told is not None), env
 
     def key(self, code: str) -> str:
-        """Digest of all that the result depends on, with the version of the code. Raises ConfigurationError, ValueError, OSError."""
+        """Digest of all that the result depends on, with the sources' `code`. Raises ConfigurationError, ValueError, OSError."""
         options, policy = Options.parse(self.options, "options"), PolicyName.parse(self.policy, self.task)
         believed = believed_scene(policy, self.told)
         scenes = [scene.model_dump(mode="json") for scene in (resolved_scene(options), believed) if scene is not None]
         content = {
             **self._asdict(),
             "options": options.model_dump(mode="json"),
-            "policy": fingerprint(policy),
+            "policy": policy.fingerprint(),
             "told": scenes,
-            "files": {path: digest(Path(path)) for scene in scenes for path in _files_in(scene)},
+            "files": {path: digest(Path(path)) for path in _files_in(scenes)},
             "code": code,
-            "machine": machine() if self.measured == "time" else None,
+            "machine": machine() if self.alone else None,
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
+
+
+def believed_scene(policy: PolicyName, told: Mapping[str, Any] | None) -> Scene | None:
+    """Arm that a controller or a user's policy is told of, at BELIEF unless its name says a fidelity; None for agents, and without `told`,
+    the option `scene` of an arm that everybody is told of. Raises ValueError."""
+    if told is None or not isinstance(policy, Controller | UserPolicy):
+        return None
+    scene = resolved_scene(Options(scene=dict(told), fidelity="scene"))
+    return scene if isinstance(policy, Controller) and policy.belief else at_fidelity(scene, BELIEF)
 
 
 def _files_in(value: Any) -> Iterator[str]:
@@ -123,142 +104,61 @@ def _files_in(value: Any) -> Iterator[str]:
         yield value
 
 
-def code_version() -> str:
-    """Digest of the sources that results come from: the package's, and those of modules that are not installed, which may register tasks,
-    controllers or metrics."""
+def code_digest() -> str:
+    """Digest of the package's sources, and of loaded modules that are not installed, which may register controllers or metrics."""
     loaded = {Path(str(name)) for module in [*sys.modules.values()] if (name := getattr(module, "__file__", None))}
-    known = PACKAGE, Path(sysconfig.get_path("stdlib")), Path(sysconfig.get_path("scripts"))  # and the program soft-tendon
-    users = [path for path in loaded if not INSTALLED & {*path.parts} and not any(map(path.is_relative_to, known)) and path.is_file()]
-    return hashlib.sha256("".join([package_version(), *sorted(map(source_digest, users))]).encode()).hexdigest()
+    known = PACKAGE, *(Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib", "scripts"))
+    users = [path for path in loaded if not any(map(path.is_relative_to, known)) and path.is_file()]
+    return " ".join([sources_digest("**/*.py", "**/*.toml", "**/*.json", "**/*.npz"), *sorted(map(digest, users))])
 
 
-@functools.cache
-def package_version() -> str:
-    """Digest of the sources of the package that results come from."""
-    sources = {path.relative_to(PACKAGE).as_posix(): path for path in PACKAGE.rglob("*") if path.suffix in SOURCES}
-    parts = [f"{name} {source_digest(path)}" for name, path in sorted(sources.items()) if not name.startswith(SHOWS_ALONE)]
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
-
-
-def source_digest(path: Path) -> str:
-    """Digest of a file, of Python code without its docstrings: other words in them make no other results. Raises OSError."""
-    if path.suffix != ".py":
-        return digest(path)
-    lines = path.read_bytes().split(b"\n")
-    try:
-        blocks: list[ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef] = [ast.parse(b"\n".join(lines))]
-    except (SyntaxError, ValueError):
-        return digest(path)
-    found = list[ast.Expr]()
-    for block in blocks:  # which grow
-        blocks += [node for node in block.body if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)]
-        found += [node for node in block.body if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)]
-    for node in sorted(found, key=operator.attrgetter("lineno"), reverse=True):
-        first, last = node.lineno - 1, node.end_lineno or node.lineno
-        lines[first:last] = [lines[first][: node.col_offset] + lines[last - 1][node.end_col_offset :]]
-    return hashlib.sha256(b"\n".join(lines)).hexdigest()
-
-
-def measure(cell: Cell, opened: Opened | None = None) -> list[dict[str, Any]]:
-    """Records of what is measured in a cell, one per seed, as they are kept. Raises ValueError, OSError.
-
-    opened: see `Cell.open`, which is called by default.
-    """
+def measure(cell: Cell, opened: Opened | None = None) -> list[EpisodeScore]:
+    """Scores of a cell, one per seed. Raises ValueError, OSError. opened: see `Cell.open`, which is called by default."""
     policy, env = cell.open() if opened is None else opened
     try:
         together = [cell.seeds] if cell.rows else [(seed,) for seed in cell.seeds]
-        return [score(episode, cell.skip).record() for seeds in together for episode in play(policy, env, seeds)]
+        return [score(episode, cell.skip) for seeds in together for episode in play(policy, env, seeds)]
     finally:
         env.close()
-
-
-def episode_time(cell: Cell) -> float:
-    """Estimate of the time [s] that an episode of a cell takes on a core of its own, without loading the policy: from the reset and the
-    first steps of few."""
-    count = min(len(cell.seeds), PROBED if cell.rows else 1)
-    policy, env = cell._replace(seeds=cell.seeds[:count]).open()
-    times = list[float]()
-    try:
-        for _ in range(2):  # what is compiled is compiled by the first
-            steps = play_steps(policy, env, cell.seeds[:count])
-            for _ in range(1 + STEPS):
-                started = time.process_time()
-                next(steps)
-                times.append(time.process_time() - started)
-    finally:
-        env.close()
-    reset, *own = times[1 + STEPS :]
-    return (reset + episode_steps(cell.seconds, cell.skip, cell.options) * float(np.median(own))) / count
 
 
 class Experiment(Generic[Label]):
     """Cells by their labels, and the folder that keeps their results.
 
-    Cells that measure times are played first, in this process with nothing beside it. Raises ConfigurationError, ValueError, OSError.
+    Cells that are played alone come first, in this process. Raises ConfigurationError, ValueError, OSError.
     """
 
     def __init__(self, cells: Mapping[Label, Cell], folder: Path) -> None:
-        code = code_version()
+        """The policies of cells that are played alone are loaded: what is wrong with one is said before anything takes long."""
+        code = code_digest()
         self.cells, self._folder = cells, folder
         self._paths = {label: folder / f"{cell.key(code)}.json" for label, cell in cells.items()}
-        self._opened: dict[Label, Opened] = {}
-
-    def open_alone(self) -> None:
-        """Load the policies of cells that measure times: what is wrong with one is said before anything takes long."""
-        self._opened = {label: cell.open() for label, cell in self.cells.items() if cell.measured == "time"}
+        self._opened = {label: cell.open() for label, cell in cells.items() if cell.alone}
 
     def missing(self) -> list[Label]:
-        """Labels of cells that have no result yet, one for all cells that are alike. Raises ValueError for a damaged result, OSError."""
-        left = dict[Path, Label]()
-        for label, path in self._paths.items():
-            if not path.exists():
-                left.setdefault(path, label)
-            elif self.cells[label].measured not in read_json(path):
-                raise ValueError(f"{path} is no result of an experiment: take it away, and it is played again")
-        return [*left.values()]
-
-    def played(self) -> "Experiment[Label]":
-        """Experiment of the cells that have results alone."""
-        return Experiment({label: cell for label, cell in self.cells.items() if self._paths[label].exists()}, self._folder)
-
-    def estimate(self, workers: int, cluster: str | None = None, alike: Callable[[Label], Hashable] = lambda label: label) -> float:
-        """Estimate of the time [s] that `play` takes, from the `episode_time` of one of all missing cells whose labels are alike. Raises as
-        `play`."""
-        episodes, first = dict[Hashable, int](), dict[Hashable, Cell]()
-        for label in self.missing():
-            first.setdefault(alike(label), self.cells[label])
-            episodes[alike(label)] = episodes.get(alike(label), 0) + len(self.cells[label].seeds)
-        times = run_all(episode_time, [*first.values()], workers, "estimate", unit="cell", cluster=cluster)
-        return sum(map(operator.mul, times, episodes.values())) / workers
+        """Labels of cells that have no result yet, one for all cells that are alike."""
+        return [*{path: label for label, path in reversed(self._paths.items()) if not path.exists()}.values()][::-1]
 
     def play(self, title: str, workers: int, cluster: str | None = None) -> None:
         """Play the cells that are missing, see `run_all`, and keep each result as soon as it is there. Raises as `measure`."""
         where, left = origin(), self.missing()
         self._folder.mkdir(parents=True, exist_ok=True)
 
-        def keep(label: Label, records: list[dict[str, Any]]) -> None:
-            cell = self.cells[label]
-            with replacing(self._paths[label]) as path:
-                write_json(path, {"cell": cell._asdict(), **where, cell.measured: records}, say=False)
+        def keep(label: Label, scores: list[EpisodeScore]) -> None:
+            with replacing(self._paths[label]) as path:  # NaN and infinity stand in the file, as json has them
+                path.write_text(json.dumps({"cell": self.cells[label]._asdict(), **where, "scores": [asdict(own) for own in scores]}))
 
         for label in left:
-            if self.cells[label].measured == "time":
-                keep(label, measure(self.cells[label], self._opened.pop(label, None)))
-        others = [label for label in left if self.cells[label].measured != "time"]
-        run_all(
-            measure,
-            [self.cells[label] for label in others],
-            workers,
-            title,
-            unit="cell",
-            cluster=cluster,
-            done=lambda place, records: keep(others[place], records),
-        )
-
-    def result(self, label: Label) -> dict[str, Any]:
-        """Content of a cell's file. Raises ValueError, OSError."""
-        return read_json(self._paths[label])
+            if self.cells[label].alone:
+                keep(label, measure(self.cells[label], self._opened.pop(label)))
+        others = [label for label in left if not self.cells[label].alone]
+        runs, done = [self.cells[label] for label in others], lambda place, scores: keep(others[place], scores)
+        run_all(measure, runs, workers, title, unit="cell", cluster=cluster, done=done)
 
     def scores(self, label: Label) -> list[EpisodeScore]:
-        """Scores of a cell's episodes. Raises ValueError, OSError."""
-        return [EpisodeScore.of_record(record) for record in self.result(label)[self.cells[label].measured]]
+        """Scores of a cell's episodes. Raises ValueError for a damaged result, OSError."""
+        path = self._paths[label]
+        try:
+            return [EpisodeScore.restored(record) for record in read_json(path)["scores"]]
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"{path} is no result of an experiment: take it away, and it is played again") from error

@@ -5,7 +5,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any, NamedTuple, Self
 
@@ -15,16 +15,11 @@ from numpy.typing import NDArray
 from soft_tendon_env.tools.checks import checked_number
 from soft_tendon_env.tools.types import Array
 
-FAST = 10.0
-"""Frequency [Hz] above which changes of tension are chatter: no arm of this kind moves as fast."""
-SETTLED = 0.01
-"""Share of the rod's length below which the task's first error stays once an episode has settled: 10 mm on the paper's arm."""
-STAY = 1.0
-"""Time [s] for which it has to stay there, up to the end of the episode: a shorter one is no settling."""
-BAD = 0.02
-"""Share of the rod's length above which the first error makes an episode a bad one."""
-STILL = 1e-9
-"""Greatest change of a target's pose [m, or of its rotation's entries] from one control period to the next of a target that holds still."""
+FAST = 10.0  # [Hz] above which changes of tension are chatter: no arm of this kind moves as fast
+SETTLED = 0.01  # share of the rod's length below which the task's first error stays once an episode has settled
+STAY = 1.0  # [s] for which it has to stay there, up to the end of the episode
+BAD = 0.02  # share of the rod's length above which the first error makes an episode a bad one
+STILL = 1e-9  # greatest change of a target's pose [m, or of its rotation's entries] in a control period of a target that holds still
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,33 +121,26 @@ class EpisodeScore(WithMetrics):
     length: float
 
     @classmethod
-    def of_record(cls, record: Mapping[str, Any]) -> Self:
-        """Score of which this is the `record`, read from JSON: null is a number that is not finite."""
-        errors = {name: ErrorScore(**_numbers(error)) for name, error in record["errors"].items()}
-        metrics = _numbers({name: record[name] for name in METRICS})
-        own = {entry.name: record[entry.name] for entry in fields(cls) if entry.name in record}
-        return cls(**{**own, "errors": errors, "metrics": metrics, "action_time": ActionTime(**_numbers(record["action_time"]))})
+    def restored(cls, saved: Mapping[str, Any]) -> Self:
+        """Score from its `dataclasses.asdict`, read from JSON, where tuples have become lists."""
+        errors = {name: ErrorScore(*error) for name, error in saved["errors"].items()}
+        return cls(**{**saved, "errors": errors, "action_time": ActionTime(*saved["action_time"])})
 
-    def is_bad(self, share: float = BAD) -> bool:
-        """Whether the episode diverged, or its first error is above a share of the rod's length: the steady-state error where the target is
-        stepwise, else the root mean square."""
+    @property
+    def bad(self) -> bool:
+        """Whether the episode diverged, or its first error is above BAD: the steady-state error where the target is stepwise, else the root
+        mean square."""
         first = next(iter(self.errors.values()))
         error = first.rms if math.isnan(first.steady_state) else first.steady_state
-        return self.diverged is not None or not error <= share * self.length
+        return self.diverged is not None or not error <= BAD * self.length
 
     @property
     def numbers(self) -> dict[str, float]:
         """All that has an interquartile mean over episodes, by name; infinite where an episode has no such number, and errors and chatter
         where it diverged."""
         lost = {*flat(self.errors), "chatter"} if self.diverged is not None else set[str]()
-        settled = math.inf if self.settling_time is None else self.settling_time
-        found = {**flat(self.errors), **self.metrics, "settling_time": settled, "seconds": self.action_time.median}
+        found = {**flat(self.errors), **self.metrics, "seconds": self.action_time.median}
         return {name: math.inf if name in lost or not math.isfinite(value) else value for name, value in found.items()}
-
-
-def _numbers(record: Mapping[str, float | None]) -> dict[str, float]:
-    """Numbers of JSON, which has null for NaN."""
-    return {name: math.nan if value is None else value for name, value in record.items()}
 
 
 def flat(errors: Mapping[str, ErrorScore]) -> dict[str, Any]:

@@ -1,145 +1,82 @@
-"""Generated blocks of documents: what a command writes between two lines of a page, and the stamp that says which code made it.
+"""Generated blocks of documents: what a command writes between two lines of a page, and the stamp that says what made it.
 
-<!-- made {"command": ..., "commit": ..., "code": ..., ...} -->
+<!-- made {"command": ..., "commit": ..., "made": ...} -->
 <small>Made by `soft-tendon ...` at commit ..., on ...</small>
 """
 
-import hashlib
 import json
 import os
 import re
 import shlex
+import subprocess
 import sys
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from soft_tendon_env.evaluation.experiment import SHOWS_ALONE, package_version, source_digest
 from soft_tendon_env.evaluation.provenance import commit, machine
-from soft_tendon_env.policies.agent_files import is_agent
-from soft_tendon_env.tools.files import PACKAGE, digest, parse_json, read_text, replacing
+from soft_tendon_env.tools.files import PACKAGE, parse_json, read_text, replacing
 
 ROOT = PACKAGE.parent
-"""Folder of the clone, from which the paths of sources count."""
-COMMAND = "soft-tendon"
-CONFIGS, AGENTS = "configs", "agents/trained"
-MADE_HERE = ("docs/", "out/")
-"""Folders of what commands write: no block depends on them."""
-SHORT = 10  # characters of a commit that people read
-IMPORTED = re.compile(r"^\s*(?:from|import) ([\w.]+)", re.MULTILINE)
+"""Folder of the clone, from which the paths of scripts count."""
+SOURCES = ("soft_tendon_env", "benchmarks", "examples", "configs", "agents")
+"""Parts of the clone on which generated blocks depend."""
 MADE = re.compile(r"<!-- made (\{.*\}) -->")
 
 
 class Stamp(NamedTuple):
-    """Origin of a generated block: the command, and what it was made with.
-
-    code: digest of the package, as results of experiments are stored under, and of `sources`: files and folders of the clone that the block
-    depends on too, such as its configuration, and other parts of the package. preset: fidelity. made: day.
-    """
+    """Origin of a generated block: the command, the commit (None: of no clone), and the day."""
 
     command: str
     commit: str | None
-    code: str
-    sources: list[str]
-    preset: str
-    machine: str
     made: str
 
     @classmethod
-    def of(cls, command: Sequence[str], preset: str, sources: Iterable[str] = ()) -> "Stamp":
-        """The stamp of a command, which may be the path of a script, that is running now. Raises OSError."""
-        program, *words = command
-        script = Path(program).resolve()
-        if script.is_relative_to(ROOT) and not script.is_relative_to(PACKAGE) and script.suffix == ".py":
-            line = ["python", script.relative_to(ROOT).as_posix(), *words]
-        else:
-            line = [COMMAND, *words]
-        every = sorted({*sources_of(line), *sources})
-        day = datetime.now(UTC).date().isoformat()
-        return cls(shlex.join(line), commit(), code_digest(every), every, preset, machine(), day)
+    def of(cls, command: Sequence[str]) -> "Stamp":
+        """The stamp of a command, which may be the path of a script, that is running now."""
+        script, words = Path(command[0]).resolve(), command[1:]
+        is_script = script.is_relative_to(ROOT) and not script.is_relative_to(PACKAGE) and script.suffix == ".py"
+        line = ["python", script.relative_to(ROOT).as_posix(), *words] if is_script else ["soft-tendon", *words]
+        return cls(shlex.join(line), commit(), datetime.now(UTC).date().isoformat())
 
     @classmethod
     def read(cls, text: str) -> "Stamp | None":
         """The first stamp in a text, if there is one. Raises ValueError where it is damaged."""
-        found = MADE.search(text)
-        if found is None:
+        if (found := MADE.search(text)) is None:
             return None
         table = parse_json(found[1])
-        if not isinstance(table, dict) or set(table) != set(cls._fields):
+        if not isinstance(table, dict) or not {*cls._fields} <= table.keys():
             raise ValueError(f"a stamp should have {', '.join(cls._fields)}, not {found[1]}")
-        return cls(**table)
+        return cls(*(table[name] for name in cls._fields))
 
     def text(self) -> str:
-        """The comment that programs read, and the line that people read."""
-        at = "" if self.commit is None else f" at commit {self.commit[:SHORT]}{'+' * self.commit.endswith('+')}"
-        shown = f"<small>Made by `{self.command}`{at} on {self.made}. Preset: {self.preset}. Machine: {self.machine}.</small>"
+        """The comment that programs read, and the line that people read, with this machine."""
+        at = "" if self.commit is None else f" at commit {self.commit[:10]}{'+' * self.commit.endswith('+')}"
+        shown = f"<small>Made by `{self.command}`{at} on {self.made}. Machine: {machine()}.</small>"
         return f"<!-- made {json.dumps(self._asdict())} -->\n{shown}"
 
     def changed(self) -> bool:
-        """Whether the code, or a source, is not what it was when the block was made. Raises OSError."""
-        return self.code != code_digest(self.sources)
+        """Whether SOURCES differ from those of the commit, or that is not known."""
+        if self.commit is None or self.commit.endswith("+"):
+            return True
+        found = subprocess.run(["git", "diff", "--quiet", self.commit, "--", *SOURCES], cwd=ROOT, capture_output=True)
+        return found.returncode != 0
 
 
-def sources_of(words: Sequence[str]) -> list[str]:
-    """Files of the clone that a command line names: by path, a configuration that ships by its name, or the module of a command; and
-    what they import that no result of an episode depends on."""
-    paths = [path for word in words for path in (word, f"{CONFIGS}/{word}.toml")]
-    if COMMAND in words:
-        paths += [f"{PACKAGE.name}/cli/{word.replace('-', '_')}.py" for word in words]
-    named = [path for path in paths if (ROOT / path).is_file() and not path.startswith(MADE_HERE) and not path.endswith(".md")]
-    return [*named, *_imported([ROOT / path for path in named if path.endswith(".py")])]
-
-
-def _imported(files: list[Path]) -> list[str]:
-    """Parts of the package, but the command line, that no result of an episode depends on, and private modules beside the files: those
-    that files import, and that these import in turn."""
-    found = list[str]()
-    for file in files:  # which grow
-        for name in IMPORTED.findall(read_text(file)):
-            first, *parts = name.split(".")
-            part = file.parent / first if (file.parent / first).is_dir() else file.parent / f"{first}.py"
-            if first == PACKAGE.name and parts and parts[0] != "cli" and f"{parts[0]}/" in SHOWS_ALONE:
-                part = ROOT / first / parts[0]
-            elif not first.startswith("_") or not part.exists():
-                continue
-            if (path := part.relative_to(ROOT).as_posix()) not in found:
-                found.append(path)
-                files += sorted(part.rglob("*.py")) if part.is_dir() else [part]
-    return found
-
-
-def agent_sources(policies: Iterable[str]) -> list[str]:
-    """The folder of the agents that ship, where one of these policies is an agent."""
-    return [AGENTS] if any(map(is_agent, policies)) else []
-
-
-def code_digest(sources: Iterable[str]) -> str:
-    """Digest of the package and of files and folders of the clone, without what is compiled and written in the folders; what is not there
-    counts as empty. Raises OSError."""
-    parts = [package_version()]
-    for name in sources:
-        path = ROOT / name
-        inside = sorted(own for own in path.rglob("*") if own.is_file() and "__pycache__" not in own.parts and own.suffix != ".md")
-        within = [f"{own.relative_to(path).as_posix()} {source_digest(own)}" for own in inside]
-        parts += [name, *([digest(path)] if path.is_file() else within)]
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:24]
-
-
-def stamp(preset: str, sources: Iterable[str] = ()) -> str:
-    """Text of the stamp of this process's command. Raises OSError."""
-    return Stamp.of(sys.argv, preset, sources).text()
+def stamp() -> str:
+    """Text of the stamp of this process's command."""
+    return Stamp.of(sys.argv).text()
 
 
 class Page:
     """File in which generated blocks stand between the lines `<!-- NAME -->` and `<!-- /NAME -->`; without a path nothing is written.
 
-    preset, sources: see `Stamp`. Raises as `around_markers` for names whose lines are not there.
+    Raises as `around_markers` for names whose lines are not there.
     """
 
-    def __init__(self, path: str | None, names: Iterable[str], preset: str, sources: Iterable[str] = ()) -> None:
+    def __init__(self, path: str | None, names: Iterable[str]) -> None:
         self._path = None if path is None else Path(path)
-        self._preset, self._sources = preset, sources
         if self._path is not None:
             for name in names:
                 around_markers(self._path, name)
@@ -149,7 +86,7 @@ class Page:
         if self._path is not None:
             before, after = around_markers(self._path, name)
             with replacing(self._path) as path:
-                path.write_text(f"{before}\n{stamp(self._preset, self._sources)}\n\n{text}\n{after}")
+                path.write_text(f"{before}\n{stamp()}\n\n{text}\n{after}")
             print(f"written: {self._path}")
 
 

@@ -1,4 +1,4 @@
-"""Pictures of evaluations: errors of episodes by model error, and of several policies, or settings, against their times."""
+"""Pictures of evaluations: errors of policies by condition, the demo's, and errors against times of settings of a model."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,25 +17,36 @@ from soft_tendon_env.accuracy.pareto import Point
 from soft_tendon_env.drawing.palette import styles
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.metrics import EpisodeScore
-from soft_tendon_env.evaluation.summaries import Summary
+from soft_tendon_env.evaluation.summaries import Standings
 from soft_tendon_env.policies.load import short_name
+from soft_tendon_env.recording import Rollout
+
+ROOM, HEADROOM, PALE = 1.3, 2.0, 0.35
+"""Room around the circle of the demo, times its radius, and above the errors of all but the first policy, the paper's law as printed, which
+goes far and wide; and that one's opacity."""
 
 
-def draw_episodes(scores: Mapping[str, list[EpisodeScore]], title: str, path: Path) -> None:
-    """Draw each episode's root mean square error, by model error; crosses are episodes that diverged. Raises OSError."""
-    names = list(next(iter(scores.values()))[0].errors)
-    figure, all_axes = plt.subplots(1, len(names), figsize=(1.0 + 4.5 * len(names), 4.5), constrained_layout=True, squeeze=False)
-    for axes, name in zip(all_axes[0], names, strict=True):
-        label, scale = error_unit(name).heading, error_unit(name).factor
-        for place, of_error in enumerate(scores.values()):
-            for marker, colour, diverged in ((".", "#2e6f95", False), ("x", "#d1495b", True)):
-                values = [scale * score.errors[name].rms for score in of_error if (score.diverged is not None) == diverged]
-                axes.plot([place] * len(values), values, marker, color=colour)
+def draw_errors(panels: Mapping[str, Standings], path: Path) -> None:
+    """Draw interquartile means of the first error with their intervals, by title of a panel, policy and condition. Raises OSError."""
+    figure, all_axes = plt.subplots(len(panels), 1, figsize=(12, 1.0 + 3.6 * len(panels)), constrained_layout=True, squeeze=False)
+    drawn = styles([*dict.fromkeys(policy for panel in panels.values() for policy, _ in panel)])
+    for axes, (title, panel) in zip(all_axes[:, 0], panels.items(), strict=True):
+        policies, conditions = ([*dict.fromkeys(key[i] for key in panel)] for i in (0, 1))
+        unit = error_unit(next(iter(panel.values())).error)
+        for index, policy in enumerate(policies):
+            own, places = drawn[policy], [k for k, condition in enumerate(conditions) if (policy, condition) in panel]
+            found = [panel[policy, conditions[k]] for k in places]
+            value, low, high = unit.factor * np.array([standing.mean(f"{standing.error}_rms") for standing in found]).T
+            x = np.array(places) + 0.7 * ((index + 0.5) / len(policies) - 0.5)
+            axes.plot(x, value, own.marker, color=own.rgb, markersize=5, label=short_name(policy))
+            axes.vlines(x, low, high, color=own.rgb, linewidth=1.5)
+        for border in range(len(conditions) - 1):
+            axes.axvline(border + 0.5, color="0.85", linewidth=0.8)
         set_log_scale(axes, axes.yaxis)
-        axes.set_xticks(range(len(scores)), list(scores), rotation=40, ha="right")
-        axes.set(ylabel=f"{label}, RMS of an episode")
-        axes.grid(alpha=0.3, which="both")
-    figure.suptitle(title)
+        axes.set_xticks(range(len(conditions)), conditions, rotation=20)
+        axes.set(ylabel=f"{unit.heading} RMS", title=title, xlim=(-0.5, len(conditions) - 0.5))
+        axes.grid(axis="y", alpha=0.3)
+        axes.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     save_figure(figure, path)
 
 
@@ -56,39 +67,35 @@ def set_log_scale(axes: Axes, axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def draw_comparison(summaries: Mapping[tuple[str, str], Summary], task: str, path: Path) -> None:
-    """Draw errors by model error, and against time per action; hollow where episodes diverged, with a bar where there are several seeds.
-    Raises OSError."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(13, 5), constrained_layout=True, width_ratios=(1.6, 1))
-    policies, errors = (list(dict.fromkeys(key[i] for key in summaries)) for i in (0, 1))
-    name = next(iter(next(iter(summaries.values())).errors))
-    label, scale = error_unit(name).heading, error_unit(name).factor
-    for policy, own in styles(policies).items():
-        colour, of_policy = own.rgb, [summaries[policy, error] for error in errors]
-        values = [scale * summary.errors[name].rms for summary in of_policy]
-        left.plot(values, color=colour, alpha=0.4)
-        for place, (summary, value) in enumerate(zip(of_policy, values, strict=True)):
-            face = "none" if summary.flagged else colour
-            left.plot(place, value, own.marker, color=colour, markerfacecolor=face, label=short_name(policy) if place == 0 else None)
-            left.vlines(place, *interval_of(summary, name, scale), color=colour)
-        time = 1e3 * of_policy[0].action_time.median
-        right.plot(time, values[0], own.marker, color=colour, markerfacecolor="none" if of_policy[0].flagged else colour)
-        right.vlines(time, *interval_of(of_policy[0], name, scale), color=colour)
-    left.set_xticks(range(len(errors)), errors, rotation=40, ha="right")
-    figure.legend(frameon=False, fontsize=8, loc="outside right center")
-    left.set(ylabel=f"{label}, RMS", title=f"{task} by model error")
-    right.set(xlabel="time per action [ms], median", ylabel=f"{label}, RMS", title=errors[0])
-    for axes, axis in ((left, left.yaxis), (right, right.yaxis), (right, right.xaxis)):
-        set_log_scale(axes, axis)
+def draw_demo(on_circle: Mapping[str, Rollout], on_random: Mapping[str, Sequence[EpisodeScore]], path: Path) -> None:
+    """Draw the circle as it was followed, the errors on it, and those on random targets, by the names of policies. Raises OSError."""
+    figure, all_axes = plt.subplots(1, 3, figsize=(16, 5.4), constrained_layout=True)
+    paths, times, episodes = all_axes
+    target = next(iter(on_circle.values())).target_pose
+    assert target is not None, "a circle is made of poses"
+    reach, above = ROOM * np.abs(target[:, 1:3, 3]).max(), list[float]()
+    for k, (name, own) in enumerate(styles(on_circle).items()):
+        rollout, colour = on_circle[name], (*own.rgb, 1.0 if k else PALE)
+        way, errors = rollout.tip_pose[:, 1:3, 3], 1e3 * rollout.scalars["position_error"]
+        outside = np.abs(way).max(axis=1) > reach
+        end = 1 + int(outside.argmax()) if k == 0 and outside.any() else None
+        paths.plot(*way[:end].T, color=colour, linewidth=1.2, label=name)
+        times.plot(rollout.period * np.arange(rollout.samples), errors, color=colour, linewidth=1.2)
+        values = [1e3 * score.errors["position_error"].rms for score in on_random[name]]
+        episodes.plot(range(1, len(values) + 1), values, "o-", color=colour, linewidth=1.0)
+        above += [np.nanmax([*values, errors[rollout.samples // 10 :].max()])] if k else []
+    paths.plot(*target[:, 1:3, 3].T, "--", color="black", linewidth=1.0, label="circle")
+    paths.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel="y [m]", ylabel="z [m]", title="the tip along the circle")
+    times.set(xlabel="time [s]", ylabel="position error [mm]", title="error on the circle")
+    episodes.set(xlabel="random target", ylabel="position error [mm], RMS of an episode", title="errors on random targets")
+    episodes.locator_params(axis="x", integer=True)
+    for axes in (times, episodes):
+        set_log_scale(axes, axes.yaxis)
+        axes.set_ylim(top=HEADROOM * max(above))
+    for axes in all_axes:
         axes.grid(alpha=0.3, which="both")
+    figure.legend(frameon=False, loc="outside lower center", ncols=len(on_circle) + 1)
     save_figure(figure, path)
-
-
-def interval_of(summary: Summary, name: str, scale: float) -> tuple[float, float]:
-    """Bounds of an error's RMS; the number itself, twice, where there is one seed."""
-    number = summary.errors[name].rms
-    low, high = summary.intervals.get(f"{name}_rms", (number, number))
-    return scale * float(low), scale * float(high)
 
 
 def draw_front(title: str, costs: Sequence[tuple[Point, float]], tolerance: float | None, path: Path) -> None:

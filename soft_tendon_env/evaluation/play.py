@@ -3,7 +3,7 @@
     scores = evaluate(policy, env, EVALUATION_SEEDS)
     print(summarise(scores).errors["position_error"].rms)
 
-A policy is whatever has Stable-Baselines3's `predict`. Errors are the true ones of `info`, whatever the sensors say; see metrics.py.
+A policy is whatever has Stable-Baselines3's `predict`. Errors are the true ones, whatever the sensors say; see metrics.py.
 """
 
 import time
@@ -19,10 +19,8 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.single import TendonRodEnv
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
-from soft_tendon_env.evaluation.conditions import SEEDS
 from soft_tendon_env.evaluation.metrics import STILL, Episode, EpisodeScore, score
 from soft_tendon_env.evaluation.settings import episode_steps
-from soft_tendon_env.evaluation.summaries import tracking_cost
 from soft_tendon_env.policies.controller_policy import RowMemory
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.checks import checked_type
@@ -45,11 +43,8 @@ def evaluate(policy: Policy, env: gym.Env[Any, Any], seeds: Iterable[int], skip:
 
 
 def evaluate_rows(policy: Policy, envs: gym.vector.VectorEnv[Any, Any, Any], seeds: Sequence[int], skip: float = 1.0) -> list[EpisodeScore]:
-    """Scores as from `evaluate`, with all episodes side by side: row i of a vector environment plays the one of seeds[i].
-
-    The numbers are those of one by one, where the policy treats rows as it treats single observations; but for the time per action, which
-    is the time of all rows divided by their number. Raises as `evaluate`, ValueError unless there is a row per seed.
-    """
+    """Scores as from `evaluate`, with all episodes side by side: row i of a vector environment plays the one of seeds[i]. The time of an
+    action is that of all rows divided by their number. Raises as `evaluate`, ValueError unless there is a row per seed."""
     inner = checked_type("envs", envs.unwrapped, TendonRodVectorEnv, "made by gym.make_vec('TendonRod-TipPose-v0', num_envs=...)")
     if len(seeds) != envs.num_envs:
         raise ValueError(f"seeds should be one for each of the {envs.num_envs} rows, not {len(seeds)}")
@@ -71,18 +66,6 @@ def validation_scores(
         return evaluate_rows(make(envs), envs, seeds, skip)
     finally:
         envs.close()
-
-
-def validation_error(
-    make: Callable[[Any], Policy],
-    task: str,
-    options: Mapping[str, Any],
-    seeds: Sequence[int] = SEEDS["tuning"],
-    seconds: float = 3.0,
-    skip: float = 1.0,
-) -> float:
-    """Cost [m] of a policy, see `tracking_cost` and `validation_scores`: the objective of a search for its parameters."""
-    return tracking_cost(validation_scores(make, task, options, seeds, seconds, skip))
 
 
 class Step(NamedTuple):

@@ -15,47 +15,34 @@ from typing import Any
 
 from soft_tendon_env.tools.files import PACKAGE
 
-PACKAGES = ("soft_tendon_env", "numpy", "scipy", "numba", "gymnasium", "daqp", "stable_baselines3", "sb3_contrib", "torch", "ray")
-SHOWN_ALONE = (":/", ":!/docs", ":!/*.md")
-"""Paths of a clone, as git has them, without documents."""
+PACKAGES = {"soft_tendon_env", "numpy", "scipy", "numba", "gymnasium", "daqp", "stable_baselines3", "sb3_contrib", "torch", "ray"}
 
 
 def origin() -> dict[str, Any]:
     """Provenance of a result: command, time, commit, machine, versions."""
     name = Path(sys.argv[0]).name
     called = ["python", "-m", "soft_tendon_env"] if name == "__main__.py" else [name]
-    return {
-        "command": shlex.join([*called, *sys.argv[1:]]),
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "commit": commit(),
-        "machine": machine(),
-        "versions": versions(),
-    }
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    command = shlex.join([*called, *sys.argv[1:]])
+    return {"command": command, "created": created, "commit": commit(), "machine": machine(), "versions": versions()}
 
 
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that are installed, by name."""
-    found = {"python": platform.python_version()}
-    for name in PACKAGES:
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return found
+    installed = {own.name.replace("-", "_"): own.version for own in importlib.metadata.distributions()}
+    return {"python": platform.python_version(), **{name: installed[name] for name in sorted(PACKAGES & installed.keys())}}
 
 
 def commit() -> str | None:
     """Commit of the clone that the package is in, with "+" where other files than documents differ; None for an installed package."""
     if not (PACKAGE.parent / ".git").exists():
         return None
+    commands = (["rev-parse", "HEAD"], ["status", "--porcelain", "--", ":/", ":!/docs", ":!/*.md"])
     try:
-        head, changed = (
-            subprocess.run(["git", *arguments], cwd=PACKAGE, capture_output=True, text=True, check=True).stdout.strip()
-            for arguments in (("rev-parse", "HEAD"), ("status", "--porcelain", "--", *SHOWN_ALONE))
-        )
+        head, changed = (subprocess.run(["git", *words], cwd=PACKAGE, capture_output=True, text=True, check=True) for words in commands)
     except (OSError, subprocess.CalledProcessError):
         return None
-    return head + ("+" if changed else "")
+    return head.stdout.strip() + ("+" if changed.stdout.strip() else "")
 
 
 def machine() -> str:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from soft_tendon_env.envs import IDS, Options
-from soft_tendon_env.evaluation.conditions import DIFFICULTIES, EVALUATION_SEEDS, MODEL_ERRORS, SETTINGS, model_error
+from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, MODEL_ERRORS, SETTINGS, model_error
 from soft_tendon_env.policies.agent_files import EnvironmentOptions
 from soft_tendon_env.policies.load import ALL
 from soft_tendon_env.policies.regimes import REGIMES
@@ -31,10 +31,7 @@ TaskName = Annotated[str, _one_of("a task", IDS)]
 """Name of a registered task."""
 SettingNames = Annotated[tuple[Annotated[str, _one_of("a setting", SETTINGS)], ...], ONCE]
 RegimeNames = Annotated[tuple[Annotated[str, _one_of("an information regime", REGIMES)], ...], ONCE]
-DifficultyName = Annotated[str, _one_of("a difficulty", DIFFICULTIES)]
-DifficultyNames = Annotated[tuple[DifficultyName, ...], ONCE]
-"""Names of settings, information regimes and difficulties, each once."""
-
+"""Names of settings and information regimes, each once."""
 Seed = Annotated[int, Field(ge=0)]
 """Seed of `reset`."""
 
@@ -90,13 +87,6 @@ class Settings(EpisodeSettings, Workers):
     episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1)
     seeds: tuple[Seed, ...] = Field(default_factory=lambda given: EVALUATION_SEEDS[: given.get("episodes", 0)], min_length=1)
 
-    @model_validator(mode="before")
-    @classmethod
-    def _counted(cls, values: dict[str, Any]) -> dict[str, Any]:
-        """Sets the number of episodes to that of the seeds that are given."""
-        seeds = values.get("seeds")
-        return {"episodes": len(seeds), **values} if isinstance(seeds, tuple) and seeds else values
-
     @field_validator("errors")
     @classmethod
     def _known(cls, errors: tuple[str, ...]) -> tuple[str, ...]:
@@ -105,17 +95,17 @@ class Settings(EpisodeSettings, Workers):
             model_error(name)
         return tuple(dict.fromkeys(every))
 
-    @field_validator("seeds")
+    @model_validator(mode="before")
     @classmethod
-    def _differ(cls, seeds: tuple[int, ...]) -> tuple[int, ...]:
-        if twice := [seed for seed in dict.fromkeys(seeds) if seeds.count(seed) > 1]:
-            raise ValueError(f"should have each seed once, not {twice[0]} several times")
-        return seeds
+    def _counted(cls, values: dict[str, Any]) -> dict[str, Any]:
+        """Sets the number of episodes to that of the seeds that are given."""
+        seeds = values.get("seeds")
+        return {"episodes": len(seeds), **values} if isinstance(seeds, tuple) and seeds else values
 
     @model_validator(mode="after")
     def _fit(self) -> "Settings":
-        if self.episodes != len(self.seeds):
-            given, count = "seeds" in self.model_fields_set, len(self.seeds)
+        if self.episodes != (count := len({*self.seeds})):  # each counts once
+            given = "seeds" in self.model_fields_set
             allowed = f"{count}, as there are seeds" if given else f"at most {count}, or seeds should be given in its place"
             raise ConfigurationError([Problem(("episodes",), f"is {self.episodes}: it should be {allowed}")])
         return self
@@ -143,9 +133,7 @@ class Comparison(Settings):
         tasks: names of the tasks that policies are compared on.
         policies: names of controllers, "all" of them, agent, ppo, sac, dagger or apg (which ship), folders or .zip files of
             agents, or folders of runs.
-        episode_csv: write TASK_episodes.csv too, every episode in few numbers.
     """
 
     tasks: tuple[TaskName, ...] = Field(default_factory=lambda: tuple(IDS), min_length=1, json_schema_extra={"flag": "--task"})
     policies: tuple[str, ...] = Field(default=(ALL,), min_length=1)
-    episode_csv: bool = False

@@ -1,24 +1,19 @@
-"""Summaries of episodes of one policy, and of several seeds of its training.
+"""Summaries of episodes: root mean squares, interquartile means, their intervals, comparisons of pairs.
 
-The summary of several seeds: errors, the share reached, effort, rate and return are interquartile means over the seeds'
-numbers, with 95 % intervals. Counts (settled, violations, diverged) and the settling time, which a seed may not
-have, are of all episodes of all seeds together, as is the worst episode. Times per action are medians of the seeds'.
-
-Interquartile means and their bootstrap intervals are after Agarwal et al., "Deep reinforcement learning at the edge of the statistical
-precipice", NeurIPS 2021. They hide what a few bad episodes do: `Tails` stand beside them. NaN, a run without a number, counts as larger
-than every number, as fits errors. That, infinite errors of episodes that diverged, and drawing along several axes at once are what
-`scipy.stats.trim_mean` and `scipy.stats.bootstrap` do not do; counts are cut as `trim_mean` cuts them.
+After Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021. Interquartile means hide what a
+few bad episodes do: `Tails` stand beside them. NaN, a run without a number, counts as larger than every number, as fits errors. That,
+infinite errors of episodes that diverged, and drawing along several axes at once are what `scipy.stats` does not do.
 """
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.evaluation.metrics import ActionTime, EpisodeScore, ErrorScore, WithMetrics, flat, root_mean_square
+from soft_tendon_env.evaluation.metrics import ActionTime, EpisodeScore, ErrorScore, WithMetrics, root_mean_square
 from soft_tendon_env.tools.types import Array
 
 WORST = 0.1
@@ -105,23 +100,17 @@ class Summary(WithMetrics):
 
     Attributes:
         errors: `rms` over all samples of all episodes (these are alike in number), the others means of the episodes'.
-        tails: of the episodes' `rms`, by error. worst: the largest of these.
-        bad: share of all episodes that are bad, see `EpisodeScore.is_bad`.
         settled: episodes that settled; settling_time: their median [s], None if none did.
         metrics: root mean square over episodes of every metric, by name.
         bound_violations: steps, of all episodes.
         mean_return: over all episodes; no reward follows a divergence.
         reached: share of all episodes that reached their goal; None for tasks without.
         action_time: medians of the episodes'.
-        seeds: of training that it is of, see `over_seeds`; intervals: of their interquartile means, by the names of `numbers`.
     """
 
     episodes: int
     diverged: int
     errors: Mapping[str, ErrorScore]
-    tails: Mapping[str, Tails]
-    worst: Mapping[str, float]
-    bad: float
     settled: int
     settling_time: float | None
     metrics: Mapping[str, float]
@@ -129,25 +118,11 @@ class Summary(WithMetrics):
     mean_return: float
     reached: float | None
     action_time: ActionTime
-    seeds: int | None = None
-    intervals: Mapping[str, Interval] = field(default_factory=dict)
-
-    def record(self) -> dict[str, Any]:
-        """Plain values by name, for JSON, with `flagged`; seeds and intervals where there are any."""
-        tails = {name: of_error._asdict() for name, of_error in self.tails.items()}
-        found = {**super().record(), "tails": tails, "flagged": self.flagged}
-        return {name: value for name, value in found.items() if self.seeds is not None or name not in ("seeds", "intervals")}
 
     @property
     def flagged(self) -> bool:
         """True if any episode diverged."""
         return self.diverged > 0
-
-    @property
-    def numbers(self) -> dict[str, float | None]:
-        """All that has a mean over seeds of training, by name: numbers of each error as in `flat`, the share reached, the metrics, the mean
-        return."""
-        return {**flat(self.errors), "reached": self.reached, **self.metrics, "mean_return": self.mean_return}
 
 
 def summarise(scores: Sequence[EpisodeScore]) -> Summary:
@@ -157,23 +132,21 @@ def summarise(scores: Sequence[EpisodeScore]) -> Summary:
     lived = [score for score in scores if score.diverged is None]
     names = scores[0].errors
     times = [score.settling_time for score in lived if score.settling_time is not None]
-    rms = {name: np.array([score.errors[name].rms for score in lived]) for name in names}
+    rms = {name: root_mean_square(np.array([score.errors[name].rms for score in lived])) for name in names}
     others = {name: [score.errors[name][1:] for score in lived] or [(math.nan,) * 2] for name in names}
     reached = [score.reached for score in scores if score.reached is not None]
+    known = [score.action_time for score in scores if math.isfinite(score.action_time.median)]
     return Summary(
         episodes=len(scores),
         diverged=len(scores) - len(lived),
-        errors={name: ErrorScore(root_mean_square(rms[name]), *np.mean(others[name], axis=0).tolist()) for name in names},
-        tails={name: Tails.of(rms[name]) for name in names},
-        worst={name: float(rms[name].max()) if lived else math.nan for name in names},
-        bad=float(np.mean([score.is_bad() for score in scores])),
+        errors={name: ErrorScore(rms[name], *np.mean(others[name], axis=0).tolist()) for name in names},
         settled=len(times),
         settling_time=float(np.median(times)) if times else None,
         metrics={name: root_mean_square(np.array([score.metrics[name] for score in lived])) for name in scores[0].metrics},
         bound_violations=sum(score.bound_violations for score in scores),
         mean_return=float(np.mean([score.total_reward for score in scores])),
         reached=float(np.mean(reached)) if reached else None,
-        action_time=median_times([score.action_time for score in scores]),
+        action_time=ActionTime(*np.median(known, axis=0).tolist()) if known else ActionTime(math.nan, math.nan),
     )
 
 
@@ -189,23 +162,73 @@ def tracking_cost(scores: Sequence[EpisodeScore]) -> float:
     return float(np.mean([cost(score) for score in scores]))
 
 
-def over_seeds(summaries: Sequence[Summary], scores: Sequence[list[EpisodeScore]]) -> Summary:
-    """Summary of several seeds of training, from theirs and the scores that those are of."""
-    pooled = summarise([score for of_seed in scores for score in of_seed])
-    keys = [key for key, value in pooled.numbers.items() if value is not None]
-    values = {key: np.array([summary.numbers[key] for summary in summaries], dtype=float) for key in keys}
-    means = {key: float(interquartile_mean(of_seeds)) for key, of_seeds in values.items()}
-    changed: dict[str, Any] = {
-        "errors": {name: ErrorScore(*(means[f"{name}_{kind}"] for kind in ErrorScore._fields)) for name in pooled.errors},
-        "metrics": {name: means[name] for name in pooled.metrics},
-        "action_time": median_times([summary.action_time for summary in summaries]),
-        **{name: means[name] for name in ("reached", "mean_return") if name in means},
-    }
-    intervals = {key: bootstrap_interval(of_seeds) for key, of_seeds in values.items()}
-    return replace(pooled, **changed, seeds=len(summaries), intervals=intervals)
+class Mean(NamedTuple):
+    """Interquartile mean of a number, and the ends of its interval."""
+
+    value: float
+    low: float
+    high: float
 
 
-def median_times(times: Sequence[ActionTime]) -> ActionTime:
-    """Medians of several times per action, of those that are numbers; NaN without any."""
-    known = [time for time in times if math.isfinite(time.median)]
-    return ActionTime(*np.median(known, axis=0).tolist()) if known else ActionTime(math.nan, math.nan)
+class Standing(NamedTuple):
+    """Scores of a policy's episodes by member: a controller is one, an agent has one per seed of its training."""
+
+    scores: Sequence[Sequence[EpisodeScore]]
+
+    @property
+    def episodes(self) -> list[EpisodeScore]:
+        """Scores of all members together."""
+        return [score for of_member in self.scores for score in of_member]
+
+    def values(self, key: str) -> Array:
+        """A number of every episode (members, episodes), see `EpisodeScore.numbers`."""
+        return np.array([[score.numbers[key] for score in of_member] for of_member in self.scores])
+
+    def mean(self, key: str) -> Mean:
+        """Interquartile mean over all episodes of all members; members and episodes are drawn anew for its interval."""
+        values = self.values(key)
+        return Mean(float(interquartile_mean(values.ravel())), *map(float, bootstrap_interval(values, axes=2)))
+
+    @property
+    def error(self) -> str:
+        """Name of the task's first error, by whose root mean square policies are ranked."""
+        return next(iter(self.episodes[0].errors))
+
+    @property
+    def bad(self) -> float:
+        """Share of episodes that are bad."""
+        return float(np.mean([score.bad for score in self.episodes]))
+
+
+class Duel(NamedTuple):
+    """A policy beside another on the same episodes: the difference of their interquartile means (SI units, negative where the first has
+    less error), and the probability that the first has less error in an episode."""
+
+    difference: Mean
+    probability: Mean
+
+    @property
+    def verdict(self) -> str:
+        """Word for the first: "ahead" or "behind" where the interval of the difference leaves out zero, else "not separated"."""
+        return "ahead" if self.difference.high < 0.0 else "behind" if self.difference.low > 0.0 else "not separated"
+
+
+def compared(one: Standing, other: Standing, key: str) -> Duel:
+    """Paired bootstrap of a policy and another of a single member. Raises ValueError unless that one played all episodes of the first."""
+    theirs = {score.seed: score.numbers[key] for score in other.episodes}
+    if len(other.scores) > 1 or any(score.seed not in theirs for score in one.episodes):
+        raise ValueError("the other should be a single member, which has played the same episodes")
+    pairs = np.array([[(score.numbers[key], theirs[score.seed]) for score in of_member] for of_member in one.scores], dtype=float)
+
+    def difference(drawn: Array, axis: int = 0) -> Array:
+        ours, others = np.moveaxis(np.asarray(interquartile_mean(drawn, axis)), -1, 0)
+        with np.errstate(invalid="ignore"):  # NaN where both means are infinite
+            return np.asarray(ours - others)
+
+    better = (pairs[..., 0] < pairs[..., 1]) + 0.5 * (pairs[..., 0] == pairs[..., 1])
+    apart = Mean(float(difference(pairs.reshape(-1, 2))), *map(float, bootstrap_interval(pairs, axes=2, statistic=difference)))
+    return Duel(apart, Mean(float(better.mean()), *map(float, bootstrap_interval(better, axes=2, statistic=np.mean))))
+
+
+Standings = Mapping[tuple[str, str], Standing]
+"""Standings by policy and condition."""

@@ -1,35 +1,28 @@
-"""Tables of summaries, in Markdown and as CSV. Millimetres, degrees and milliseconds where people read them, SI units in CSV."""
+"""Tables of summaries and standings, in Markdown and as CSV. Millimetres, degrees and milliseconds where people read them, SI in CSV."""
 
 import csv
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from soft_tendon_env.envs.tracking import error_unit
-from soft_tendon_env.evaluation.metrics import BAD, METRICS, EpisodeScore, flat
-from soft_tendon_env.evaluation.summaries import HIGH, Summary
+from soft_tendon_env.evaluation.metrics import BAD, METRICS
+from soft_tendon_env.evaluation.summaries import HIGH, Standing, Standings, Summary, Tails
 
 MODEL = "model in the loop"
 FLAG = "!"
 LEGEND = f"{FLAG}: episodes diverged; errors, effort and rate are those of the episodes that lived."
-TAILS = f"mean, p{HIGH}: mean and {HIGH}th percentile over episodes; bad: share of episodes that diverged, or are off by more than "
-TAILS += f"{100 * BAD:g} % of the rod's length (RMS; steady-state error of targets that jump)"
-SEEDS_LEGEND = "A (B-C): the interquartile mean over seeds of training, and its 95 % bootstrap interval; the rest is of all seeds together."
-SEEDS_LEGEND += f" {TAILS}."
+ERRORS_LEGEND = f"""Root mean square of an episode: interquartile mean (95 % bootstrap interval) / mean / {HIGH}th percentile / share bad,
+episodes that diverged, or are off by more than {100 * BAD:g} % of the rod's length (RMS; steady-state error of targets that jump)."""
 
 
-Row = TypeVar("Row")
-
-
-class Column(NamedTuple, Generic[Row]):
-    """Column of a table: its heading, its cell as a function of what a row is of, and whether it is among the few that tables have by
+class Column(NamedTuple):
+    """Column of a table: its heading, its cell as a function of a row's summary, and whether it is among the few that tables have by
     default."""
 
     header: str
-    cell: Callable[[Row], str]
+    cell: Callable[[Summary], str]
     usual: bool = False
 
 
@@ -40,53 +33,31 @@ def number(value: float | None, digits: int = 3) -> str:
     return f"{value:.0f}" if abs(value) >= 10.0**digits - 0.5 else f"{value:#.{digits}g}".removesuffix(".")
 
 
-def format_interval(summary: Summary, key: str, scale: float = 1.0, digits: int = 3) -> str:
-    """Interval of a number of `Summary.numbers`, " (low-high)"; "" where that is not of several seeds."""
-    if key not in summary.intervals:
-        return ""
-    low, high = (number(scale * float(bound), digits) for bound in summary.intervals[key])
-    return f" ({low} to {high})" if "-" in (low[0], high[0]) else f" ({low}-{high})"
-
-
 def with_seeds(name: str, count: int | None) -> str:
     """A name, with the number of seeds behind it if there are any."""
     return name if count is None else f"{name} ({count} {'seed' if count == 1 else 'seeds'})"
 
 
-def format_value(summary: Summary, key: str, scale: float = 1.0, digits: int = 3) -> str:
-    """A number of `Summary.numbers`, marked where episodes diverged."""
-    found = summary.numbers[key]
-    text = number(None if found is None else scale * found, digits) + format_interval(summary, key, scale, digits)
-    return f"{text} {FLAG}" if summary.flagged else text
-
-
-def format_tails(summary: Summary, name: str) -> tuple[str, ...]:
-    """Mean and HIGH percentile of an error over episodes, and the share that is bad."""
-    return *(number(error_unit(name).factor * value) for value in summary.tails[name]), f"{100 * summary.bad:.0f} %"
-
-
-def columns_of(summary: Summary) -> list[Column[Summary]]:
+def columns_of(first: Summary) -> list[Column]:
     """Columns for every number of a task's summaries; divergences stand beside the return."""
-    columns = list[Column[Summary]]()
-    for place, (name, error) in enumerate(summary.errors.items()):
-        headings = [("rms", f"{error_unit(name).heading} RMS"), ("percentile_95", "p95")]
-        headings += [] if math.isnan(error.steady_state) else [("steady_state", "steady state")]
-        for kind, heading in headings:
-            value = partial(format_value, key=f"{name}_{kind}", scale=error_unit(name).factor)
-            columns.append(Column(heading, value, usual=kind != "percentile_95"))
-        for k, heading in enumerate(("mean", f"p{HIGH}", "bad")[: 2 + (place == 0)]):
-            tail = lambda s, name=name, k=k: format_tails(s, name)[k]  # noqa: E731
-            columns.append(Column(heading, tail, usual=place == 0 and summary.seeds is not None))
-    if summary.reached is not None:
-        interval = partial(format_interval, key="reached", scale=100.0, digits=2)
-        columns.append(Column("reached", lambda s: "-" if s.reached is None else f"{100 * s.reached:.0f} %{interval(s)}", usual=True))
+
+    def flagged(heading: str, value: Callable[[Summary], float], usual: bool = False, digits: int = 3) -> Column:
+        return Column(heading, lambda s: number(value(s), digits) + f" {FLAG}" * s.flagged, usual)
+
+    columns = list[Column]()
+    for name, error in first.errors.items():
+        headings = ((f"{error_unit(name).heading} RMS", 0), ("p95", 1), *(() if math.isnan(error.steady_state) else (("steady state", 2),)))
+        for heading, k in headings:
+            columns.append(flagged(heading, lambda s, name=name, k=k: error_unit(name).factor * s.errors[name][k], k != 1))  # type: ignore
+    if first.reached is not None:
+        columns.append(Column("reached", lambda s: f"{100 * (s.reached or 0.0):.0f} %", usual=True))
     return [
         *columns,
         Column("settled", lambda s: f"{s.settled}/{s.episodes}", usual=True),
         Column("after [s]", lambda s: number(s.settling_time)),
-        *(Column(METRICS[name].heading, partial(format_value, key=name), METRICS[name].usual) for name in summary.metrics),
+        *(flagged(METRICS[name].heading, lambda s, name=name: s.metrics[name], METRICS[name].usual) for name in first.metrics),  # type: ignore
         Column("violations", lambda s: str(s.bound_violations)),
-        Column("return", lambda s: format_value(s, "mean_return", digits=4)),
+        flagged("return", lambda s: s.mean_return, digits=4),
         Column("diverged", lambda s: f"{s.diverged}/{s.episodes}"),
         Column("time [ms]", lambda s: number(1e3 * s.action_time.median), usual=True),
         Column("p99 [ms]", lambda s: number(1e3 * s.action_time.percentile_99)),
@@ -96,49 +67,32 @@ def columns_of(summary: Summary) -> list[Column[Summary]]:
 def summary_table(label: str, summaries: Mapping[str, Summary], every: bool = False, models: Mapping[str, str] | None = None) -> str:
     """Table with a row per summary: errors, settled, chatter, time of an action; or every number. models: a last column by name, the
     policies' use of a model at run time, see `entrants.model_in_the_loop`."""
-    first = next((summary for summary in summaries.values() if summary.seeds), next(iter(summaries.values())))
-    columns = [column for column in columns_of(first) if every or column.usual]
+    columns = [column for column in columns_of(next(iter(summaries.values()))) if every or column.usual]
     rows = [
-        (with_seeds(name, summary.seeds), *(column.cell(summary) for column in columns), *([] if models is None else [models[name]]))
+        (name, *(column.cell(summary) for column in columns), *([] if models is None else [models[name]]))
         for name, summary in summaries.items()
     ]
-    header = (label, *(column.header for column in columns), *([] if models is None else [MODEL]))
-    return with_legends(markdown_table(header, rows), summaries.values())
+    table = markdown_table((label, *(column.header for column in columns), *([] if models is None else [MODEL])), rows)
+    return f"{table}\n\n{LEGEND}" if any(summary.flagged for summary in summaries.values()) else table
 
 
-def error_table(summaries: Mapping[tuple[str, str], Summary]) -> str:
-    """Table of root mean square errors by policy (rows) and model error (columns); the task's first two numbers to a cell, and of several
-    seeds what their interquartile means leave out."""
-    first = next(iter(summaries.values()))
-    # RMS of the first error, and its steady state, or the RMS of the second or, for goals, the share reached
-    shown = [column for column in columns_of(replace(first, seeds=None)) if column.usual][:2]
-    policies, errors = ([*dict.fromkeys(key[i] for key in summaries)] for i in (0, 1))
-
-    def cell(summary: Summary) -> str:
-        mean, high, bad = format_tails(summary, next(iter(first.errors)))
-        tails = f", mean {mean}, p{HIGH} {high}, {bad} bad" if summary.seeds else ""
-        return " / ".join(column.cell(summary) for column in shown) + tails
-
-    rows = [
-        (with_seeds(policy, summaries[policy, errors[0]].seeds), *(cell(summaries[policy, error]) for error in errors))
-        for policy in policies
-    ]
-    header = (" / ".join(column.header for column in shown), *errors)
-    return with_legends(markdown_table(header, rows), summaries.values())
+def error_text(standing: Standing) -> str:
+    """Root mean squares of the task's first error in words, see ERRORS_LEGEND."""
+    factor, key = error_unit(standing.error).factor, f"{standing.error}_rms"
+    value, low, high, mean, tail = (number(factor * value) for value in (*standing.mean(key), *Tails.of(standing.values(key))))
+    return f"{value} ({low}-{high}) / {mean} / {tail} / {100.0 * standing.bad:.0f} %"
 
 
-def table_of(label: str, rows: Mapping[str, Row], columns: Sequence[Column[Row]]) -> str:
-    """Markdown table of a row per name; `label` stands above the names."""
-    cells = [(name, *(column.cell(row) for column in columns)) for name, row in rows.items()]
-    return markdown_table((label, *(column.header for column in columns)), cells)
-
-
-def with_legends(table: str, summaries: Iterable[Summary]) -> str:
-    """Table with the legends that its summaries need."""
-    shown = list(summaries)
-    flags = [LEGEND] if any(summary.flagged for summary in shown) else []
-    seeds = [SEEDS_LEGEND] if any(summary.seeds for summary in shown) else []
-    return "\n\n".join([table, *flags, *seeds])
+def error_table(found: Standings) -> str:
+    """Table of the task's first error by policy (rows) and condition (columns), "-" where a policy did not play."""
+    policies, conditions = ([*dict.fromkeys(key[i] for key in found)] for i in (0, 1))
+    rows = []
+    for policy in policies:
+        members = next(len(standing.scores) for (name, _), standing in found.items() if name == policy)
+        cells = (error_text(found[policy, condition]) if (policy, condition) in found else "-" for condition in conditions)
+        rows.append((with_seeds(policy, members if members > 1 else None), *cells))
+    header = f"{error_unit(next(iter(found.values())).error).heading} RMS"
+    return f"{markdown_table((header, *conditions), rows)}\n\n{ERRORS_LEGEND}"
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -149,31 +103,28 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join([lines[0], "|" + "|".join("-" * (width + 2) for width in widths) + "|", *lines[1:]])
 
 
-def csv_record(summary: Summary) -> dict[str, Any]:
-    """A summary for CSV, in SI units; empty where there is no number. Several seeds have further columns: how many, and the intervals."""
-    tails = {f"{error}_{name}": value for error, of in summary.tails.items() for name, value in zip(("mean", f"p{HIGH}"), of, strict=True)}
-    counts = {name: getattr(summary, name) for name in ("bad", "reached", "settled", "settling_time")}
-    rest = {name: getattr(summary, name) for name in ("bound_violations", "mean_return", "diverged", "episodes")}
-    times = {f"action_time_{kind}": value for kind, value in summary.action_time._asdict().items()}
-    record = {**flat(summary.errors), **tails, **counts, **summary.metrics, **rest, **times}
-    if summary.seeds is not None:
-        bounds = {f"{key}_{kind}": bound for key, of_key in summary.intervals.items() for kind, bound in of_key._asdict().items()}
-        record |= {"seeds": summary.seeds, **bounds}
-    return {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in record.items()}
+def records(found: Standings) -> list[dict[str, Any]]:
+    """Errors, metrics and time of an action of every policy under every condition, SI units, with their intervals, for CSV."""
+    rows = []
+    for (policy, condition), standing in found.items():
+        row: dict[str, Any] = {
+            "policy": policy,
+            "condition": condition,
+            "members": len(standing.scores),
+            "episodes": len(standing.episodes),
+        }
+        for key in standing.episodes[0].numbers:
+            mean = standing.mean(key)
+            row |= {key: mean.value, f"{key}_low": mean.low, f"{key}_high": mean.high}
+        rows.append({**row, "bad": standing.bad})
+    return rows
 
 
-def episode_record(score: EpisodeScore) -> dict[str, Any]:
-    """An episode in numbers that are few and short enough to be kept, for CSV: SI units, six digits, empty where there is no number."""
-    numbers = {**flat(score.errors), "settling_time": score.settling_time, "return": score.total_reward}
-    short = {key: None if value is None or math.isnan(value) else f"{value:.6g}" for key, value in numbers.items()}
-    return {"episode_seed": score.seed, **short, "reached": score.reached, "diverged": score.diverged}
-
-
-def write_csv(path: Path, records: Sequence[dict[str, Any]]) -> None:
+def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     """Write a CSV file: a row per record, a column per key that any of them has. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with open(path, "w", newline="") as file:
-        writer = csv.DictWriter(file, list(dict.fromkeys(key for record in records for key in record)))
+        writer = csv.DictWriter(file, list(dict.fromkeys(key for row in rows for key in row)))
         writer.writeheader()
-        writer.writerows(records)
+        writer.writerows(rows)
     print(f"written: {path}")

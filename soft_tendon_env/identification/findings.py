@@ -1,226 +1,190 @@
-"""Findings about an estimate in words: what the data do not contain, parameters at a bound, over-fitting, residuals with a cause."""
+"""Findings about an estimate in words: what the data do not contain, signs that the model lacks something, data that were misread."""
 
-import re
+import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from soft_tendon_env.identification.fit import Fit, Loss, fit
-from soft_tendon_env.identification.intervals import SHARE, Direction, Intervals
+from soft_tendon_env.identification.fit import UNSEEN, Direction, Fit, fit
+from soft_tendon_env.identification.markers import UNITS
 from soft_tendon_env.identification.parameters import Parameter
-from soft_tendon_env.identification.readings import Readings, mean_of_finite
-from soft_tendon_env.identification.split import same_commands
-from soft_tendon_env.identification.structure import suspects
+from soft_tendon_env.identification.readings import Plants, Readings, mean_of_finite
+from soft_tendon_env.identification.recordings import COMMANDS, Recording, check_commands
 from soft_tendon_env.tools.types import Array
 
-AT_BOUND = 1e-3
-"""Distance from a bound, of that of both, at which a parameter is at it."""
-CHANCE, PERMUTATIONS = 0.005, 999
-"""Probability of chance below which residuals have a structure, and how many permutations it is estimated from."""
-ALIKE, MOST = 0.5, 3
-"""Share of what the likeliest fault explains of the residuals from which another is named beside it, and how many are."""
-EXACT = 1e-6
-"""Root mean square residual, as a share of the rod's length, below which data are exact: cameras see 1e-5 at best."""
-CORRELATED, FEWEST = 0.3, 100
-"""Correlation of successive residuals from which they are no noise, and pairs below which it may be so by chance."""
-COARSE = 0.5
-"""Share of an interval's reach by which a finer model may move a parameter."""
-UNLIKELY = 5.0
-"""Factor of a Young's modulus from which a unit may be wrong."""
-RISEN, MATTERS = 0.01, 1.05
-"""Probability of chance below which, and factor from which, the error of held-out data counts as higher."""
-FAR = 1.5
-"""Root mean square residual, in parts of a known noise, from which the model lacks something."""
+AT_BOUND = 1e-3  # distance from a bound, of that of both, at which a parameter is at it
+EXACT = 1e-6  # root mean square residual, as a share of the rod's length, of data without noise: cameras see 1e-5 at best
+CORRELATED, FEWEST = 0.3, 100  # correlation of successive residuals that are no noise, and pairs below which it may be chance
+CHANCE, PERMUTATIONS = 0.005, 999  # probability below which residuals follow the commands, and the permutations it is estimated from
+UNLIKELY = 5.0  # factor of a Young's modulus from which a unit may be wrong
+STILL = 0.005  # share of the rod's length within which markers may be at rest: noise
+FAR = 1.5  # root mean square residual, in parts of a known noise, from which the model lacks something
+MISREAD = (0.1, 0.02)  # mean errors from which data may be misread: shares of how far markers move, and of the rod's length
+BETTER, FEW, SAMPLES = 3.0, 12, 60  # factor by which another reading explains some holds and samples of a motion far better
 LACKING = "the model lacks something that no parameter here makes up for, such as routing, a payload, friction, a gain or fidelity"
 EXPERIMENTS = {
     "poisson_ratio": "twist shows it: an asymmetric pair of tendons or a helix, with markers off the axis",
     "damping": "a free decay shows it",
-    "time_constant": "steps of the commands show it",
-    "rate_limit": "large steps of the commands show it",
+    "actuators": "large steps of the commands show it",
     "delay": "steps of the commands show it",
-    "tendon_friction": "a loading and unloading loop, or a free decay, shows it",
-    "normal_drag": "motion in the fluid shows it",
-    "added_mass": "motion in the fluid shows it",
+    "friction": "a loading and unloading loop, or a free decay, shows it",
     "gain": "a known weight hung from the tip or a load cell shows it",
     "density": "holds in another direction of gravity, or weighing the arm, show it",
     "young_modulus": "a known weight hung from the tip shows it",
-    "mount.rotation": "measure the mount's frame, or record the arm at rest",
-    "mount.shift": "measure the mount's frame",
-    "offset": "a prior from the drawing is all there is: measure it",
+    "mount": "measure the mount's frame, or record the arm at rest",
 }
 """Experiments that show a parameter, by a part of its name; the first that fits."""
 FORCES = ("gain", "young_modulus", "density", "mass", "force")
 """Parts of names of parameters in proportion to force: a common factor of all of them moves nothing at rest."""
 
 
-def unseen_text(direction: Direction, parameters: Sequence[Parameter]) -> str:
+def findings(found: Fit, unseen: Sequence[Direction], fitted: Readings, noise: float | None) -> list[str]:
+    """Findings about an estimate: that the data are misread, or what they do not contain and the model lacks. noise [m]: if it is known."""
+    length, parameters = fitted.plants.model.length, fitted.plants.parameters
+    spread = float(np.sqrt(np.ma.masked_invalid(fitted.measured).var(axis=0).sum(axis=-1).mean()))
+    far = mean_of_finite(fitted.errors(found.x)) > min(MISREAD[0] * spread or np.inf, MISREAD[1] * length)
+    if far and (text := misread_text(fitted, found.x, noise)):
+        return [text]
+    texts = [_unseen_text(direction, parameters) for direction in unseen]
+    for one, x in zip(parameters, found.x, strict=True):
+        for bound in one.bounds:
+            if abs(x - bound) <= AT_BOUND * (one.bounds[1] - one.bounds[0]):
+                texts.append(f"{one.name} is at its bound, {one.at(bound):.4g}: {_experiment(one.name)}, or the bound is wrong.")
+        if one.name.endswith("young_modulus") and abs(x) > np.log(UNLIKELY):
+            change = f"{np.exp(abs(x)):.2g} times {'greater' if x > 0 else 'less'} than in the scene"
+            texts.append(f"{one.name} is {change}: is a unit wrong? Tensions in kg that are read as N make it 9.8 times less.")
+    return texts + _misfit_texts(found, fitted, noise)
+
+
+def _unseen_text(direction: Direction, parameters: Sequence[Parameter]) -> str:
     """A direction that the data do not contain, with the experiment that would show it."""
-    named = sorted(
-        ((abs(float(part)), own.name) for own, part in zip(parameters, direction.coordinates, strict=True) if abs(part) >= SHARE),
-        reverse=True,
-    )
-    names = [name for _, name in named]
-    far = f"{direction.deviation:.2g} times a factor of e, or its prior's standard deviation or half its range"
-    size = f"uncertain by {far}" if np.isfinite(direction.deviation) else "which moves nothing"
+    order = np.argsort(-np.abs(direction.coordinates))
+    names = [parameters[i].name for i in order if abs(direction.coordinates[i]) >= UNSEEN]
     if len(names) > 1 and all(any(part in name for part in FORCES) for name in names) and any("gain" in name for name in names):
         text = f"The data do not contain the common factor of {', '.join(names)}: all forces at rest scale together"
         return f"{text}; a known weight hung from the tip, weighing the arm, or a load cell shows it."
+    far = f"{direction.deviation:.2g} times a factor of e, or its prior's standard deviation or half its range"
+    size = f"uncertain by {far}" if np.isfinite(direction.deviation) else "which moves nothing"
     what = names[0] if len(names) == 1 else f"a combination of {', '.join(names)}"
-    return f"The data do not contain {what}, {size}: {experiment(names[0])}."
+    return f"The data do not contain {what}, {size}: {_experiment(names[0])}."
 
 
-def experiment(name: str) -> str:
+def _experiment(name: str) -> str:
     """Experiment that shows a parameter."""
-    return next((text for part, text in EXPERIMENTS.items() if part in name), "holds that move it more show it, see --next")
+    return next((text for part, text in EXPERIMENTS.items() if part in name), "holds that move it more show it, or measure it")
 
 
-def bound_texts(x: Array, parameters: Sequence[Parameter]) -> list[str]:
-    """Parameters at a bound."""
-    found = []
-    for own, at in zip(parameters, x, strict=True):
-        for bound in own.bounds:
-            if abs(at - bound) <= AT_BOUND * (own.bounds[1] - own.bounds[0]):
-                found.append(f"{own.name} is at its bound, {own.at(bound):.4g}: {experiment(own.name)}, or the bound is wrong.")
-    return found
-
-
-def unlikely_texts(x: Array, parameters: Sequence[Parameter]) -> list[str]:
-    """Stiffness so far from the scene's that a unit may be wrong: at rest it is in proportion to the commands where nothing else loads."""
-    found = []
-    for own, at in zip(parameters, x, strict=True):
-        if own.name.endswith("young_modulus") and abs(at) > np.log(UNLIKELY):
-            far = f"{np.exp(abs(at)):.2g} times {'greater' if at > 0 else 'less'} than in the scene"
-            found.append(f"{own.name} is {far}: is a unit wrong? Tensions in kg that are read as N make it 9.8 times less.")
-    return found
-
-
-def misfit_texts(found: Fit, readings: Readings, noise: float | None) -> list[str]:
-    """Signs that the model lacks something: residuals above a known noise [m], and residuals that follow the commands."""
-    texts, root = list[str](), float(np.sqrt(np.mean(found.residual[: int(readings.seen.sum())] ** 2)))
-    if root < EXACT * readings.plants.length:
+def _misfit_texts(found: Fit, readings: Readings, noise: float | None) -> list[str]:
+    """Signs that the model lacks something: residuals above a known noise [m], and those of motions that follow each other."""
+    residual, length, texts = np.full(readings.measured.shape, np.nan), readings.plants.model.length, list[str]()
+    residual[readings.seen] = found.residual[: int(readings.seen.sum())]
+    root = float(np.sqrt(np.nanmean(residual**2)))
+    if root < EXACT * length:
         text = f"The fit explains the data to the solver's tolerance, by {1e3 * root:.1g} mm: they have no noise, as simulated data"
         return [f"{text}; intervals are no measure of a real arm."]
     if noise is not None and root > FAR * noise:
         texts.append(f"Residuals are {1e3 * root:.3g} mm where the noise is {1e3 * noise:.3g} mm: {LACKING}.")
-    probability, size = commands_in_residuals(found, readings)
-    if probability <= CHANCE:
+    chance, size = _commands_in_residuals(residual, readings)
+    if chance <= CHANCE:
         texts.append(
-            f"Residuals of holds follow the commands, by {1e3 * size:.2g} mm (by chance with probability {probability:.2g}): {LACKING}."
+            f"Residuals of holds follow the commands, by {1e3 * size:.2g} mm (by chance with probability {chance:.2g}): {LACKING}."
         )
-    texts += structure_texts(found, readings)
-    correlation, size = memory_of_residuals(found, readings)
-    if correlation > CORRELATED:
-        text = f"Residuals of motions are no noise: successive ones correlate by {correlation:.2f}, {1e3 * size:.2g} mm"
-        texts.append(f"{text}: {LACKING}; viscous damping alone cannot make up for friction or hysteresis.")
+    for one, part in zip(readings.recordings, np.split(residual, readings.ends[:-1]), strict=True):
+        products = part[1:] * part[:-1]
+        if one.period and (moved := np.linalg.norm(one.positions[1] - one.positions[0], axis=-1).max()) > STILL * length:
+            text = (
+                f"Motion {one.name!r} does not begin at rest under its first command: markers move {1e3 * moved:.2g} mm in the first period"
+            )
+            texts.append(f"{text}, at rest up to {1e3 * STILL * length:.2g} mm. Is the unit of time right?")
+        if np.isfinite(products).sum() >= FEWEST and (common := np.nanmean(products)) > CORRELATED * np.nanmean(part**2):
+            text = f"Residuals of motion {one.name!r} are no noise: successive ones have {1e3 * np.sqrt(common):.2g} mm in common"
+            texts.append(f"{text}: {LACKING}; viscous damping alone cannot make up for friction or hysteresis.")
     return texts
 
 
-def structure_texts(found: Fit, readings: Readings) -> list[str]:
-    """Faults of the drawing or the commands that the residuals of holds look like."""
-    likely = [own for own in suspects(found, readings) if own.probability <= CHANCE]
-    if not likely:
-        return []
-    alike = [own for own in likely if own.explained >= ALIKE * likely[0].explained][:MOST]
-    what, chance = ", or as if ".join(own.what for own in alike), max(own.probability for own in alike)
-    text = f"Residuals of holds look as if {what} (by chance with probability {chance:.1g})"
-    return [f"{text}: measure this first, or estimate it; zeros of sensors, slack, friction and the routing can look alike."]
-
-
-def repeats_text(fitted: Readings, unseen: Readings) -> str | None:
-    """Warning where held-out recordings have commands of the fit; None where they do not."""
-    group, count = same_commands([*fitted.recordings, *unseen.recordings]), len(fitted.recordings)
-    again = int(np.isin(group[count:], group[:count]).sum())
-    if not again:
-        return None
-    return f"{again} of {len(group) - count} held-out recordings repeat commands of the fit: their error says little about other commands."
-
-
-def twins_text(twins: Sequence[str]) -> str | None:
-    """Note on recordings that are there twice; None without any."""
-    if not twins:
-        return None
-    more = f" and {len(twins) - MOST} more" if len(twins) > MOST else ""
-    return f"Recordings that stand twice in the data count once: left out are {', '.join(twins[:MOST])}{more}."
-
-
-def memory_of_residuals(found: Fit, readings: Readings) -> tuple[float, float]:
-    """Correlation of successive residuals of the same marker coordinate in motions, and the root mean square [m] of the part that stays;
-    (0, 0) without motions, or with too few samples."""
-    residual = np.full(readings.measured.shape, np.nan)
-    residual[readings.seen] = found.residual[: int(readings.seen.sum())]
-    ends = np.cumsum([len(own.command) for own in readings.recordings])
-    moving = [residual[end - len(own.command) : end] for own, end in zip(readings.recordings, ends, strict=True) if own.period]
-    products = np.concatenate([(own[1:] * own[:-1]).ravel() for own in moving] or [np.zeros(0)])
-    squares = np.concatenate([own.ravel() ** 2 for own in moving] or [np.zeros(0)])
-    if np.isfinite(products).sum() < FEWEST or not np.nanmean(squares) > 0.0:
-        return 0.0, 0.0
-    common = max(float(np.nanmean(products)), 0.0)
-    return common / float(np.nanmean(squares)), float(np.sqrt(common))
-
-
-def coarse_text(moved: Array, found: Fit, parameters: Sequence[Parameter], spread: Intervals) -> str | None:
-    """Warning where a finer model would change an estimate by a good part of its interval; None where it would not. moved (k,): the
-    change of the coordinates, see intervals.shift."""
-    names = []
-    for own, change, x, linear, identified in zip(parameters, moved, found.x, spread.linear, spread.identified, strict=True):
-        reach = 0.5 * abs(own.coordinate(linear[1]) - own.coordinate(linear[0]))
-        if identified and abs(change) > COARSE * reach:
-            names.append(f"{own.name} to about {own.at(x + change):.4g}")
-    return f"A finer model would move {', '.join(names)}: take a finer fidelity." if names else None
-
-
-def commands_in_residuals(found: Fit, readings: Readings) -> tuple[float, float]:
-    """Probability that the residuals of holds follow their commands by chance, and the root mean square [m] of the part that does.
-
-    Regression of each marker coordinate's residual on commands and their squares, in means of holds with the same commands, whose errors
-    are common; the probability by permutations of them, which takes nothing for granted about errors within one (B. Phipson and G. K. Smyth
-    2010). (1, 0) where they are too few.
-    """
-    still = np.array([not own.period for own in readings.recordings])
-    _, group = np.unique(readings.group[still], return_inverse=True)
-    if not group.size:
+def _commands_in_residuals(residual: Array, readings: Readings) -> tuple[float, float]:
+    """Probability that the residuals (samples, m, 3) of holds follow their commands by chance, and the root mean square [m] of the part
+    that does: regression on commands and their squares, in means of holds with the same commands, whose errors are common; the probability
+    by permutations (B. Phipson and G. K. Smyth 2010). (1, 0) where they are too few."""
+    commands = [one.command[0] for one in readings.recordings if not one.period]
+    group = readings.group[: len(commands)]
+    mean = (group == np.unique(group)[:, None]) / np.bincount(readings.group)[np.unique(group)][:, None]
+    basis = np.hstack([np.ones((len(mean), 1)), *((mean @ commands) ** power for power in (1, 2) if commands)])
+    if len(mean) <= basis.shape[1] + 1:
         return 1.0, 0.0
-    mean = (group == np.arange(group.max() + 1)[:, None]) / np.bincount(group)[:, None]
-    residual = np.full(readings.measured.shape, np.nan)
-    residual[readings.seen] = found.residual[: int(readings.seen.sum())]
-    columns = mean @ residual[: len(group)].reshape(len(group), -1)
+    columns = mean @ residual[: len(commands)].reshape(len(commands), -1)
     columns = columns[:, np.isfinite(columns).all(axis=0)]
-    command = mean @ np.array([own.command[0] for own in readings.recordings[: len(group)]]).reshape(len(group), -1)
-    basis = np.hstack([np.ones((len(mean), 1)), command, command**2])
-    if len(mean) <= basis.shape[1] + 1 or not columns.any():
-        return 1.0, 0.0
     U, values, _ = np.linalg.svd(basis, full_matrices=False)
-    U = U[:, values > 1e-9 * values[0]]
-    follows = float(((U.T @ columns) ** 2).sum())
-    random = np.random.default_rng(0)
-    drawn = [float(((U.T @ random.permutation(columns)) ** 2).sum()) for _ in range(PERMUTATIONS)]
-    return (1 + sum(own >= follows for own in drawn)) / (1 + PERMUTATIONS), float(np.sqrt(follows / columns.size))
+    U, random = U[:, values > 1e-9 * values[0]], np.random.default_rng(0)
+    follows, *drawn = (((U.T @ one) ** 2).sum() for one in (columns, *(random.permutation(columns) for _ in range(PERMUTATIONS))))
+    return (1 + sum(one >= follows for one in drawn)) / (1 + PERMUTATIONS), float(np.sqrt(follows / max(columns.size, 1)))
 
 
-def over_fitting_texts(found: Fit, fitted: Readings, unseen: Readings, loss: Loss) -> list[str]:
-    """Warnings about parameters that lower the error of the fit and raise that of held-out data: each kind is left out in a fit of its own.
+def misread_text(readings: Readings, x: Array | None, noise: float | None) -> str | None:
+    """Finding that names how the data were recorded, where another reading of axes, signs, tendons or units explains them far better; None
+    where none does. x (k,): the estimate, None where the fit failed."""
+    plants, start = readings.plants, np.zeros(len(readings.plants.parameters))
+    holds, motions = ([one for one in readings.recordings if bool(one.period) == moves] for moves in (False, True))
+    few = [*holds[:: -(-len(holds) // FEW) or 1], *motions[:1]]
+    few = [replace(one, command=one.command[:SAMPLES], positions=one.positions[:SAMPLES], rotations=None) for one in few]
+    frame, simulated = plants.markers.frame, _simulated(plants, few, start)
+    tried = list[tuple[float, str, list[Recording]]]()
+    for text, S in _axes().items():
+        R = frame.rotation @ S @ frame.rotation.T
+        read = [replace(one, positions=(one.positions - frame.translation) @ R.T + frame.translation) for one in few]
+        tried.append((_distance(simulated, read), text, read))
+    for text, M in _commands(plants).items():
+        read = [replace(one, command=one.command @ M.T) for one in few]
+        tried.append((_distance(_simulated(plants, read, start), read), text, read))
+    _, text, read = min(tried, key=lambda one: one[0])
+    given = _distance(simulated if x is None else _simulated(plants, few, x), few)
+    try:
+        least = max(_distance(_simulated(plants, read, fit(Readings(plants, read), noise).x), read), EXACT * plants.model.length)
+    except ValueError:
+        return None
+    if not BETTER * least < given:
+        return None
+    better = f"{given / least:.2g} times better" if np.isfinite(given) else "only"
+    advice = "Set it right in [columns] or [frame] of the markers' file, or in the scene; the estimate means nothing until then"
+    return f"The data fit {better} with {text}: markers are off by {1e3 * least:.2g} mm then. {advice}."
 
-    The rise is tested in held-out groups of the same commands by Student's t, one-sided, for as many tests as there are kinds.
-    """
-    from scipy.stats import ttest_rel  # here: it takes longer to import than all else that most scenes need
 
-    parameters, texts = fitted.plants.parameters, list[str]()
-    kinds = list(dict.fromkeys(_family(own.name) for own in parameters))
-    for kind in kinds if len(kinds) > 1 and unseen.recordings else ():
-        kept = [i for i, own in enumerate(parameters) if _family(own.name) != kind]
-        few, others = (Readings(fitted.plants.only(kept), own.recordings) for own in (fitted, unseen))
-        x = fit(few, found.sigma, loss, found.x[kept]).x
-        seen = [mean_of_finite(few.errors(x)), mean_of_finite(fitted.errors(found.x))]
-        each = np.array([others.errors(x), unseen.errors(found.x)])
-        groups = np.array([[mean_of_finite(own[unseen.group == i]) for i in range(unseen.group.max() + 1)] for own in each])
-        before, after = groups[:, np.isfinite(groups).all(axis=0)]
-        chance = len(kinds) * ttest_rel(after, before, alternative="greater").pvalue
-        if seen[1] < seen[0] and after.mean() > MATTERS * before.mean() and chance <= RISEN:
-            text = f"{kind} over-fits: with it the error of the fit goes from {1e3 * seen[0]:.3g} to {1e3 * seen[1]:.3g} mm"
-            texts.append(f"{text}, that of held-out data from {1e3 * before.mean():.3g} to {1e3 * after.mean():.3g} mm.")
-    return texts
+def _simulated(plants: Plants, recordings: Sequence[Recording], x: Array) -> Array:
+    """Positions (samples, m, 3) [m] at coordinates x (k,); infinity where the arm does not hold the recordings."""
+    try:
+        for one in recordings:
+            check_commands(one, plants.scene)
+        return Readings(plants, recordings).positions(x)
+    except ValueError:
+        return np.array(np.inf)
 
 
-def _family(name: str) -> str:
-    """Name of parameters that are left out together: those of a vector, of all markers, of all commands."""
-    return re.sub(r"\.\d+$", "", re.sub(r"^(markers|commands)\.[^.]+\.", r"\1.*.", name))
+def _distance(simulated: Array, recordings: Sequence[Recording]) -> float:
+    """Mean distance [m] of simulated markers from those of recordings."""
+    return float(np.nanmean(np.linalg.norm(simulated - np.concatenate([one.positions for one in recordings]), axis=-1)))
+
+
+def _axes() -> dict[str, Array]:
+    """Other axes and signs of positions, as matrices (3, 3)."""
+    found = {}
+    for order, signs in itertools.product(itertools.permutations(range(3)), itertools.product((1, -1), repeat=3)):
+        S = np.array(signs)[:, None] * np.eye(3)[list(order)]
+        axes = ", ".join("-"[sign:] + "xyz"[i] for i, sign in zip(order, signs, strict=True))
+        hand = " (a mirror image: the frame of the data is left-handed)" if np.linalg.det(S) < 0.0 else ""
+        found[f"x, y, z of the data read as {axes}{hand}"] = S
+    return found
+
+
+def _commands(plants: Plants) -> dict[str, Array]:
+    """Tendons exchanged or counted from another one on, the other sign of commands and other units, as matrices (n_a, n_a)."""
+    unit, n = plants.scene.effects.command_unit, len(plants.scene.tendons)
+    orders = {tuple({i: j, j: i}.get(k, k) for k in range(n)): f"tendons {j} and {i} exchanged" for i in range(n) for j in range(i)}
+    for turn, step in itertools.product(range(n), (1, -1)):
+        order = tuple((turn + step * i) % n for i in range(n))
+        orders.setdefault(order, f"tendons 0 to {n - 1} numbered {', '.join(map(str, order))}")
+    columns = [column for key, column in plants.markers.columns.items() if key.startswith(COMMANDS[unit])]
+    given = next((UNITS[unit][column.unit] for column in columns if column.unit), 1.0)
+    factors = {f"commands in {name}": factor / given for name, factor in UNITS[unit].items()} | {"commands of the other sign": -1.0}
+    turned = {text: np.eye(n)[list(order)] for order, text in orders.items()}
+    return turned | {text: factor * np.eye(n) for text, factor in factors.items() if factor != 1.0}

@@ -1,43 +1,140 @@
-"""Readings of recordings beside those that are simulated: residuals and their derivatives by the parameters."""
+"""Readings of recordings beside those that are simulated at given parameters: residuals and their derivatives.
 
-import copy
+Equilibria of still holds are sought by Newton's method from the last ones that were found for their recordings, so that a fit re-solves
+each in a few iterations. Motions begin at rest under their first command; each command is held until the next sample.
+"""
+
+import math
 from collections.abc import Sequence
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from soft_tendon_env.identification.plant import Plant, Plants
-from soft_tendon_env.identification.recordings import Recording
-from soft_tendon_env.identification.sensed import Sensed
-from soft_tendon_env.identification.simulated import Simulated
-from soft_tendon_env.identification.split import same_commands
+from soft_tendon_env.identification.markers import MarkerSet
+from soft_tendon_env.identification.parameters import DELAY, Parameter
+from soft_tendon_env.identification.recordings import Recording, same_commands
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, simulate
+from soft_tendon_env.model.statics import commanded_equilibrium, static_equilibrium
+from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.model.tension_limits import erring_actuators
+from soft_tendon_env.scene.parameters import scene_with_numbers
+from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.types import Array
 
-DIFFERENCE = {"hold": 1e-4, "motion": 1e-3}
-"""Changes of a dimensionless coordinate for central differences, whose error is their square: equilibria are exact to 1e-10, steps of
-motions to their tolerance."""
+TURNED = {"gravity": ("acceleration",), "tip_load": ("force", "moment"), "fluid": ("current",)}
+"""Vectors of effects in the world frame, which turn against the base when the mount does."""
+INSIDE = {"actuators", "tendon_elasticity", "tendon_friction", "nonlinear_elasticity", "viscoelastic_memory"}
+"""Effects that know nothing of the world frame."""
+DIFFERENCES = (1e-4, 1e-3)  # of coordinates, central: of holds, which are exact to 1e-10, and with motions, to the steps' tolerance
+ROTATION = 1e-3 / math.radians(0.5)  # lengths of the rod that count as a radian: trackers err by 1 mm on 1 m and 0.5 degrees
+
+
+class NoHoldError(ValueError):
+    """Raised where the arm has no equilibrium for a hold, or its motion cannot be simulated."""
+
+
+class Measurement(NamedTuple):
+    """How an arm is mounted, marked and commanded."""
+
+    rotation: Array  # (3,) rotation vector of the base in the scene's world frame [deg]
+    shift: Array  # (3,) [m]
+    offsets: Array  # (m, 3) of the markers [m]
+    gain: Array  # (n_a,) of the commands
+    offset: Array  # (n_a,) of the commands, after the gain
+
+    @property
+    def base(self) -> Array:
+        """Rotation (3, 3) of the real base."""
+        return np.asarray(Rotation.from_rotvec(self.rotation, degrees=True).as_matrix())
+
+    def positions(self, poses: Array) -> Array:
+        """Positions (..., m, 3) [m] of markers in the scene's world frame, of section poses (..., m, 4, 4) from the base."""
+        inside = poses[..., :3, 3] + np.einsum("...ij,...j->...i", poses[..., :3, :3], self.offsets)
+        return np.asarray(inside @ self.base.T + self.shift)
+
+
+class Plants:
+    """Arms by coordinates of the parameters; the grid is that of the nominal scene, so that what is simulated is smooth in them."""
+
+    def __init__(self, scene: Scene, model: Model, markers: MarkerSet, parameters: Sequence[Parameter]) -> None:
+        """Raises ValueError where the mount is to turn and effects are in the world frame that cannot turn with it."""
+        self.scene, self.model, self.markers, self.parameters = scene, model, markers, tuple(parameters)
+        names = [one.name for one in self.parameters]
+        self._of_model = [name == DELAY or not name.startswith(("mount.shift", "markers.", "commands.")) for name in names]
+        self.moves_arm = [not name.startswith(("markers.", "mount.shift")) for name in names]
+        self._models = {np.zeros(sum(self._of_model)).tobytes(): model}
+        turns = any(name.startswith("mount.rotation") for name in names)
+        if turns and (odd := [name for name in scene.effects.chosen() if name not in TURNED and name not in INSIDE]):
+            raise ValueError(f"mount.rotation cannot be estimated with effects.{odd[0]}, which stands in the world and not on the arm")
+
+    def model_at(self, x: Array) -> Model:
+        """Model at coordinates (k,) of the parameters. Raises ConfigurationError."""
+        if (key := x[self._of_model].tobytes()) not in self._models:
+            if len(self._models) > 2 * len(self.parameters) + 2:
+                self._models.clear()
+            self._models[key] = self.model.with_scene(self.scene_at(x, self.scene))
+        return self._models[key]
+
+    def scene_at(self, x: Array, scene: Scene) -> Scene:
+        """A scene with the numbers at coordinates (k,) of the parameters, in the frame of its real base: its world vectors turn the other
+        way. Raises ConfigurationError."""
+        changes, measurement = dict[str, Any](), self.measurement(x)
+        for parameter, coordinate in zip(self.parameters, x, strict=True):
+            if parameter.name == DELAY:
+                changes["effects.actuators.delay"] = parameter.at(coordinate)
+            elif parameter.of_scene is not None:
+                changes |= parameter.of_scene.changes(parameter.at(coordinate))
+        found, turns = scene_with_numbers(scene, changes), dict[str, Any]()
+        for name, effect in found.effects.chosen().items() if measurement.rotation.any() else ():
+            for vector in TURNED.get(name, ()):
+                if getattr(effect, "frame", "world") == "world":
+                    turns[f"effects.{name}.{vector}"] = (measurement.base.T @ np.array(getattr(effect, vector))).tolist()
+        return found.replace(turns) if turns else found
+
+    def measurement(self, x: Array) -> Measurement:
+        """Mount, markers and commands at coordinates (k,)."""
+        n_a, names = len(self.scene.tendons), [*self.markers.markers]
+        found = Measurement(np.zeros(3), np.zeros(3), self.markers.offsets, np.ones(n_a), np.zeros(n_a))
+        for parameter, coordinate in zip(self.parameters, x, strict=True):
+            match parameter.name.split("."):
+                case ["mount", kind, axis]:
+                    getattr(found, kind)[int(axis)] = parameter.at(coordinate)
+                case ["markers", name, "offset", axis]:
+                    found.offsets[names.index(name), int(axis)] = parameter.at(coordinate)
+                case ["commands", tendon, kind]:
+                    getattr(found, kind)[int(tendon)] = parameter.at(coordinate)
+        return found
 
 
 class Readings:
-    """Readings of recordings in one vector (N,): marker coordinates, of which unseen ones are left out, then what else is sensed."""
+    """Readings of recordings in one vector (N,): marker coordinates, of which unseen ones are left out, then orientations."""
 
     def __init__(self, plants: Plants, recordings: Sequence[Recording]) -> None:
-        holds, motions = ([own for own in recordings if bool(own.period) == moves] for moves in (False, True))
-        self.plants, self.recordings = plants, [*holds, *motions]
-        self._simulated = Simulated(self.recordings)
-        self._sensed = Sensed(plants.markers, self.recordings, plants.scene)
-        self._difference = DIFFERENCE["motion" if motions else "hold"]
+        self.plants, self.recordings = plants, sorted(recordings, key=lambda one: bool(one.period))  # holds, then motions
+        self._rests: list[Array | None] = [None] * len(recordings)
+        self._difference = DIFFERENCES[any(one.period for one in recordings)]
+        self.ends = np.cumsum([len(one.command) for one in self.recordings])
+        self._turning = [i for i, marker in enumerate(plants.markers.markers.values()) if marker.orientation]
 
     @cached_property
     def measured(self) -> Array:
         """Measured positions (samples of all recordings, m, 3) [m], NaN where a marker was not seen."""
-        return np.concatenate([own.positions for own in self.recordings])
+        return np.concatenate([one.positions for one in self.recordings])
 
     @cached_property
     def seen(self) -> Array:
         """Which of the measured coordinates (samples, m, 3) are there."""
         return np.isfinite(self.measured)
+
+    @cached_property
+    def _rotations(self) -> Array:
+        """Measured rotations (samples, o, 3, 3), NaN where there are none."""
+        none = np.full((self.ends[-1], len(self._turning), 3, 3), np.nan)
+        given = [one.rotations for one in self.recordings if one.rotations is not None]
+        return np.concatenate(given) if len(given) == len(self.recordings) else none
 
     @cached_property
     def group(self) -> Array:
@@ -47,67 +144,75 @@ class Readings:
     @cached_property
     def cluster(self) -> Array:
         """Index of the recordings with the same commands of each reading (N,), as whose errors are common."""
-        of_sample = np.repeat(self.group, [len(own.command) for own in self.recordings])
-        placed = np.broadcast_to(of_sample[:, None, None], self.measured.shape)[self.seen]
-        return np.concatenate([placed, np.broadcast_to(of_sample[:, None], self._sensed.seen.shape)[self._sensed.seen]])
-
-    def with_plants(self, plants: Plants) -> "Readings":
-        """Readings of the same recordings by other plants, whose equilibria are sought from these on."""
-        found = copy.copy(self)
-        found.plants = plants
-        return found
+        of_sample = np.repeat(self.group, [len(one.command) for one in self.recordings])[:, None, None]
+        parts = self.seen, np.isfinite(self._rotations[..., 0])
+        return np.concatenate([np.broadcast_to(of_sample, there.shape)[there] for there in parts])
 
     def positions(self, x: Array) -> Array:
         """Simulated positions (samples, m, 3) [m] at coordinates x (k,). Raises NoHoldError, ConfigurationError."""
-        plant = self.plants.at(x)
-        return plant.positions(self._poses(plant, self.coordinates(plant)))
-
-    def coordinates(self, plant: Plant) -> list[Array]:
-        """Simulated coordinates (n,) at every sample. Raises NoHoldError."""
-        with erring_actuators():  # by the gains and offsets that are looked for
-            return self._simulated.coordinates(plant)
-
-    def _poses(self, plant: Plant, coordinates: Sequence[Array]) -> Array:
-        """Poses (samples, m, 4, 4) of the markers' sections from the base."""
-        return np.array([plant.model.backbone_at(q, self.plants.markers.arc_lengths) for q in coordinates])
+        return self.plants.measurement(x).positions(self._poses(x))
 
     def residual(self, x: Array) -> Array:
-        """Simulated less measured readings (N,) [m]; what else is sensed as positions that weigh as much. Raises as `positions`."""
-        plant = self.plants.at(x)
-        coordinates = self.coordinates(plant)
-        return self._residual(plant, coordinates, self._poses(plant, coordinates))
-
-    def _residual(self, plant: Plant, coordinates: Sequence[Array], poses: Array) -> Array:
-        """The residual (N,) of simulated coordinates, and poses of the markers' sections."""
-        placed = (plant.positions(poses) - self.measured)[self.seen]
-        return np.concatenate([placed, self._sensed.residual(plant, coordinates, poses)])
+        """Simulated less measured readings (N,) [m]; orientations as positions that weigh as much. Raises as `positions`."""
+        return self._residual(x, self._poses(x))
 
     def jacobian(self, x: Array) -> Array:
         """Derivatives (N, k) [m] of the readings by the coordinates, by central differences within the bounds. Raises as `positions`."""
-        columns, plant = [], self.plants.at(x)
-        still = self.coordinates(plant)
-        still_poses = self._poses(plant, still)
+        columns, still = [], self._poses(x)
         for i, parameter in enumerate(self.plants.parameters):
-            low, high = parameter.bounds
-            ends = np.clip([x[i] - self._difference, x[i] + self._difference], low, high)
-            found = []
-            for end in ends:
-                at = x.copy()
-                at[i] = end
-                plant = self.plants.at(at)
-                moved = self.coordinates(plant) if self.plants.is_of_model(i) else still
-                found.append(self._residual(plant, moved, still_poses if moved is still else self._poses(plant, moved)))
-            columns.append((found[1] - found[0]) / (ends[1] - ends[0]))
+            ends = np.clip([x[i] - self._difference, x[i] + self._difference], *parameter.bounds)
+            places = [np.where(np.arange(x.size) == i, end, x) for end in ends]
+            low, high = (self._residual(at, self._poses(at) if self.plants.moves_arm[i] else still) for at in places)
+            columns.append((high - low) / (ends[1] - ends[0]))
         return np.stack(columns, axis=-1)
 
     def errors(self, x: Array) -> Array:
-        """Mean distance [m] of the seen markers from where they are simulated, of each recording (recordings,), NaN
-        without any. Raises as `positions`."""
+        """Mean distance [m] of the seen markers from where they are simulated, of each recording (recordings,), NaN without any. Raises as
+        `positions`."""
         if not self.recordings:
             return np.zeros(0)
         distance = np.linalg.norm(self.positions(x) - self.measured, axis=-1)
-        ends = np.cumsum([len(own.command) for own in self.recordings])[:-1]
-        return np.array([mean_of_finite(own) for own in np.split(distance, ends)])
+        return np.array([mean_of_finite(one) for one in np.split(distance, self.ends[:-1])])
+
+    def _residual(self, x: Array, poses: Array) -> Array:
+        """The residual (N,) of simulated poses of the markers' sections."""
+        measurement = self.plants.measurement(x)
+        placed = (measurement.positions(poses) - self.measured)[self.seen]
+        there = np.isfinite(self._rotations[..., 0, 0])
+        if not there.any():
+            return placed
+        turned = (measurement.base @ poses[:, self._turning, :3, :3])[there]
+        away = Rotation.from_matrix(self._rotations[there].swapaxes(-1, -2) @ turned).as_rotvec()
+        return np.concatenate([placed, ROTATION * self.plants.model.length * away.ravel()])
+
+    def _poses(self, x: Array) -> Array:
+        """Simulated poses (samples, m, 4, 4) of the markers' sections from the base. Raises NoHoldError."""
+        model, measurement = self.plants.model_at(x), self.plants.measurement(x)
+        with erring_actuators():  # by the gains and offsets that are looked for
+            commands = [measurement.gain * one.command + measurement.offset for one in self.recordings]
+            simulated = [q for i, command in enumerate(commands) for q in self._simulated(model, command, i)]
+        return np.array([model.backbone_at(q, self.plants.markers.arc_lengths) for q in simulated])
+
+    def _simulated(self, model: Model, command: Array, i: int) -> list[Array]:
+        """Coordinates (n,) at every sample of a recording under commands (samples, n_a). Raises NoHoldError."""
+        one = self.recordings[i]
+        try:
+            if model.command_unit == "N":
+                rest, tension = static_equilibrium(model, command[0], self._rests[i], settle=bool(one.period)), command[0]
+            else:
+                rest, tension = commanded_equilibrium(model, command[0])
+            if not rest.converged:
+                raise NoHoldError(rest.reason)
+            self._rests[i] = rest.q
+            if not one.period:
+                return [rest.q]
+            start = Simulation(model).reset(rest.q, tension=tension)
+            return list(simulate(model, command[:-1], one.period * (len(command) - 1), one.period, start).q)
+        except (SimulationDiverged, NoHoldError, StrainLimitError) as error:
+            text = f"hold {one.name!r} has no equilibrium: {error}"
+            if one.period:
+                text = f"motion {one.name!r} cannot be simulated: {error}. Its samples are {one.period:.3g} s apart, if their unit is right"
+            raise NoHoldError(f"{one.where}: {text}.") from error
 
 
 def mean_of_finite(values: Array) -> float:

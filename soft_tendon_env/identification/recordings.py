@@ -1,46 +1,47 @@
-"""Recordings of a real arm: still holds and sampled motions, from CSV files.
+"""Recordings of a real arm: still holds and sampled motions, from CSV files; and which of them judge a fit.
 
 One row is a hold (`hold`, its name), or with a column `time` [s] a sample, of which those with one `hold` follow each other as one motion.
 Commands are `tension_i` [N] or `displacement_i` [m], one for each tendon from 0 on; a marker has `NAME_x`, `NAME_y`, `NAME_z` [m], all of
-them empty where it was not seen. Orientations, tendon lengths and strains are read where the markers' file names them, see sensed.py.
-Its table `[columns]` gives quantities other names and units.
+them empty where it was not seen, and one with `orientation` also `NAME_qw`, `NAME_qx`, `NAME_qy`, `NAME_qz`. The table `[columns]` of the
+markers' file gives quantities other names and units.
 """
 
 import contextlib
 import itertools
-import math
-from collections.abc import Iterable, Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from soft_tendon_env.identification.markers import UNIT, UNITS, MarkerSet, Source
+from soft_tendon_env.identification.markers import UNIT, UNITS, MarkerSet
 from soft_tendon_env.identification.parameters import command_limits
-from soft_tendon_env.identification.sampling import steps_of
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import not_among
 from soft_tendon_env.tools.tables import Table, read_number, read_table
 from soft_tendon_env.tools.types import Array
 
-COMMANDS = {"N": "tension", "m": "displacement"}
-"""Names of command columns by the unit of the scene's commands."""
-REACH = 1.5
-"""Share of the rod's length, from its base, within which a marker may be."""
-LEAST = 0.05
-"""Share of what is allowed from which numbers in another unit are plausible."""
-CURVED, CHANGED = 4.0 * math.pi, 2.0
-"""Largest changes that sensors may measure: of bending and twist over the rod's length [rad], and of what has no unit."""
+COMMANDS = {"N": "tension", "m": "displacement"}  # names of command columns by the unit of the scene's commands
+REACH = 1.5  # share of the rod's length, from its base, within which a marker may be
+LEAST = 0.05  # share of what is allowed from which numbers in another unit are plausible
+UNEVEN = 0.3  # share of the sample period by which times may be off equal steps
+USUAL = (1e-3, 1.0)  # sample periods [s] by which a unit of time is guessed
+LONGEST, LATEST = 100.0, 1e11  # sample period and time [s] beyond which the unit of time is wrong: the latter is in the year 5000
+SHARE = "0.25"
+"""Share of recordings that are held out by default."""
+SAME, EXACT = 0.02, 0.005
+"""How far apart commands may be that are the same, in parts of a tendon's range in the data, and at least, in parts of the strongest
+command: motors and load cells repeat no better."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
     """Recorded commands and marker positions: one hold (a single sample), or a motion that begins at rest.
 
-    command (samples, n_a) in the scene's unit, each held until the next sample; positions (samples, m, 3) [m] in the scene's world frame,
-    NaN where a marker was not seen; period [s] between samples, 0 for a hold; columns: the other numbers of its first row. sensed
-    (samples, k): numbers of `MarkerSet.sensed`, NaN where there are none. notes: what was done to the data, in sentences.
+    command (samples, n_a) in the scene's unit, each held until the next sample; positions (samples, m, 3) [m] and rotations of the sections
+    of markers with an orientation (samples, o, 3, 3), both in the scene's world frame, NaN where they were not measured; period [s] between
+    samples, 0 for a hold; columns: the numbers of its first row.
     """
 
     name: str
@@ -49,29 +50,7 @@ class Recording:
     positions: Array
     period: float
     columns: Mapping[str, float]
-    sensed: Array | None = None
-    notes: tuple[str, ...] = ()
-
-
-class _Sheet(NamedTuple):
-    """Table of a file and the columns of its quantities, with the names that its header has."""
-
-    table: Table
-    sources: Mapping[str, Source]
-
-    def numbers(self, quantities: Iterable[str]) -> Array:
-        """Numbers (rows, quantities) in SI units, NaN where there are none. Raises ValueError."""
-        return self.table.numbers(self.sources[quantity] for quantity in quantities)
-
-    def others(self, row: int) -> dict[str, float]:
-        """Numbers of a row in further columns; text is left out."""
-        (where, cells), header = self.table.rows[row], self.table.header
-        found, known = dict[str, float](), {source.name for source in self.sources.values()}
-        for name, cell in zip(header, cells, strict=True):
-            if name not in known and header.count(name) == 1:
-                with contextlib.suppress(ValueError):
-                    found[name] = read_number(where, name, cell)
-        return found
+    rotations: Array | None = None
 
 
 def read_recordings(paths: Sequence[str | Path], scene: Scene, markers: MarkerSet) -> list[Recording]:
@@ -85,105 +64,104 @@ def read_recordings(paths: Sequence[str | Path], scene: Scene, markers: MarkerSe
 
 def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
     """Recordings of one file."""
-    unit, n_a, length = scene.effects.command_unit, len(scene.tendons), rod_length(scene)
-    kinds = {f"{COMMANDS[unit]}_{i}": unit for i in range(n_a)}
-    places = {f"{name}_{axis}": "m" for name in markers.markers for axis in "xyz"}
-    of_sensors = markers.sensed(n_a)
-    sources = markers.sources({**kinds, **places, **of_sensors, "time": "s", "hold": ""})
-    sheet = _sheet(path, sources, {"time", "hold"} - markers.columns.keys())
-    rows, notes = [where for where, _ in sheet.table.rows], _notes(path, sheet)
-    command = sheet.numbers(kinds)
+    unit, given = scene.effects.command_unit, markers.markers.items()
+    kinds = {f"{COMMANDS[unit]}_{i}": unit for i in range(len(scene.tendons))}
+    places = {f"{name}_{axis}": "m" for name, _ in given for axis in "xyz"}
+    turns = {f"{name}_q{part}": "1" for name, marker in given if marker.orientation for part in "wxyz"}
+    table, sources = _table(path, markers, {**kinds, **places, **turns, "time": "s", "hold": ""})
+    rows = [where for where, _ in table.rows]
+    command, placed, turned, times = (
+        table.numbers(sources[quantity] for quantity in group) for group in (kinds, places, turns, {"time"} & sources.keys())
+    )
     if np.isnan(command).any():
         row, tendon = np.argwhere(np.isnan(command))[0]
-        raise ValueError(f"{rows[row]}: {sheet.sources[[*kinds][tendon]].name} is empty: it should be a number")
-    positions, unseen = _positions(sheet, places, markers)
-    sensed = sheet.numbers(of_sensors)
-    _check_unit(positions, length, path, next(iter(markers.markers)))
-    _check_quaternions(rows, sensed, [name for name, marker in markers.markers.items() if marker.orientation])
-    _check_sensed(path, sensed, of_sensors, length)
-    times = sheet.numbers({"time"} & sheet.sources.keys())
-    named, found = sheet.sources.get("hold"), list[Recording]()
-    names = [cells[sheet.table.header.index(named.name)] if named else path.stem for _, cells in sheet.table.rows]
+        raise ValueError(f"{rows[row]}: {sources[[*kinds][tendon]][0]} is empty: it should be a number")
+    positions = _positions(rows, placed.reshape(len(rows), -1, 3), markers)
+    _check_reach(positions, rod_length(scene), path, next(iter(markers.markers)))
+    rotations = _rotations(rows, turned.reshape(len(rows), -1, 4), markers)
+    names = [cells[table.header.index(sources["hold"][0])] if "hold" in sources else path.stem for _, cells in table.rows]
+    found = list[Recording]()
     for name, group in itertools.groupby(range(len(rows)), key=names.__getitem__):
-        own = [*group]
-        data = command[own], positions[own], 0.0, sheet.others(own[0]), sensed[own]
-        found.append(_in_steps(Recording(name, rows[own[0]], *data), times[own].ravel(), [rows[i] for i in own]))
+        samples, numbers = [*group], dict[str, float]()
+        period = _period(name, times[samples].ravel(), [rows[i] for i in samples])
+        for column, cell in zip(table.header, table.rows[samples[0]][1], strict=True):
+            with contextlib.suppress(ValueError):  # text is left out
+                numbers[column] = read_number(rows[samples[0]], column, cell)
+        found.append(Recording(name, rows[samples[0]], command[samples], positions[samples], period, numbers, rotations[samples]))
         check_commands(found[-1], scene)
-    found[0] = replace(found[0], notes=(*notes, *unseen, *found[0].notes))
     return found
 
 
-def _sheet(path: Path, sources: Mapping[str, Source], optional: Set[str]) -> _Sheet:
-    """Table with the columns of quantities. Raises ValueError for columns that are not there, or twice."""
-    table, found = read_table(path, [source.name for source in sources.values()]), dict[str, Source]()
-    for quantity, source in sources.items():
-        same = [name for name in table.header if name == source.name]
-        same = same or [name for name in table.header if name.casefold() == source.name.casefold()]
-        if len(same) > 1:
-            raise ValueError(f"{table.where}: column {source.name} is there {len(same)} times")
+def _table(path: Path, markers: MarkerSet, units: Mapping[str, str]) -> tuple[Table, dict[str, tuple[str, float]]]:
+    """Table with the columns of quantities, by the names of its header. Raises ValueError for columns that are not there, or twice."""
+    wanted, found = markers.sources(units), dict[str, tuple[str, float]]()
+    table = read_table(path, [name for name, _ in wanted.values()])
+    for quantity, (name, factor) in wanted.items():
+        same = [column for column in table.header if column.casefold() == name.casefold()]
+        if len(same := [name] * same.count(name) or same) > 1:
+            raise ValueError(f"{table.where}: column {name} is there {len(same)} times")
         if same:
-            found[quantity] = source._replace(name=same[0])
-    missing = [source.name for quantity, source in sources.items() if quantity not in found and quantity not in optional]
-    if missing or not found.keys() & {"time", "hold"}:
-        text = f"there is no column {', '.join(missing or ['hold', 'time'])}: [columns] of the markers' file gives columns other names"
-        raise ValueError(f"{table.where}: {text}; {not_among((missing or ['hold'])[0], table.header)}")
+            found[quantity] = same[0], factor
+    missing = [wanted[quantity][0] for quantity in wanted.keys() - found.keys() - ({"time", "hold"} - markers.columns.keys())]
+    if missing := sorted(missing) or ([] if found.keys() & {"time", "hold"} else ["hold", "time"]):
+        text = f"there is no column {', '.join(missing)}: [columns] of the markers' file gives columns other names"
+        raise ValueError(f"{table.where}: {text}; {not_among(missing[0], table.header)}")
     if not table.rows:
         raise ValueError(f"{table.where}: there are no rows beneath the header")
-    return _Sheet(table, found)
+    places = [table.header.index(name) for quantity, (name, _) in found.items() if quantity != "hold"]
+    marks = {mark: where for where, cells in table.rows for i in places for mark in ",." if mark in cells[i]}
+    if len(marks) > 1:
+        raise ValueError(f"{marks[',']} has decimal commas and {marks['.']} points: numbers should have one decimal mark, and no others")
+    return table, found
 
 
-def _notes(path: Path, sheet: _Sheet) -> list[str]:
-    """Notes on how a file was read, in sentences. Raises ValueError for numbers with decimal points and commas."""
-    notes, (_, header, rows, skipped) = [], sheet.table
-    if skipped:
-        lines = ", ".join(map(str, skipped[:5])) + (", ..." if len(skipped) > 5 else "")
-        notes.append(f"{path}: {len(skipped)} lines above the header or with comments were skipped: {lines}.")
-    names = [source.name for quantity, source in sheet.sources.items() if quantity != "hold"]
-    cells = ((where, name, row[header.index(name)]) for where, row in rows for name in names)
-    marked = [own for own in cells if "." in own[2] or "," in own[2]]
-    comma, point = (next((own for own in marked if mark in own[2]), None) for mark in ",.")
-    if comma and point:
-        what = f"{comma[1]} is {comma[2]!r}, but in {point[0]} {point[1]} is {point[2]!r}"
-        raise ValueError(f"{comma[0]}: {what}: numbers should have one decimal mark, and no others")
-    return [*notes, f"{path}: numbers have decimal commas."] if comma else notes
+def _period(name: str, times: Array, wheres: Sequence[str]) -> float:
+    """Sample period [s] of a motion at times (rows,) [s] in equal steps; 0 for a hold, without them. Raises ValueError."""
+    if not len(times) or (len(times) == 1 and not times[0] >= 0.0):  # one row before time 0: a log that was cut off behind the row at rest
+        if len(wheres) > 1:
+            raise ValueError(f"{wheres[1]}: hold {name!r} has a second row: samples of a motion need a column time [s]")
+        return 0.0
+    if len(times) == 1:
+        raise ValueError(f"{wheres[0]}: a motion should have at least two samples")
+    change, steps = np.diff(times), np.arange(len(times))
+    if not (change > 0.0).all():
+        at = int(np.argmin(change > 0.0)) + 1
+        raise ValueError(f"{wheres[at]}: time is {times[at]:.9g} s after {times[at - 1]:.9g} s: it should be a number, and grow")
+    middle = float(np.median(change))
+    if middle > LONGEST or times[-1] > LATEST:
+        like = next((unit for unit, factor in UNITS["s"].items() if USUAL[0] <= middle * factor < USUAL[1]), "...")
+        guess = f'is it in {like}? [columns] of the markers\' file says so: time = {{ unit = "{like}" }}'
+        raise ValueError(f"{wheres[0]}: samples are {middle:.4g} s apart in time: {guess}")
+    period, first = map(float, np.polyfit(steps, times - times[0], 1))
+    if np.abs(times - times[0] - first - period * steps).max() > UNEVEN * period:
+        at = int(np.argmax(np.abs(change - middle)))
+        text = f"time goes on by {change[at]:.6g} s: it should in equal steps, which are {middle:.6g} s in the middle"
+        raise ValueError(f"{wheres[at + 1]}: {text}; a row that was lost goes in with its command and empty markers")
+    return period
 
 
-def _in_steps(own: Recording, times: Array, wheres: Sequence[str]) -> Recording:
-    """A recording of rows at times (rows,) [s], none for holds, in equal steps. Raises ValueError."""
-    if len(times) > 1 or (times >= 0.0).any():  # one row before time 0 is a log that was cut off behind the row at rest, which is a hold
-        steps = steps_of(times, wheres)
-        note = (f"Motion {own.name!r}: {steps.note}.",) if steps.note else ()
-        sensed = None if own.sensed is None else steps.spread(own.sensed)
-        command, positions = steps.held(own.command), steps.spread(own.positions)
-        return replace(own, command=command, positions=positions, sensed=sensed, period=steps.period, notes=note)
-    if len(wheres) > 1:
-        raise ValueError(f"{wheres[1]}: hold {own.name!r} has a second row: samples of a motion need a column time [s]")
-    return own
-
-
-def _positions(sheet: _Sheet, places: Iterable[str], markers: MarkerSet) -> tuple[Array, list[str]]:
-    """Positions (rows, m, 3) [m] in the scene's frame, NaN where a marker was not seen, and what was left out, in sentences."""
-    positions = sheet.numbers(places).reshape(len(sheet.table.rows), -1, 3)
-    seen, names = np.isfinite(positions), [*markers.markers]
+def _positions(rows: Sequence[str], positions: Array, markers: MarkerSet) -> Array:
+    """Positions (rows, m, 3) [m] in the scene's frame; those at exactly 0, as some trackers write it, were not seen."""
+    seen = np.isfinite(positions)
     if (partial := seen.any(axis=2) & ~seen.all(axis=2)).any():
         row, marker = np.argwhere(partial)[0]
-        raise ValueError(f"{sheet.table.rows[row][0]}: marker {names[marker]!r} has some of x, y, z: it should have all, or none")
-    zero = (positions == 0.0).all(axis=2) & (markers.arc_lengths > 0.0)  # as some trackers write it
-    positions[zero] = np.nan
-    counts = zip(names, zero.sum(axis=0), strict=True)
-    notes = [f"Marker {name!r} is at exactly 0, 0, 0 in {count} rows: it counts as not seen there." for name, count in counts if count]
-    return markers.frame.to_scene(positions), notes
+        raise ValueError(f"{rows[row]}: marker {[*markers.markers][marker]!r} has some of x, y, z: it should have all, or none")
+    positions[(positions == 0.0).all(axis=2) & (markers.arc_lengths > 0.0)] = np.nan
+    return markers.frame.to_scene(positions)
 
 
-def _check_quaternions(rows: Sequence[str], sensed: Array, names: Sequence[str]) -> None:
-    """Raises ValueError for orientations of markers that are no unit quaternions; empty ones are left out."""
-    for i, name in enumerate(names):
-        own = sensed[:, 4 * i : 4 * i + 4]
-        length = np.linalg.norm(own, axis=1)
-        odd = np.flatnonzero(~np.isnan(own).all(axis=1) & ~(np.abs(length - 1.0) <= UNIT))
-        if odd.size:
-            what = f"{name}_qw to {name}_qz have the length {length[odd[0]]:.4g}"
-            raise ValueError(f"{rows[odd[0]]}: {what}: they should be a unit quaternion, or all of them empty")
+def _rotations(rows: Sequence[str], quaternions: Array, markers: MarkerSet) -> Array:
+    """Rotations (rows, o, 3, 3) in the scene's frame of quaternions; NaN where they are empty."""
+    length, there = np.linalg.norm(quaternions, axis=2), ~np.isnan(quaternions).all(axis=2)
+    if (odd := there & ~(np.abs(length - 1.0) <= UNIT)).any():
+        row, marker = np.argwhere(odd)[0]
+        name = [name for name, one in markers.markers.items() if one.orientation][marker]
+        text = f"{name}_qw to {name}_qz have the length {length[row, marker]:.4g}"
+        raise ValueError(f"{rows[row]}: {text}: they should be a unit quaternion, or all of them empty")
+    found = np.full((*there.shape, 3, 3), np.nan)
+    if there.any():
+        found[there] = markers.frame.rotation @ Rotation.from_quat(quaternions[there], scalar_first=True).as_matrix()
+    return found
 
 
 def check_commands(recording: Recording, scene: Scene) -> None:
@@ -194,36 +172,72 @@ def check_commands(recording: Recording, scene: Scene) -> None:
         odd = values[(values < least) | (values > greatest)]
         if odd.size:
             text = f"{kind}_{i} is {odd[0]:g} {unit}: the scene's {kind}_limits are {least:g} to {greatest:g} {unit}"
-            guess = unit_guess(f"{kind}_{i}", float(np.abs(values).max()), max(-least, greatest), unit)
+            guess = _unit_guess(f"{kind}_{i}", float(np.abs(values).max()), max(-least, greatest), unit)
             raise ValueError(f"{recording.where}: {text}{guess}")
 
 
-def _check_sensed(path: Path, sensed: Array, units: Mapping[str, str], length: float) -> None:
-    """Raises ValueError for numbers (rows, k) of sensors in a file that differ by more than those of an arm can."""
-    most = {"m": REACH * length, "1/m": CURVED / length, "1": CHANGED}
-    for (quantity, unit), values in zip(units.items(), sensed.T, strict=True):
-        change = float(np.ptp(values[np.isfinite(values)])) if np.isfinite(values).any() else 0.0
-        if change > most[unit]:
-            text = f"{quantity} changes by {change:g} {unit}, on a rod of {length:g} m"
-            raise ValueError(f"{path}: {text}{unit_guess(quantity, change, most[unit], unit)}")
-
-
-def unit_guess(quantity: str, value: float, most: float, unit: str) -> str:
-    """End of an error about a value that should be at most `most`: units in which it would be plausible, and where to say so."""
-    like = [name for name, factor in UNITS[unit].items() if name != unit and LEAST * most <= value * factor <= most]
-    text = f"; is it in {' or '.join(like)}? [columns] of the markers' file says so: {quantity} = {{ unit = "
-    return f'{text}"{like[0]}" }}' if like else ""
-
-
-def _check_unit(positions: Array, length: float, path: Path, marker: str) -> None:
+def _check_reach(positions: Array, length: float, path: Path, marker: str) -> None:
     """Raises ValueError where markers (rows, m, 3) lie further from the base than the rod reaches, or all of them lie at it."""
     distances = np.linalg.norm(positions, axis=-1)
     if np.isnan(distances).all():
         raise ValueError(f"{path}: no marker was seen")
     distance, reach = float(np.nanmax(distances)), REACH * length
     if distance > reach:
-        guess = unit_guess(f'"{marker}_*"', distance, reach, "m") or "; is the [frame] of --markers right?"
+        guess = _unit_guess(f'"{marker}_*"', distance, reach, "m") or "; is the [frame] of --markers right?"
         raise ValueError(f"{path}: markers are up to {distance:.4g} m from the base of a rod of {length:g} m{guess}")
     if distance < 0.01 * length:
         text = "is the arm's length or the unit wrong? Positions are in m"
         raise ValueError(f"{path}: all markers are within {distance:.4g} m of the base of a rod of {length:g} m: {text}")
+
+
+def _unit_guess(quantity: str, value: float, most: float, unit: str) -> str:
+    """End of an error about a value that should be at most `most`: units in which it would be plausible, and where to say so."""
+    like = [name for name, factor in UNITS[unit].items() if name != unit and LEAST * most <= value * factor <= most]
+    text = f"; is it in {' or '.join(like)}? [columns] of the markers' file says so: {quantity} = {{ unit = "
+    return f'{text}"{like[0]}" }}' if like else ""
+
+
+def split(recordings: Sequence[Recording], held_out: str = SHARE) -> list[list[Recording]]:
+    """Recordings to fit to, and held-out ones, each in the order of the data.
+
+    held_out: a share below 1 or a number of recordings, stratified by tension, where those with the same commands stay together; or a
+    column, of which those that are not zero are held out. "0" holds none out. Raises ValueError.
+    """
+    count = len(recordings)
+    try:
+        wanted = float(held_out)
+    except ValueError:
+        chosen = np.array([one.columns.get(held_out, np.nan) for one in recordings])
+        if np.isnan(chosen).any():
+            known = not_among(held_out, {column for one in recordings for column in one.columns})
+            raise ValueError(f"held_out is {held_out!r}: there is no column of that name with numbers: {known}") from None
+    else:
+        if not (0.0 <= wanted < 1.0 or wanted in range(count)):
+            raise ValueError(f"held_out is {wanted:g}: it should be a share from 0 to below 1, a whole number below {count}, or a column")
+        group = same_commands(recordings)
+        command = np.array([np.abs(recordings[int(i)].command).max(axis=0) for i in np.unique(group, return_index=True)[1]])
+        order = np.lexsort((command.max(axis=1), command.argmax(axis=1)))  # by the strongest tendon, and how strongly it is pulled
+        groups = round(wanted * len(order)) if wanted < 1.0 else max(round(wanted * len(order) / count), 1)
+        places = ((np.arange(groups) + 0.5) * len(order) / max(groups, 1)).astype(int)
+        chosen = np.isin(group, order[places])
+    if chosen.all():
+        text = f"held_out is {held_out!r}, which leaves nothing to fit to of {count} recordings"
+        raise ValueError(f"{text}: those with the same commands stay together")
+    return [[one for one, held in zip(recordings, chosen, strict=True) if bool(held) == kind] for kind in (False, True)]
+
+
+def same_commands(recordings: Sequence[Recording]) -> Array:
+    """Index (recordings,) that recordings with the same commands share, counted from 0 in the order of the data.
+
+    Of motions the difference is the mean over their samples, since a start may be a sample late; the last command is held on.
+    """
+    if not recordings:
+        return np.zeros(0, dtype=int)
+    samples = np.arange(max(len(one.command) for one in recordings))
+    table = np.array([one.command[np.minimum(samples, len(one.command) - 1)] for one in recordings])
+    tolerance = np.maximum(SAME * np.ptp(table, axis=(0, 1)), EXACT * np.abs(table).max()) + np.finfo(float).tiny
+    group = np.full(len(recordings), -1)
+    while (group < 0).any():
+        near = (np.abs(table - table[np.argmax(group < 0)]) / tolerance).max(axis=2).mean(axis=1) <= 1.0
+        group[near & (group < 0)] = group.max() + 1
+    return group

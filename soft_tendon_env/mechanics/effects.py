@@ -7,6 +7,7 @@ The parameters of an effect are a `Struct` of its own, see algebra/structs.py. A
 poses and twists, or of strains.
 """
 
+import dis
 import functools
 import math
 from collections.abc import Callable, Hashable, Sequence
@@ -31,12 +32,7 @@ class BeforeStep(Struct):
 
     time: np.ndarray  # (1) [s]
     pose: np.ndarray  # as in Nodes
-    base: np.ndarray
-
-
-def make_before_step(nodes: int) -> BeforeStep:
-    """Zeroed BeforeStep for so many nodes."""
-    return BeforeStep(time=np.zeros(1), pose=np.zeros(12 * nodes), base=np.zeros(24))
+    base: np.ndarray  # (24)
 
 
 class ContactFlags(Struct):
@@ -45,11 +41,6 @@ class ContactFlags(Struct):
     touched: np.ndarray  # (1) the arm touched something within the step
     tunnelled: np.ndarray  # (1) the arm went through something on its way: the step is tried again at half of its length
     active: np.ndarray  # (1) it touches something or is about to: the next step is as short as its error calls for, with fixed steps too
-
-
-def make_contact_flags() -> ContactFlags:
-    """Flags of zeros."""
-    return ContactFlags(touched=np.zeros(1), tunnelled=np.zeros(1), active=np.zeros(1))
 
 
 class Nodes(NamedTuple):
@@ -131,9 +122,11 @@ DIRECT = Transmission(
 
 EXPLICIT, IMPLICIT_TWIST, IMPLICIT_POSE = 0, 1, 2
 """Bits of what a wrench is differentiated by for the implicit step."""
+BITS = {"twist": IMPLICIT_TWIST, "pose": IMPLICIT_POSE}
 
 _ROW = np.zeros(1)
-_NODES = Nodes(1, 0.0, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, make_before_step(1), make_contact_flags())
+_CHECK = BeforeStep(_ROW, _ROW, _ROW), ContactFlags(_ROW, _ROW, _ROW)
+_NODES = Nodes(1, 0.0, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, *_CHECK)
 HOOKS: dict[str, tuple[Any, ...]] = {
     "wrench": (_NODES,),
     "stress": (Points(1, 0.0, 0.0, *[_ROW] * 9),),
@@ -145,6 +138,7 @@ the nodes, stress at the points, motion of the base, the longest step that it al
 
 _KERNELS: dict[tuple[str, type], Any] = {}
 _IMPLICIT: dict[type, int] = {}
+_PARAMETERS = StructType(Struct, ())  # numba's type of parameters, of which a call passes the address alone
 _FUNCTIONS: list[Callable[..., None]] = []
 """Kernels by their addresses less 1, where nothing is compiled."""
 
@@ -191,9 +185,6 @@ class EffectTable(Struct):
         """The parameters of every effect."""
         return tuple(self.__dict__["_structs"])
 
-    def __len__(self) -> int:
-        return self.count
-
     @property
     def load(self) -> bool:
         """True if any of them acts on an arm at rest, or moves its base: what the path from commands to tensions holds does not."""
@@ -220,14 +211,23 @@ def adds_wrench(kind: type, implicit: Sequence[str] = ()) -> Decorator:
 
     A wrench that is stiff or damps fast belongs to the implicit step. Either `implicit` names what it depends on so, "pose", "twist" or
     both, and the step takes its derivatives at every node by differences; or the kernel adds them to `nodes.stiffness` and
-    `nodes.damping` itself. Raises ValueError for another name.
+    `nodes.damping` itself. Raises ValueError for another name, and where both would count.
     """
-    bits = {"twist": IMPLICIT_TWIST, "pose": IMPLICIT_POSE}
-    for name in implicit:
-        if name not in bits:
-            raise ValueError(f"implicit is {implicit!r}: it should name pose, twist or both, as in implicit=('twist',)")
-    _IMPLICIT[kind] = sum(bits[name] for name in set(implicit))
-    return _registers("wrench", kind)
+    if odd := {*implicit} - {*BITS}:
+        raise ValueError(f"implicit is {implicit!r}: it should name pose, twist or both, as in implicit=('twist',), not {min(odd)!r}")
+
+    register = _registers("wrench", kind)
+
+    def register_once(function: Any) -> Any:
+        steps = pairwise(dis.get_instructions(code := getattr(function, "py_func", function).__code__))
+        own = {now.argval for before, now in steps if before.argrepr.split(", ")[-1] == code.co_varnames[1]} & {"stiffness", "damping"}
+        if own and implicit:
+            text = f"adds to nodes.{min(own)} what implicit={implicit!r} finds by differences: leave out one of the two"
+            raise ValueError(f"the kernel {code.co_name} for {kind.__name__} {text}, or it counts twice")
+        _IMPLICIT[kind] = sum(BITS[name] for name in {*implicit})
+        return register(function)
+
+    return register_once
 
 
 def adds_stress(kind: type) -> Decorator:
@@ -238,8 +238,7 @@ def adds_stress(kind: type) -> Decorator:
 
 
 def moves_base(kind: type) -> Decorator:
-    """Decorator: the kernel (parameters, base) of an effect that moves the base: it sets `base.pose`, `base.twist` and
-    `base.acceleration` as they are at `base.time`, see `Base`."""
+    """Decorator: the kernel (parameters, base) of an effect that sets pose, twist and acceleration of the base at a time, see `Base`."""
     return _registers("base", kind)
 
 
@@ -278,11 +277,9 @@ def kernels_of(kind: type) -> dict[str, Any]:
 
 def _address_of_kernel(hook: str, own: Struct) -> int:
     """The address of the kernel for these parameters, 0 where there is none; compiles it when needed."""
-    function = _KERNELS.get((hook, type(own)))
-    if function is None:
-        return 0
+    function = kernels_of(type(own)).get(hook)
     kind: Any = type(own) if config.DISABLE_JIT else numba.typeof(own)
-    return _address(hook, function, kind)
+    return 0 if function is None else _address(hook, function, kind)
 
 
 @functools.cache
@@ -301,10 +298,6 @@ def _address(hook: str, function: Any, kind: Hashable) -> int:
 def call(address, parameters, arguments):
     """Call the kernel at an address with the parameters at another one and a tuple of further arguments."""
     _FUNCTIONS[address - 1](struct_at(None, [parameters], 0), *arguments)
-
-
-_PARAMETERS = StructType(Struct, ())
-"""Numba's type of parameters, of which a call passes the address alone."""
 
 
 @intrinsic

@@ -8,7 +8,7 @@ import numpy as np
 
 from soft_tendon_env.mechanics.algebra.lanes import LINE, aligned_zeros
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.effects import BeforeStep, ContactFlags, make_before_step, make_contact_flags
+from soft_tendon_env.mechanics.effects import BeforeStep, ContactFlags
 from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded
 
 Kind = TypeVar("Kind", bound=Struct)
@@ -122,8 +122,8 @@ def make_workspace(arm: Arm) -> Workspace:
         Workspace,
         {**sizes, "columns": strain.size + 2, "remembered": sizes["points"] if arm.effects.remembers else 0},
         **({"Phi": strain.field} if isinstance(strain, Explicit) else {}),
-        before_step=make_before_step(sizes["nodes"]),
-        contact=make_contact_flags(),
+        before_step=BeforeStep(np.zeros(1), np.zeros(12 * sizes["nodes"]), np.zeros(24)),
+        contact=ContactFlags(np.zeros(1), np.zeros(1), np.zeros(1)),
         under_loads=zeros(LoadMemory, {"nodes": loaded, "points": 2 * loaded}),
     )
     work.state[:] = arm.effects.state

@@ -39,7 +39,5 @@ def _check_independence(model: Model) -> None:
         text = f"gives {n} coordinates of which some strain the rod alike at the points of {model.grid.per_piece} quadrature intervals"
         raise ConfigurationError([Problem(("strain",), f"{text} per piece: drop a field, or leave quadrature.intervals out, if given")])
     if not least_eigenvalue(terms.mass) > SINGULAR:
-        warnings.warn(
-            f"{n} coordinates are too many for {model.grid.per_piece} quadrature intervals per piece: the mass matrix is singular",
-            stacklevel=3,
-        )
+        text = f"{n} coordinates are too many for {model.grid.per_piece} quadrature intervals per piece: the mass matrix is singular"
+        warnings.warn(text, stacklevel=3)

@@ -26,7 +26,7 @@ def make_arm(scene: Scene, grid: Grid, strain: StaticsBased | Loaded | Explicit 
         text = "is given, but the loads inside of a strain have to stand still beside the arm's base, which moves: leave it out"
         raise ConfigurationError([Problem(("strain", "include_loads"), text)])
     own = make_strain(scene, grid, here) if strain is None or isinstance(strain, Explicit) else _under_loads(scene, strain.law, grid)
-    return Arm(rod=make_rod(scene, grid, scene.strain.free, here, seen), tendons=here.shape.tendons, strain=own, effects=effects)
+    return Arm(rod=make_rod(scene, grid, scene.strain.free, here, seen), tendons=here.tendons, strain=own, effects=effects)
 
 
 def effects_inside(scene: Scene) -> bool:
@@ -64,13 +64,6 @@ def mode_fields(modes: tuple[Modes, ...], grid: Grid) -> Array:
     return np.array(fields).reshape(len(fields), *grid.points.shape, 6)
 
 
-def passive_fields(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> Array:
-    """Fields of the passive coordinates at the points: (fields, intervals, 2, 6)."""
-    if isinstance(strain.passive, Snapshots):
-        return fields_of(scene).at(grid.points, strain.passive.fields)
-    return mode_fields(strain.passive, grid)
-
-
 def explicit_strain(strain: ExplicitStrain, grid: Grid, here: AtPoints) -> Explicit:
     """Arrays of an explicit basis: its fields at the points, and their stiffness and damping."""
     fields = mode_fields(strain.modes, grid)
@@ -98,9 +91,12 @@ def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid, here: AtPo
     """Arrays of the strain law: which tensions are independent, and the passive fields that are left beside them."""
     exists = np.array([name in strain.strains for name in STRAINS], dtype=float)
     compliance = exists / here.elasticity
-    actuation = actuation_fields(here)
+    actuation = actuation_columns(here.geometry, here.curvature, STRAIGHT)
     mixing = independent_tensions(_inner(actuation, actuation, compliance, grid), strain.rank_tolerance)
-    passive = passive_fields(scene, strain, grid)
+    if isinstance(strain.passive, Snapshots):
+        passive = fields_of(scene).at(grid.points, strain.passive.fields)
+    else:
+        passive = mode_fields(strain.passive, grid)
     if strain.passive_coordinates == "orthogonal":
         passive = _orthogonal_to(actuation, passive, compliance, grid, strain.rank_tolerance)
     active = mixing.shape[1]
@@ -131,20 +127,10 @@ def with_every_tension(arm: Arm) -> Arm:
     strain, count = arm.strain, arm.tendons.size
     assert not isinstance(strain, Explicit)
     size = count + strain.law.size - strain.law.active
-    everywhere = {
-        "size": size,
-        "first": np.zeros(size, dtype=np.int64),
-        "last": np.full(size, arm.rod.packs),
-        "tip": np.full(size, arm.rod.packs),
-    }
-    each = np.arange(count)
+    first, last, each = np.zeros(size, dtype=np.int64), np.full(size, arm.rod.packs), np.arange(count)
+    everywhere = {"size": size, "first": first, "last": last, "tip": last}
     law = strain.law.replaced(**everywhere, row_start=np.arange(count + 1), column=each, weight=np.ones(count), mixed=0, active=count)
     return arm.replaced(strain=strain.replaced(**everywhere, law=law) if isinstance(strain, Loaded) else law)
-
-
-def actuation_fields(here: AtPoints) -> Array:
-    """Actuation fields Phi_a of the stress-free arm: (n_a, intervals, 2, 6)."""
-    return actuation_columns(here.shape.geometry, here.shape.curvature, STRAIGHT)
 
 
 def actuation_columns(geometry: Array, k: Array, p: Array) -> Array:
@@ -157,9 +143,8 @@ def actuation_columns(geometry: Array, k: Array, p: Array) -> Array:
 def independent_tensions(gram: Array, tolerance: float) -> Array:
     """Basis of the independent tensions, tensions of the strain law by coordinate: (n_a, rank).
 
-    The identity where the actuation fields are independent. Otherwise the columns are an orthonormal basis of the tensions that
-    strain the straight arm, made from the projector on them (which is unique) by taking the tendons in order: the same tendons
-    give the same coordinates on every machine.
+    The identity where the actuation fields are independent; otherwise orthonormal, made from the projector on the tensions that strain the
+    straight arm by taking the tendons in order: the same tendons give the same coordinates on every machine.
     """
     scale = np.sqrt(np.diag(gram))
     scale[scale == 0] = 1.0  # a tendon that strains nothing: all that it would strain is rigid
@@ -180,19 +165,15 @@ def independent_tensions(gram: Array, tolerance: float) -> Array:
 
 def _orthogonal_to(actuation: Array, passive: Array, compliance: Array, grid: Grid, tolerance: float) -> Array:
     """The parts of the passive fields orthogonal to the actuation fields and to each other, of unit energy; dependent ones dropped."""
-
-    def product(left: Array, right: Array) -> float:
-        return float(_inner(left[None], right[None], compliance, grid)[0, 0])
-
     basis: list[Array] = []
     found: list[Array] = []
     for i, field in enumerate([*actuation, *passive]):
         rest = field
         for _ in range(2):  # the second pass removes the rounding of the first
             for b in basis:
-                rest = rest - b * product(b, rest)
-        left = np.sqrt(product(rest, rest))
-        if left > tolerance * np.sqrt(product(field, field)):
+                rest = rest - b * _inner(b[None], rest[None], compliance, grid)[0, 0]
+        before, left = (float(np.sqrt(_inner(own[None], own[None], compliance, grid)[0, 0])) for own in (field, rest))
+        if left > tolerance * before:
             basis.append(rest / left)
             found += [basis[-1]] * (i >= len(actuation))
     return np.array(found).reshape(-1, *passive.shape[1:])

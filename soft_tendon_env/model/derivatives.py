@@ -1,9 +1,9 @@
-"""Derivatives by central differences: of a period by state and command, of periods and equilibria by numbers of the scene."""
+"""Derivatives by central differences: of a period by state and command, of equilibria by numbers of the scene."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -42,13 +42,12 @@ class Linearization(NamedTuple):
     tip: Array  # (6, s + n_a) body twist of the next tip pose [rad, m]
     tip_twist: Array  # (6, s + n_a) of the next body twist of the tip [rad/s, m/s]
     tendon_length: Array  # (n_a, s + n_a) of the next lengths of the tendons [m]
-    strain: Array  # (sensors, 6, s + n_a) of the next strains at the sensors
 
 
 class Derivatives(NamedTuple):
-    """Derivatives of an equilibrium or of the end of a period by p numbers of the scene, each in the unit of its key, see Parameter."""
+    """Derivatives of an equilibrium by p numbers of the scene, each in the unit of its key, see Parameter."""
 
-    state: Array  # (s, p) of the state at the end of a period, or (n, p) of the coordinates of an equilibrium
+    state: Array  # (n, p) of the coordinates
     tip: Array  # (6, p) body twist of the tip pose (angular, linear) [rad, m]
     tendon_length: Array  # (n_a, p) [m]
 
@@ -61,10 +60,10 @@ class Period(NamedTuple):
     taken: Array  # (steps, 2) length [s] and columns of every step
 
 
-def ends(model: Model, period: Period, inputs: Array, sensors: Array) -> list[Array]:
-    """States (copies, s), tip poses, tendon lengths, tip twists and strains after a period, inf where it fails. Raises LinAlgError."""
+def ends(model: Model, period: Period, inputs: Array) -> list[Array]:
+    """States (copies, s), tip poses, tendon lengths and tip twists after a period, inf where it fails. Raises LinAlgError."""
     arm, n, count = model.arm, model.coordinate_count, len(inputs)
-    batch = make_batch(arm, model.grid.places(np.zeros(0), sensors), period.start, 0.0, count)
+    batch = make_batch(arm, model.grid.places(np.zeros(0), np.zeros(0)), period.start, 0.0, count)
     rows, read, failed = batch.rows, batch.reading, np.zeros(count, dtype=bool)
     rows.q[:], rows.q_dot[:], rows.state[:], commands = np.split(inputs, [n, 2 * n, 2 * n + period.start.state.size], axis=1)
     for row, q in enumerate(rows.q if rows.state.size else ()):  # a memory remembers the strain before a step
@@ -79,70 +78,56 @@ def ends(model: Model, period: Period, inputs: Array, sensors: Array) -> list[Ar
         failed |= batch.outcome.status != OK
     if failed[0]:
         raise np.linalg.LinAlgError(f"the motion has no derivative: {MESSAGES[batch.outcome.status[0]]}")
-    found = np.hstack([rows.q, rows.q_dot, rows.state]), read.tip_pose, read.tendon_length, read.tip_twist, read.strain
+    found = np.hstack([rows.q, rows.q_dot, rows.state]), read.tip_pose, read.tendon_length, read.tip_twist
     return [np.where(failed.reshape(-1, *[1] * (own.ndim - 1)), np.inf, own) for own in found]
 
 
 @np.errstate(invalid="ignore")
-def linearized(model: Model, period: Period, following: State, sensors: Array) -> Linearization:
+def linearized(model: Model, period: Period, following: State) -> Linearization:
     """Linearization of a period that leads to a state. Raises LinAlgError."""
     here, state, (unit, command_unit, factor) = period.inputs, period.start.state, _units(model)
     step = SHARE * factor * np.concatenate([unit, np.maximum(np.abs(state), LEAST_STATE), command_unit])
-    found, slopes = ends(model, period, np.vstack([here, here + np.diag(step), here - np.diag(step)]), sensors), []
+    found, slopes = ends(model, period, np.vstack([here, here + np.diag(step), here - np.diag(step)])), []
     for value in found:
         right, left = value[1 : step.size + 1] - value[0], value[0] - value[step.size + 1 :]
         jumps = [(abs(a) > JUMP * abs(b)) & ((b != 0.0) | np.isinf(a)) for a, b in ((right, left), (left, right))]  # not from rest: a kink
         slopes.append(np.moveaxis(np.select(jumps, [left, right], 0.5 * (left + right)), 0, -1) / step)
-    by, poses, lengths, twists, strains = slopes
+    by, poses, lengths, twists = slopes
     if not np.isfinite(by).all():
         raise np.linalg.LinAlgError("the motion has no derivative: on either side of it a step fails")
-    return Linearization(following, by[:, : len(by)], by[:, len(by) :], _twists(found[1][0], poses), twists, lengths, strains)
-
-
-def period_derivatives(model: Model, keys: Iterable[str], period: Period) -> Derivatives:
-    """`Simulation.derivatives` of a period."""
-    return _by_numbers(model, keys, lambda other: [own[0] for own in ends(other, period, period.inputs[None], np.zeros(0))[:3]])
+    return Linearization(following, by[:, : len(by)], by[:, len(by) :], _twists(found[1][0], poses), twists, lengths)
 
 
 def static_derivatives(model: Model, keys: Iterable[str], tension: ArrayLike) -> Derivatives:
     """Derivatives of the static equilibrium under tensions (n_a,) [N] by numbers of the scene: equilibria beside it are solved again.
 
-    keys: dotted keys, `"segments.*.young_modulus"`, see `scene_parameters`. Each number is moved by a thousandth of its size to both sides,
-    to one where it ends, as a mass at 0, and by 1e-5 of its unit where it is zero; quadrature and passive fields stay. The error is about
-    1e-6 of the largest entry. Raises as `static_equilibrium`, ConfigurationError for keys, LinAlgError where there is no equilibrium.
+    keys: dotted keys, see `scene_parameters`. A number is moved by a thousandth of its size, or by 1e-5 of its unit where it is zero; to
+    one side where it ends, as Poisson's ratio at 0.5. The error is about 1e-6 of the largest entry. Raises ConfigurationError for keys,
+    ValueError, TypeError, LinAlgError where the arm does not come to rest.
     """
-    guess: Array | None = None
 
-    def evaluate(other: Model) -> tuple[Array, Array, Array]:
-        nonlocal guess
+    def rest(other: Model, guess: Array | None = None) -> tuple[Array, Array, Array]:
         found = static_equilibrium(other, tension, guess)
         if not found.converged:
             raise np.linalg.LinAlgError(f"there is no equilibrium to differentiate: {found.reason}")
-        guess = found.q if guess is None else guess  # that of the model itself, which is evaluated first
         return found.q, found.tip_pose, other.tendon_lengths(found.q)
 
-    return _by_numbers(model, keys, evaluate)
-
-
-def _by_numbers(model: Model, keys: Iterable[str], evaluate: Callable[[Model], Sequence[Array]]) -> Derivatives:
-    """Derivatives of the state, tip pose and tendon lengths that `evaluate` gives of a model."""
-    here, columns = evaluate(model), []
+    here = rest(model)
+    slopes = [np.zeros((*own.shape, 0)) for own in here]
     for parameter in scene_parameters(model.scene, keys):
         step = NUMBER_SHARE * _units(model)[2] * (1.0 if parameter.is_factor else parameter.size) or ZERO
-        values = [(weight / step, evaluate(other)) for weight, other in _beside(model, parameter, step)]
-        columns.append([sum(weight * value[i] for weight, value in values) for i in range(3)])
-    states, poses, lengths = (np.stack([np.zeros_like(own), *parts], axis=-1)[..., 1:] for own, *parts in zip(here, *columns, strict=True))
-    return Derivatives(states, _twists(here[1], poses), lengths)
+        values = [(weight / step, rest(other, here[0])) for weight, other in _beside(model, parameter, step)]
+        columns = (sum(weight * value[i] for weight, value in values) for i in range(3))
+        slopes = [np.concatenate([own, np.asarray(column)[..., None]], axis=-1) for own, column in zip(slopes, columns, strict=True)]
+    return Derivatives(slopes[0], _twists(here[1], slopes[1]), slopes[2])
 
 
 def _beside(model: Model, parameter: Parameter, step: float) -> list[tuple[float, Model]]:
     """Weights, and models whose parameter is that many steps off. Raises ConfigurationError."""
-    for weights in SIDES:
-        try:
+    for weights in SIDES[:-1]:
+        with contextlib.suppress(ConfigurationError):  # beyond a bound
             return [(weight, model.with_numbers(parameter.changes(parameter.value + k * step))) for k, weight in weights.items()]
-        except ConfigurationError as problem:
-            found = problem
-    raise found
+    return [(weight, model.with_numbers(parameter.changes(parameter.value + k * step))) for k, weight in SIDES[-1].items()]
 
 
 def _twists(pose: Array, slopes: Array) -> Array:

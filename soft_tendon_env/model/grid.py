@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,8 @@ LARGEST_PANEL = 7  # closed Newton-Cotes rules have positive weights up to this 
 class Grid:
     """Quadrature grid: intervals of the rod, padded with empty ones at the tip to whole packs.
 
-    start, length (intervals,) [m]; points (intervals, 2) [m]; real (intervals,) False where padded; shapes: the last `Shape` on it.
+    start, length (intervals,) [m]; points (intervals, 2) [m]; real (intervals,) False where padded; shapes: what is kept of the last arm
+    on it, see `at_points`.
     """
 
     start: Array
@@ -32,7 +33,7 @@ class Grid:
     real: np.ndarray
     breakpoints: Array
     per_piece: int
-    shapes: dict[str, tuple[object, "Shape"]] = field(default_factory=dict, repr=False)
+    shapes: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @property
     def packs(self) -> int:
@@ -126,22 +127,16 @@ def screw_matrices(scene: Scene, arc_length: Array) -> tuple[Array, Array, Array
     return elasticity, damping, inertia
 
 
-class Shape(NamedTuple):
-    """Rod and tendons of the stress-free arm on a grid, whatever they are made of."""
-
-    curvature: Array  # (intervals, 2, 3) [1/m]
-    geometry: Array  # (n_a, intervals, 2, 5), see `tendon_geometry`
-    tendons: Tendons
-    tendon_length: Array  # (n_a,) [m]
-    tendon_turn: Array  # (n_a,) [rad]
-
-
 class AtPoints(NamedTuple):
     """Section and shape of the stress-free arm at the points of a grid, which rod, tendons and strain are all made from."""
 
     elasticity: Array  # (intervals, 2, 6) diag(Sigma) [N m^2, N]
     damping: Array  # (intervals, 2, 6) diag(Upsilon)
-    shape: Shape
+    curvature: Array  # (intervals, 2, 3) [1/m]
+    geometry: Array  # (n_a, intervals, 2, 5), see `tendon_geometry`
+    tendons: Tendons
+    tendon_length: Array  # (n_a,) [m]
+    tendon_turn: Array  # (n_a,) [rad]
 
 
 def at_points(scene: Scene, grid: Grid) -> AtPoints:
@@ -151,10 +146,10 @@ def at_points(scene: Scene, grid: Grid) -> AtPoints:
     kept = grid.shapes.get("last")
     if kept is None or kept[0] != key:
         kept = grid.shapes["last"] = key, _shape(scene, grid)
-    return AtPoints(elasticity, damping, kept[1])
+    return AtPoints(elasticity, damping, *kept[1])
 
 
-def _shape(scene: Scene, grid: Grid) -> Shape:
+def _shape(scene: Scene, grid: Grid) -> tuple[Array, Array, Tendons, Array, Array]:
     """The shape; lengths of tendons and angles by which they turn to second order in the intervals."""
     k = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, grid.points)]
     geometry = tendon_geometry(scene, grid)
@@ -166,15 +161,14 @@ def _shape(scene: Scene, grid: Grid) -> Shape:
     rate, distance = np.cross(k[grid.real].reshape(-1, 3), t), np.diff(grid.points[grid.real].ravel())[:, None]
     turn = np.diff(t, axis=1) + 0.5 * distance * (rate[:, 1:] + rate[:, :-1])
     turned = (np.linalg.norm(turn, axis=-1) * there[:, 1:] * there[:, :-1]).sum(axis=1)
-    return Shape(k, geometry, make_tendons(grid, geometry), length, np.asarray(turned))
+    return k, geometry, make_tendons(grid, geometry), length, np.asarray(turned)
 
 
 def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], here: AtPoints, seen: Discretisation) -> Rod:
     """Arrays of the rod's section; strains not named in `free` are rigid. seen: the rod as effects see it."""
     exists = np.array([strain in free for strain in STRAINS], dtype=float)
-    elasticity, damping = here.elasticity, here.damping
     reference = np.zeros((*grid.points.shape, 6))
-    reference[..., :3] = here.shape.curvature
+    reference[..., :3] = here.curvature
     reference[..., 3] = 1.0
     inertia = over_nodes(grid, lambda arc_length: screw_matrices(scene, arc_length)[2])
     mass = inertia[:, 3].copy()
@@ -188,10 +182,10 @@ def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], here: AtPoints, se
         mass=inertia[:, 3].sum(keepdims=True),
         length=grid.length,
         weight=point_field(grid.weights[..., None]),
-        root_compliance=point_field(exists / np.sqrt(elasticity)),
-        root_stiffness=point_field(exists * np.sqrt(elasticity)),
+        root_compliance=point_field(exists / np.sqrt(here.elasticity)),
+        root_stiffness=point_field(exists * np.sqrt(here.elasticity)),
         reference_strain=point_field(reference),
-        viscosity=point_field(damping * grid.weights[..., None]),
+        viscosity=point_field(here.damping * grid.weights[..., None]),
         inertia=node_field(inertia),
         node_mass=node_field(mass[:, None]),
     )
@@ -214,7 +208,7 @@ def over_nodes(grid: Grid, density: Callable[[Array], Array]) -> Array:
 
 def discretisation(scene: Scene, grid: Grid, here: AtPoints | None = None) -> Discretisation:
     """The rod on this grid, as effects see it. here: its section and shape at the points, if they are at hand."""
-    shape = (here or at_points(scene, grid)).shape
+    here = here or at_points(scene, grid)
     return Discretisation(
         length=float(grid.breakpoints[-1]),
         borders=grid.breakpoints,
@@ -224,8 +218,8 @@ def discretisation(scene: Scene, grid: Grid, here: AtPoints | None = None) -> Di
         elasticity=lambda arc_length: screw_matrices(scene, arc_length)[0],
         line_mass=lambda arc_length: screw_matrices(scene, arc_length)[2][:, 3],
         over_nodes=lambda density: over_nodes(grid, density),
-        tendon_length=shape.tendon_length,
-        tendon_turn=shape.tendon_turn,
+        tendon_length=here.tendon_length,
+        tendon_turn=here.tendon_turn,
         tension_limits=np.array([tendon.tension_limits for tendon in scene.tendons]),
         effects=scene.effects,
         step=scene.integrator.step,
@@ -244,8 +238,7 @@ def tendon_geometry(scene: Scene, grid: Grid) -> Array:
 
 
 def chords(geometry: Array, k: Array, p: Array) -> tuple[Array, Array]:
-    """Offsets and chords (.., 3), the derivatives of the paths in the section's frame, of tendons of this geometry (.., 5), see
-    `tendon_geometry`, at strains k, p (.., 3)."""
+    """Offsets and chords (.., 3), the paths' derivatives in the section, of tendons of a geometry (.., 5) at strains k, p (.., 3)."""
     d, d_prime = np.zeros((2, *geometry.shape[:-1], 3))
     d[..., 1:], d_prime[..., 1:] = geometry[..., 0:2], geometry[..., 2:4]
     return d, np.cross(k, d) + p + d_prime

@@ -17,19 +17,18 @@ from numpy.typing import ArrayLike
 from soft_tendon_env.mechanics.algebra.lie import coefficients, rotation_log
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.statics import ChordSolver, Equilibrium, static_equilibrium
-from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type, dimensions
+from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type, dimensions, shown_numbers
 from soft_tendon_env.tools.types import Array
 
 EFFORTS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 """mu, for errors in lengths of the rod and tensions in those that would move the tip by about as much."""
 NEAR = 3  # a start other than at rest leaves so many of them out: a large mu would lead back to rest
 RANDOM_STARTS = 6
-MAX_EVALUATIONS = 60  # per mu
 POSITION_TOLERANCE = 1e-4  # of the rod's length
 ANGLE_WEIGHT = 0.5  # of the rod's length: an arc bent by an angle moves its tip by half its length times that
+OPTIONS = {"method": "trf", "ftol": 1e-8, "xtol": 1e-8, "gtol": 1e-14, "max_nfev": 60}
+"""Settings of the search for each mu; "dogbox" needs fewer steps, but stalls where many tendons reach their limits."""
 RIGID = 1e-6  # deviation of R^T R from the identity up to which a matrix counts as a rotation
-
-NOT_NEGATIVE = "a number of at least 0"
 
 
 class InverseEquilibrium(NamedTuple):
@@ -39,7 +38,7 @@ class InverseEquilibrium(NamedTuple):
     q: Array  # (n,)
     tip_pose: Array  # (4, 4)
     position_error: float  # [m]
-    angle_error: float  # [rad], 0 with an angle_weight of 0 (a position alone)
+    angle_error: float  # [rad], 0 for a position alone
     reachable: bool  # whether both errors are within the tolerance
     reason: str  # empty when reachable
 
@@ -51,17 +50,14 @@ def tension_for_tip_pose(
     limits: tuple[ArrayLike, ArrayLike] | None = None,
     start: ArrayLike | None = None,
     tolerance: float | None = None,
-    angle_weight: float | None = None,
 ) -> InverseEquilibrium:
     """Inverse statics for a tip pose (4, 4): tensions within limits, of least effort |u| (locally) where there are many.
 
-    What cannot be reached is approached as nearly as possible, with `reachable` False and a `reason`; it raises nothing.
+    What cannot be reached is approached as nearly as possible, with a `reason`. A radian counts as half the rod's length.
 
     limits: (least, greatest) [N], each a number or (n_a,); the scene's tension_limits if None.
     start: tensions (n_a,) near the solution, when following a path: one local search from there instead of several from afar.
-    tolerance: position error [m] up to which the pose counts as reached, 1e-4 of the rod's length if None; tolerance / angle_weight
-        is that for the angle.
-    angle_weight: metres of position error that a radian is worth; half the rod's length if None.
+    tolerance: position error [m] up to which the pose counts as reached, 1e-4 of the rod's length if None.
 
     Raises ValueError or TypeError for wrong shapes and types, NaN, a matrix that is no rigid transform, or least >= greatest.
     """
@@ -70,37 +66,32 @@ def tension_for_tip_pose(
     R = pose[:3, :3]
     if np.abs(R.T @ R - np.eye(3)).max() > RIGID or np.linalg.det(R) < 0 or np.abs(pose[3] - [0, 0, 0, 1]).max() > RIGID:
         raise ValueError("pose should be a rigid transform [[R, r], [0, 0, 0, 1]] with a rotation R")
-    near = POSITION_TOLERANCE * model.length if tolerance is None else checked_number("tolerance", tolerance, 0.0, NOT_NEGATIVE)
-    weight = ANGLE_WEIGHT * model.length if angle_weight is None else checked_number("angle_weight", angle_weight, 0.0, NOT_NEGATIVE)
-    search = _TipSearch(model, pose, weight, near, *_checked_limits(model, limits))
-    return search.nearest(None if start is None else checked_array("start", start, (model.tendon_count,)))
+    return _nearest(model, pose, ANGLE_WEIGHT * model.length, limits, start, tolerance)
 
 
-def tension_for_tip_position(
-    model: Model,
-    position: ArrayLike,
-    *,
-    limits: tuple[ArrayLike, ArrayLike] | None = None,
-    start: ArrayLike | None = None,
-    tolerance: float | None = None,
-) -> InverseEquilibrium:
-    """Inverse statics for a tip position (3,) [m] alone, whatever the tip's orientation; see `tension_for_tip_pose`."""
+def tension_for_tip_position(model: Model, position: ArrayLike, **options: Any) -> InverseEquilibrium:
+    """Inverse statics for a tip position (3,) [m] alone, whatever the tip's orientation; options: those of `tension_for_tip_pose`."""
+    checked_type("model", model, Model, "see build_model")
     pose = np.eye(4)
     pose[:3, 3] = checked_array("position", position, (3,))
-    return tension_for_tip_pose(model, pose, limits=limits, start=start, tolerance=tolerance, angle_weight=0.0)
+    return _nearest(model, pose, 0.0, **options)
 
 
-def _checked_limits(model: Model, limits: tuple[ArrayLike, ArrayLike] | None) -> tuple[Array, Array]:
-    given: Any = model.discretisation.tension_limits.T if limits is None else limits
-    if not isinstance(given, tuple | list | np.ndarray) or dimensions(given) == 0 or len(given) != 2:
+def _nearest(
+    model: Model, pose: Array, angle_weight: float, limits: Any = None, start: Any = None, tolerance: float | None = None
+) -> InverseEquilibrium:
+    """Solution for a pose, with arguments checked."""
+    shape, near = (model.tendon_count,), POSITION_TOLERANCE * model.length
+    sides = model.discretisation.tension_limits.T if limits is None else limits
+    if not isinstance(sides, tuple | list | np.ndarray) or len(sides) != 2:
         raise ValueError("limits should be (least, greatest) [N], each a number or an array with one entry per tendon")
-    shape = (model.tendon_count,)
-    sides = (np.full(shape, side) if dimensions(side) == 0 else side for side in given)
-    least, greatest = (checked_array(f"limits[{i}]", side, shape) for i, side in enumerate(sides))
+    given = (np.full(shape, side) if dimensions(side) == 0 else side for side in sides)
+    least, greatest = (checked_array(f"limits[{i}]", side, shape) for i, side in enumerate(given))
     if (least >= greatest).any():
-        i = int(np.argmax(least >= greatest))
-        raise ValueError(f"limits should be least < greatest, but for tendon {i} they are {least[i]:g} and {greatest[i]:g}")
-    return least, greatest
+        raise ValueError(f"limits should be least < greatest, but they are {shown_numbers(least)} and {shown_numbers(greatest)}")
+    near = near if tolerance is None else checked_number("tolerance", tolerance, 0.0, "a number of at least 0")
+    search = _TipSearch(model, pose, angle_weight, near, least, greatest)
+    return search.nearest(None if start is None else checked_array("start", start, shape))
 
 
 class _TipSearch:
@@ -134,21 +125,16 @@ class _TipSearch:
         with contextlib.suppress(ArithmeticError, ValueError, np.linalg.LinAlgError):  # next to the strain limit; the last u stands
             length = self.model.length
             unit = length / (float(np.linalg.norm(self.derivative(u), 2)) or length)  # [N], moves the tip by about the rod's length
+            bounds = self.least / unit, self.greatest / unit
+
+            def error(x: Array, mu: float) -> Array:
+                return np.concatenate([self.error(x * unit) / length, mu * x])
+
+            def slope(x: Array, mu: float) -> Array:
+                return np.concatenate([self.derivative(x * unit) * unit / length, mu * np.eye(x.size)])
+
             for mu in efforts:
-                u = (
-                    unit
-                    * least_squares(
-                        lambda x, mu=mu: np.concatenate([self.error(x * unit) / length, mu * x]),
-                        u / unit,
-                        lambda x, mu=mu: np.concatenate([self.derivative(x * unit) * unit / length, mu * np.eye(x.size)]),
-                        bounds=(self.least / unit, self.greatest / unit),
-                        method="trf",  # dogbox needs fewer steps, but stalls where many tendons reach their limits
-                        ftol=1e-8,
-                        xtol=1e-8,
-                        gtol=1e-14,
-                        max_nfev=MAX_EVALUATIONS,
-                    ).x
-                )
+                u = unit * least_squares(error, u / unit, slope, bounds, args=(mu,), **OPTIONS).x
         return np.clip(u, self.least, self.greatest)
 
     def equilibrium(self, u: Array) -> Equilibrium:

@@ -12,28 +12,31 @@ import numpy as np
 from soft_tendon_env.model.equilibrium_residual import NEUTRAL, At, Balance, Linearised, Stability
 from soft_tendon_env.tools.types import Array
 
-RESIDUAL = 1e-10
-"""Residual, see statics.Equilibrium, below which forces count as balanced."""
-ON_THE_WAY = 1e-7
-"""Residual that is allowed on the way to the full load."""
-CORRECTION = 0.5  # [rad] that Newton's method may go from the predicted equilibrium
-STRAY = 0.1  # [rad] that the middle of a step may be off the cubic through its ends
-FIRST_REACH = 3.0  # [rad] that the first step may move the arm to first order, its answer to the tensions alone left out
-SHORTEST = 2e-5  # step, of the load that was reached: a limit is told to this accuracy
-BEYOND = 1e-2  # of the load that was reached: how far past the end of its path an arm settles
-LEAST_LOAD = 1e-7  # the load below which no step is tried
-MOST_LINEARISATIONS = 5000
-MOST_CORRECTIONS = 25
-SLOW = 0.05  # contraction of Newton's method with an old stiffness above which the stiffness is computed anew
-FEW = 8  # coordinates up to which a new stiffness costs little more than a force
-NEAR = 0.05  # [rad] from an equilibrium up to which a stiffness stands for its own, where the arm is far from unstable
-SOFT = 0.3  # least eigenvalue of the stiffness, 1 for the unloaded arm, below which an arm is not far from unstable
-SOFTEST = 1e-2  # the same, below which steps need be no shorter
+RESIDUAL, ON_THE_WAY = 1e-10, 1e-7
+"""Residual, see statics.Equilibrium, below which forces count as balanced, at the full load and on the way to it."""
+CORRECTION, STRAY, FIRST_REACH = 0.5, 0.1, 3.0
+"""[rad] that Newton's method may go from the predicted equilibrium, that the middle of a step may be off the cubic through its ends, and
+that the first step may move the arm to first order, its answer to the tensions alone left out."""
+SHORTEST, BEYOND, LEAST_LOAD = 2e-5, 1e-2, 1e-7
+"""Step, as a share of the load that was reached: a limit is told to this accuracy; how far past the end of its path an arm settles; and the
+load below which no step is tried."""
+MOST_LINEARISATIONS, MOST_CORRECTIONS, MOST_SETTLINGS = 5000, 25, 20
+SLOW, FEW = 0.05, 8
+"""Contraction of Newton's method with an old stiffness above which it is computed anew; coordinates up to which that costs little."""
+NEAR, SOFT, SOFTEST = 0.05, 0.3, 1e-2
+"""[rad] from an equilibrium up to which a stiffness stands for its own, where the least eigenvalue, 1 for the unloaded arm, is above SOFT;
+and that below which steps need be no shorter."""
 WATCHED = 3  # softest modes whose stiffness is watched in the middle of a step
-MOST_SETTLINGS = 20
-PUSH = 1e-3  # [rad] out of an equilibrium that is not stable
-FLOW_STEP = 0.1  # [rad] of an arm that settles
-SHORTEST_FLOW = 1e-9  # step of its time, in that in which damping lets a stiffness like the unloaded arm's relax
+PUSH, FLOW_STEP, SHORTEST_FLOW = 1e-3, 0.1, 1e-9
+"""[rad] out of an equilibrium that is not stable, and of a step of an arm that settles; step of its time, in that in which damping lets a
+stiffness like the unloaded arm's relax."""
+BENDS_AWAY = "the equilibria bend away from steps of any size"
+LOST = {
+    "limit point": "the arm snaps to another shape (limit point: no equilibrium is near)",
+    "bifurcation": "the arm is no longer stable (bifurcation: it buckles)",
+    "flutter": "the arm is no longer stable (flutter: oscillations grow)",
+}
+"""How an arm loses its stability as the load grows."""
 
 
 class Point(NamedTuple):
@@ -212,12 +215,3 @@ class LoadPath:
 
 def _beyond(point: Point) -> str:
     return f"beyond {100 * point.at.part:.4g} % of the load"
-
-
-BENDS_AWAY = "the equilibria bend away from steps of any size"
-LOST = {
-    "limit point": "the arm snaps to another shape (limit point: no equilibrium is near)",
-    "bifurcation": "the arm is no longer stable (bifurcation: it buckles)",
-    "flutter": "the arm is no longer stable (flutter: oscillations grow)",
-}
-"""How an arm loses its stability as the load grows."""

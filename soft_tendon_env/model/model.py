@@ -101,21 +101,15 @@ class Model:
         time [s], on which effects may depend, as disturbances and a moving base do; effects (m,): their internal states, see State, by
         default those at rest at q.
         """
-        q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
-        u = np.zeros(self.tendon_count) if tension is None else checked_array("tension", tension, (self.tendon_count,))
         now = checked_number("time", time, -np.inf, "a finite number")
-        states = None if effects is None else checked_array("effects", effects, self.arm.effects.state.shape)
         with self.workspace() as work:
-            return self._evaluated(u, q, q_dot, work, now, states)
+            return self._evaluated(tension, q, q_dot, work, now, effects)
 
     def tip_pose(self, q: ArrayLike) -> Array:
         """Pose of the tip in the world frame, (4, 4): forward kinematics."""
         with self.workspace() as work:
             self._configure(self._coordinates("q", q), work)
-            last = work.pose.reshape(-1, 12, LANES)[-1, :, -1]
-            pose = np.eye(4)
-            pose[:3, :3], pose[:3, 3] = last[:9].reshape(3, 3), last[9:]
-            return pose
+            return _poses(work.pose.reshape(-1, 12, LANES)[-1:, :, -1])[0]
 
     def backbone(self, q: ArrayLike, points: int = 50) -> Array:
         """Backbone: poses of the sections at `points` arc lengths evenly from base to tip, (points, 4, 4)."""
@@ -160,10 +154,12 @@ class Model:
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:
-        """Names of the effects with internal states or with commands of their own, and how many states: "actuators:20"."""
-        sizes = np.diff(self.arm.effects.first_state).tolist()
-        effects = zip(self.acting.items(), sizes, strict=True)
-        return tuple(f"{name}:{size}" for (name, own), size in effects if size or own.command_unit != "N")
+        """Names of the effects with internal states or with commands of their own, and how many states, "actuators:20"; and what else says
+        what these mean."""
+        effects = zip(self.acting.items(), np.diff(self.arm.effects.first_state).tolist(), strict=True)
+        names = tuple(f"{name}:{size}" for (name, own), size in effects if size or own.command_unit != "N")
+        memory = self.scene.effects.viscoelastic_memory
+        return names if memory is None else (*names, f"relaxation times {[own.relaxation_time for own in memory.branches]} s")
 
     @cached_property
     def metric(self) -> Array:
@@ -206,23 +202,16 @@ class Model:
 
         effects (m,): the effects' internal states, see State; by default those at rest at q.
         """
-        q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
-        rod = self.arm.rod
+        rod, grid, rate = self.arm.rod, self.grid, self._coordinates("q_dot", q_dot)
         with self.workspace() as work:
-            terms = self._evaluated(np.zeros(self.tendon_count), q, q_dot, work)
-            kinetic, strain = 0.5 * q_dot @ terms.mass @ q_dot, work.xi - rod.reference_strain
-            state = work.state.copy() if effects is None else checked_array("effects", effects, work.state.shape)
+            mass = self._evaluated(None, q, rate, work).mass
+            strain, state = grid.at_points(work.xi - rod.reference_strain, 6).reshape(-1, 6), work.state.copy()
             by_node = work.pose.reshape(-1, 12, LANES).swapaxes(1, 2).reshape(-1, 12)
-        weight = np.repeat(rod.weight.reshape(-1, 1, LANES), 6, axis=1).ravel()
-        elastic = 0.5 * weight @ (rod.root_stiffness * strain) ** 2
-        poses = np.tile(np.eye(4), (rod.length.size, 1, 1))
-        poses[:, :3, :3], poses[:, :3, 3] = by_node[:, :9].reshape(-1, 3, 3), by_node[:, 9:]
-        at_points = self.grid.at_points(strain, 6).reshape(-1, 6)
-        stiffness = self.grid.at_points(rod.root_stiffness, 6).reshape(-1, 6) ** 2
-        weights, here = self.grid.weights.ravel(), self.discretisation
-        configured = Configured(rod.node_mass, poses, at_points, weights, stiffness, here, state)
-        load = self.scene.effects.potential_energy(configured)
-        return Energy(float(kinetic), float(elastic), load)
+        state = state if effects is None else checked_array("effects", effects, state.shape)
+        stiffness, weight = grid.at_points(rod.root_stiffness, 6).reshape(-1, 6) ** 2, grid.weights.ravel()
+        configured = Configured(rod.node_mass, _poses(by_node), strain, weight, stiffness, self.discretisation, state)
+        elastic = 0.5 * float(weight @ (stiffness * strain**2).sum(axis=1))
+        return Energy(0.5 * float(rate @ mass @ rate), elastic, self.scene.effects.potential_energy(configured))
 
     @property
     def command_unit(self) -> str:
@@ -244,8 +233,7 @@ class Model:
 
     def coordinate_scale(self) -> Array:
         """Unit of each coordinate (n,): the amplitude that stores as much energy as bending the arm by 1 rad."""
-        still = np.zeros(self.coordinate_count)
-        return np.asarray(np.sqrt(self.bending_energy / np.diag(self.terms(still, still).stiffness)))
+        return np.asarray(np.sqrt(self.bending_energy / np.diag(self.metric)))
 
     def arc_lengths(self, name: str, value: ArrayLike) -> Array:
         """Arc lengths (m,) [m] along the rod, checked. Raises TypeError or ValueError naming `name`."""
@@ -260,10 +248,7 @@ class Model:
     @contextmanager
     def workspace(self) -> Iterator[Workspace]:
         """A workspace that nobody else uses, with the effects' states at rest; what it holds otherwise is of evaluations before."""
-        try:
-            work = self._idle.pop()
-        except IndexError:
-            work = make_workspace(self.arm)
+        work = self._idle.pop() if self._idle else make_workspace(self.arm)
         work.state[:] = self.arm.effects.state
         work.clock[:] = 0.0
         try:
@@ -273,8 +258,7 @@ class Model:
 
     def _configure(self, q: Array, work: Workspace) -> None:
         """Strains and poses at q (n,). Raises StrainLimitError."""
-        block, reached = configure(self.arm, q, TOLERANCE, work)
-        self._check_strain(q, work, block, reached)
+        self._check_strain(q, work, *configure(self.arm, q, TOLERANCE, work))
         if not np.isfinite(work.pose).all():
             raise _too_large(q)
 
@@ -285,14 +269,17 @@ class Model:
             what = "coordinates and loads" if isinstance(self.arm.strain, Loaded) else "coordinates"
             raise StrainLimitError(f"no strain balances these {what} beyond {100 * reached:.3g} % of them: {nearest}")
 
-    def _evaluated(self, u: Array, q: Array, q_dot: Array, work: Workspace, time: float = 0.0, effects: Array | None = None) -> Terms:
-        """Terms of (23), new arrays. Raises StrainLimitError, OverflowError."""
-        out = empty_terms(self.coordinate_count, self.tendon_count)
+    def _evaluated(
+        self, u: ArrayLike | None, q: ArrayLike, q_dot: ArrayLike, work: Workspace, time: float = 0.0, effects: ArrayLike | None = None
+    ) -> Terms:
+        """Terms of (23), new arrays, at what is checked. Raises ValueError, TypeError, StrainLimitError, OverflowError."""
+        q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
+        tension = np.zeros(self.tendon_count) if u is None else checked_array("tension", u, (self.tendon_count,))
         if effects is not None:
-            work.state[:] = effects
+            work.state[:] = checked_array("effects", effects, work.state.shape)
         work.clock[0] = time
-        rests = effects is None and work.state.size > 0
-        block, reached, placed = equation_of_motion(self.arm, u, q, q_dot, rests, TOLERANCE, work, out)
+        out, rests = empty_terms(self.coordinate_count, self.tendon_count), effects is None and work.state.size > 0
+        block, reached, placed = equation_of_motion(self.arm, tension, q, q_dot, rests, TOLERANCE, work, out)
         self._check_strain(q, work, block, reached)
         if placed == TOO_LARGE:
             raise _too_large(q)
@@ -324,6 +311,13 @@ def least_eigenvalue(matrix: Array) -> float:
     """The least eigenvalue of a matrix scaled to a unit diagonal."""
     scale = np.sqrt(np.diag(matrix))
     return float(np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0]) if scale.min() > 0.0 else 0.0
+
+
+def _poses(rows: Array) -> Array:
+    """Poses (m, 4, 4) of rotations, row by row, and positions (m, 12)."""
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = rows[:, :9].reshape(-1, 3, 3), rows[:, 9:]
+    return poses
 
 
 def _too_large(q: Array) -> StrainLimitError:

@@ -25,13 +25,12 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem, sho
 from soft_tendon_env.tools.types import Array
 
 SAFETY = 0.75  # part of the tolerance that the largest displacement found may reach, since not all tensions are tried
-MASS_TOLERANCE = 0.02  # largest relative error of the rod's mass
-LEAST_INERTIA = 0.1
-"""Least part of its inertia that a combination of coordinates must keep: fields of high order need as many nodes."""
-NO_INERTIA = 1e-9  # of the largest: a combination of coordinates that moves nothing on any quadrature
+MASS_TOLERANCE, LEAST_INERTIA, NO_INERTIA = 0.02, 0.1, 1e-9
+"""Largest relative error of the rod's mass; least part of its inertia that a combination of coordinates must keep, as fields of high order
+need as many nodes; and the share of the largest up to which a combination has none on any quadrature."""
 PER_WAVE = 4.0  # intervals of the finer quadrature for the shortest wavelength of the geometry
-CORNERS = 32  # sets of several tendons at their limits that are tried, all of them where there are no more
-SETTLED = 6  # of the tensions tried, the worst, under which equilibria are solved for
+CORNERS, SETTLED = 32, 6
+"""Sets of several tendons at their limits that are tried, and how many of the worst tensions equilibria are solved under."""
 HOPELESS = 96  # intervals from which on the search ends where twice as many do not even halve the error
 FARTHEST, MOST_HALVINGS = 2.0, 40  # lengths from the base beyond which no tip is; halvings of tensions that no strain balances
 MOST_LINEARISATIONS = 100  # on the path to an equilibrium
@@ -44,16 +43,11 @@ class QuadratureWarning(UserWarning):
 
 
 class QuadratureEstimate(NamedTuple):
-    """Error of a quadrature, and what is worst about it.
-
-    `error` estimates the largest displacement of the tip at rest under tensions within their limits, as a share of the rod's length,
-    with a margin for those not tried (inf: not even the coordinates are right). `problem` says what is worst, in words, where the
-    quadrature is too coarse; it is empty where it suffices.
-    """
+    """Error of a quadrature, and what is worst about it."""
 
     intervals: int  # per piece
-    error: float
-    problem: str
+    error: float  # of the tip at rest, as a share of the length, a margin included; inf: not even the coordinates are right
+    problem: str  # what is worst where the quadrature is too coarse; empty where it suffices
 
 
 def quadrature_estimate(scene: Scene, intervals: int | None = None) -> QuadratureEstimate:
@@ -85,11 +79,8 @@ def model_on_needed(scene: Scene) -> Model:
 
 
 class QuadratureTest:
-    """A scene on several quadratures, and the tensions that they are compared at.
-
-    What the arm comes upon in places only, as obstacles, is left out: an arm that just touches one on the one quadrature and just misses
-    it on the other is as far off with any number of intervals.
-    """
+    """A scene on several quadratures, and the tensions that they are compared at. Obstacles are left out: an arm that just touches one on
+    the one quadrature and just misses it on the other is as far off with any number of intervals."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene.model_copy(update={"effects": scene.effects.everywhere()})

@@ -21,24 +21,19 @@ SHORTEST = 1e-12  # [s], what may count as a period
 class Rollout(NamedTuple):
     """Simulated motion over N periods and its linearisation: n coordinates, n_a tendons, m internal states of effects, k forces.
 
-    Where every period begins, and where the last one ends, stand q (N + 1, n), q_dot (N + 1, n), effects (N + 1, m), tip_pose
-    (N + 1, 4, 4) and tip_jacobian (N + 1, 6, n), the body Jacobian.
-
-    by_state (N, 2 n, 2 n), by_tension (N, 2 n, n_a) and by_force (N, 2 n, k): derivatives of (q, q_dot) at the end of a period by those
-    at its beginning, by tensions [N] added throughout it, and by generalised forces added throughout it. They are those of a linearly
-    implicit method with the matrices of the period's beginning: 2 to 15 percent of the largest entry off on most arms, near half of it on
-    light stiff wires and in water, and all of it where an arm comes upon something, see docs/appendix/derivatives_measured.md.
-    `Simulation.linearize` has differences of the motion itself.
+    The derivatives are those of a linearly implicit method with the matrices of the period's beginning: 2 to 15 percent of the largest
+    entry off on most arms, near half of it on light stiff wires and in water, and all of it where an arm comes upon something, see
+    docs/appendix/derivatives_measured.md. `Simulation.linearize` has differences of the motion itself.
     """
 
-    q: Array
-    q_dot: Array
-    effects: Array
-    tip_pose: Array
-    tip_jacobian: Array
-    by_state: Array
-    by_tension: Array
-    by_force: Array
+    q: Array  # (N + 1, n) where every period begins, and where the last one ends, as the next four
+    q_dot: Array  # (N + 1, n)
+    effects: Array  # (N + 1, m)
+    tip_pose: Array  # (N + 1, 4, 4)
+    tip_jacobian: Array  # (N + 1, 6, n) body Jacobian
+    by_state: Array  # (N, 2 n, 2 n) of (q, q_dot) at the end of a period by those at its beginning
+    by_tension: Array  # (N, 2 n, n_a) by tensions [N] added throughout it
+    by_force: Array  # (N, 2 n, k) by generalised forces added throughout it
 
 
 def checked_plan(model: Model, commands: ArrayLike, duration: ArrayLike, forces: ArrayLike | None) -> Plan:

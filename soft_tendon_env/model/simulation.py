@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from soft_tendon_env.mechanics.motion import advance, status
 from soft_tendon_env.mechanics.motion.advance import Control, Record
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.mechanics.terms.external_forces import rest_states
-from soft_tendon_env.model.derivatives import Derivatives, Linearization, Period, linearized, period_derivatives
+from soft_tendon_env.model.derivatives import Linearization, Period, linearized
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.rollout import Rollout, checked_plan, roll_out
 from soft_tendon_env.model.state import SHORTEST, State, checked_motion, state_of
@@ -25,9 +25,8 @@ from soft_tendon_env.tools.checks import checked_array, checked_count, checked_n
 from soft_tendon_env.tools.types import Array
 
 SAMPLES_AT_ONCE = 100
-STEPS_LOGGED = 64  # for which a log has room at first
-MOST_NUMBERS = 2**28
-"""Numbers that one call may keep for commands and samples: 2 GiB."""
+STEPS_LOGGED = 4096  # of a period that is linearised
+MOST_STEPS = 2 * 10**6  # of one call, whose commands and samples are kept
 
 
 class SimulationDiverged(RuntimeError):
@@ -107,9 +106,8 @@ class Simulation:
         effects: ArrayLike | None = None,
         tension: ArrayLike | None = None,
     ) -> State:
-        """Resets to q, q_dot (n,) at a time [s]; returns the state. Raises ValueError, TypeError, StrainLimitError.
+        """Resets to q, q_dot (n,), by default zero, at a time [s]; returns the state. Raises ValueError, TypeError, StrainLimitError.
 
-        By default q and q_dot are zero, the stress-free shape, which is not at rest where loads act: see `reset_at_rest`.
         effects (m,): the effects' internal states, see State; by default those of an arm that tensions (n_a,) [N], by default zero, have
         held at q since long before.
         """
@@ -155,27 +153,22 @@ class Simulation:
         advance.tip_pose(self.model.arm, motion, self._scratch.work, self._sample.tip_pose[0])
 
     def step(self, command: ArrayLike, duration: float) -> StepReport:
-        """Integrates over `duration` [s] in equal steps of at most the scene's, under a constant command (n_a,).
+        """Integrates over `duration` [s] in equal steps of at most the scene's, under a constant command (n_a,), see `Model.command_unit`.
 
-        A command is a tension [N], or what the scene's effects take in its place, see `Model.command_unit`. Beyond `tension_limits` it is
-        taken as it is, with a TensionLimitWarning.
-
-        Raises ValueError or TypeError before anything changes, `SimulationDiverged` with the state before the failing step.
+        Beyond `tension_limits` it is taken as it is, with a TensionLimitWarning. Raises ValueError or TypeError before anything changes,
+        `SimulationDiverged` with the state before the failing step.
         """
         u = checked_array("command", command, (self.model.tendon_count,))
         duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
         if duration == 0.0:
             return StepReport(0, 0, 0.0, 0)
-        _check_size(self.model, duration, 0)
         warn_beyond_limits(self._limits, u, self.model.command_unit)
         control = step_control(self.model, duration)
-        commands = np.tile(u, (round(duration / control.step), 1))
-        return self._run(commands, control, self._sample)
+        _check_length(duration, control)
+        return self._run(np.tile(u, (round(duration / control.step), 1)), control, self._sample)
 
-    def linearize(self, command: ArrayLike, duration: float, *, sensors: ArrayLike | None = None) -> Linearization:
+    def linearize(self, command: ArrayLike, duration: float) -> Linearization:
         """Linearisation of `step` over `duration` [s] under a constant command (n_a,), which leaves the simulation where it is.
-
-        sensors: arc lengths (m,) [m] at which strains are read.
 
         Central differences with the integrator's steps held: a coordinate is moved by 1e-4 of its unit, `Model.coordinate_scale`, a rate
         by three times that a second, a command by 1e-4 of its limit, an internal state by 1e-4 of itself; among obstacles by a hundredth of
@@ -183,27 +176,13 @@ class Simulation:
         goes slack, both sides are mixed; where one side jumps or fails, the other one counts. What a delayed command that repeats the last
         one changes later is missing. Raises what `step` raises, LinAlgError where both sides fail.
         """
-        places = self.model.arc_lengths("sensors", () if sensors is None else sensors)
-        return linearized(self.model, *self._period(command, duration), places)
-
-    def derivatives(self, keys: Iterable[str], command: ArrayLike, duration: float) -> Derivatives:
-        """Derivatives of `step` over `duration` [s] under a command (n_a,) by numbers of the scene; leaves the simulation where it is.
-
-        keys: dotted keys, see `scene_parameters`, of numbers moved as `static_derivatives` does, with the integrator's steps held. The
-        error is about 1e-6 of the largest entry where the motion is smooth. Raises as `linearize`, ConfigurationError for keys.
-        """
-        return period_derivatives(self.model, keys, self._period(command, duration)[0])
-
-    def _period(self, command: ArrayLike, duration: float) -> tuple[Period, State]:
-        """The period that `step` would take from here, and the state at its end."""
         start, step = self._motion.copy(), self._step
         try:
-            while (steps := self.step(command, duration).steps) > len(self._scratch.taken):
-                self._scratch = make_scratch(self.model.arm, self._method.columns, steps)
-                self._take(start.copy(), step)
+            if (steps := self.step(command, duration).steps) > STEPS_LOGGED:
+                raise ValueError(f"duration should be of at most {STEPS_LOGGED} integrator steps, not {steps}")
             inputs = np.concatenate([start.q, start.q_dot, start.state, np.asarray(command, dtype=np.float64)])
             taken = self._scratch.taken[:steps].copy() if steps else np.array([[0.0, self._method.columns]])
-            return Period(start, inputs, taken), self.state
+            return linearized(self.model, Period(start, inputs, taken), self.state)
         finally:
             self._take(start.copy(), step)
 
@@ -274,11 +253,11 @@ def simulate(
     simulation = Simulation(model, initial)
     period = checked_number("sample_period", sample_period, SHORTEST, "a positive number of seconds")
     duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
-    _check_size(model, duration, duration / period)
+    control = step_control(model, period)
+    _check_length(duration, control)
     samples = round(duration / period)
     if abs(samples * period - duration) > 1e-9 * max(duration, period):
         raise ValueError(f"duration should be a multiple of sample_period {period:g} s, not {duration:g} s")
-    control = step_control(model, period)
     commands = command_table(model, command, simulation.state.time, samples, round(period / control.step), control.step)
     warn_beyond_limits(simulation._limits, commands, model.command_unit)
     start = simulation.reset_at_rest() if initial is None else simulation.state
@@ -297,11 +276,7 @@ def simulate(
     return Trajectory(times, *record, commands, simulation.state, *totals)
 
 
-def _check_size(model: Model, duration: float, samples: float) -> None:
+def _check_length(duration: float, control: Control) -> None:
     """Raises ValueError where one call would have to keep too many samples and commands."""
-    step = model.scene.integrator.step
-    numbers = (2 * model.coordinate_count + 16) * samples + model.tendon_count * duration / step
-    if numbers > MOST_NUMBERS:
-        most = f"at most {duration * MOST_NUMBERS / numbers:g} s in one call with integrator steps of {step:g} s"
-        most += f" and samples every {duration / samples:g} s" if samples else ""
-        raise ValueError(f"duration should be {most}, not {duration:g} s: go on from the last state")
+    if duration > (most := MOST_STEPS * control.step):
+        raise ValueError(f"duration should be at most {most:g} s in one call, not {duration:g} s: go on from the last state")

@@ -53,33 +53,29 @@ class State:
         saved = read_arrays(path, [own.name for own in fields(cls)], STATE)
         try:
             time, step = float(saved.pop("time")), float(saved.pop("step"))
-            names = tuple(map(str, saved.pop("names")))
+            return cls(time=time, step=step, names=tuple(map(str, saved.pop("names"))), **saved)
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path} holds no {STATE}: {error}") from error
-        return cls(time=time, step=step, names=names, **saved)
 
 
 def checked_motion(model: Model, state: State) -> tuple[Motion, float]:
     """Motion of a state, in arrays of its own, and the step [s] to try next. Raises TypeError, ValueError where it is not of the model."""
     checked_type("state", state, State, "see Simulation.state")
-    n, arm = model.coordinate_count, model.arm
-    q, q_dot = checked_array("state.q", state.q, (n,)), checked_array("state.q_dot", state.q_dot, (n,))
+    q, q_dot = (checked_array(f"state.{name}", getattr(state, name), (model.coordinate_count,)) for name in ("q", "q_dot"))
     strain = checked_array("state.strain", state.strain, (model.grid.point_count, 6))
     if tuple(state.names) != model.state_names:
         own, given = (" + ".join(names) or "no effects with states" for names in (model.state_names, state.names))
-        text = f"state.names should be those of the model's states, {own}; this state is of {given}"
-        raise ValueError(f"{text}. Simulation.reset takes q, q_dot and internal states without a name")
-    effects = checked_array("state.effects", state.effects, arm.effects.state.shape)
+        raise ValueError(f"state.names should be those of the model's states, {own}; this state is of {given}")
+    effects = checked_array("state.effects", state.effects, model.arm.effects.state.shape)
     clock = np.array([checked_number("state.time", state.time, -np.inf, "a finite number")])
     motion = Motion(q, q_dot, model.grid.packed(strain), effects, clock)
-    step = checked_number("state.step", state.step, SHORTEST, "a positive number of seconds")
     with model.workspace() as work:
         work.xi[:] = motion.xi
-        failed = strain_from_guess(arm, motion.q, STEP_TOLERANCE, work)
+        failed = strain_from_guess(model.arm, motion.q, STEP_TOLERANCE, work)
         found = model.grid.unpacked(work.xi)  # empty intervals have no strain that matters
     if failed >= 0 or not np.allclose(found, strain, rtol=SAME_STRAIN, atol=SAME_STRAIN * np.abs(strain).max()):
         raise ValueError("state.strain should be the strain at state.q; to start from other coordinates, use Simulation.reset(q, q_dot)")
-    return motion, step
+    return motion, checked_number("state.step", state.step, SHORTEST, "a positive number of seconds")
 
 
 def state_of(model: Model, motion: Motion, step: float) -> State:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from soft_tendon_env.mechanics.algebra.bounded import solve_bounded
 from soft_tendon_env.mechanics.types import Explicit, Implicit
 from soft_tendon_env.model.coordinates import with_every_tension
-from soft_tendon_env.model.equilibrium_residual import At, Balance, Linearised
+from soft_tendon_env.model.equilibrium_residual import At, Balance
 from soft_tendon_env.model.load_continuation import MOST_SETTLINGS, RESIDUAL, LoadPath
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.strain_limits import StrainLimitError
@@ -41,10 +41,9 @@ class Equilibrium(NamedTuple):
     """A static equilibrium, n coordinates.
 
     Where `converged` is false, q is the last equilibrium on the path from the unloaded arm to the full load, and `reason` says why the
-    path goes no further. `residual` is the angle [rad] by which the unbalanced force would bend a rod as stiff as this one and
-    otherwise unloaded, in the sense of energy: sqrt(f^T G^-1 f / (E_1 + q^T G q)), with E_1 from a rod bent by one radian.
-    `stable`: small disturbances do not grow, because the energy has a minimum there (a flat one, where a symmetric arm has buckled to
-    any side) or, for loads without a potential, because the motions M q_ddot + D q_dot + S q = 0 do not.
+    path goes no further. `residual` is the angle [rad] by which the unbalanced force would bend a rod as stiff as this one:
+    sqrt(f^T G^-1 f / (E_1 + q^T G q)), with E_1 from a rod bent by one radian. `stable`: the energy has a minimum (a flat one, where a
+    symmetric arm has buckled to any side) or, for loads without a potential, motions M q_ddot + D q_dot + S q = 0 do not grow.
     `tip_error`: redundant tendons share coordinates, and what the tensions do besides, to the bent arm alone, is left out of the strain:
     the distance from tip_pose to the tip with all of the tensions in the strain, where the arm rests if no effects act outside of it.
     """
@@ -64,12 +63,11 @@ def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None
     """Static equilibrium of the arm under constant tensions (n_a,) [N] and the scene's effects, as a slowly loaded arm reaches it.
 
     Tensions and effects grow together from nothing, and the branch of stable equilibria that begins at the unloaded arm is followed
-    to its end. Loads inside of the strain are there from the beginning of the branch. Where the branch ends before the full load (at a
-    limit point, a bifurcation, at flutter under loads that follow the arm, at the strain limit) the result is not `converged`, and tells
-    the load reached and the reason.
+    to its end; loads inside of the strain are there from its beginning. Where it ends before the full load (at a limit point, a
+    bifurcation, at flutter, at the strain limit) the result is not `converged`, and tells the load reached and the reason.
 
     guess: coordinates (n,) to start Newton's method from at the full load, in place of the branch: the equilibrium next to them is
-        found, stable or not, and whether the branch leads there is the caller's business. Where there is none the branch is followed.
+        found, stable or not, whether the branch leads there or not. Where there is none the branch is followed.
     settle: where the branch ends let the arm go, with damping and without inertia, to where it comes to rest, and load it further.
 
     Beyond `tension_limits` tensions are taken as they are, with a TensionLimitWarning. Raises ValueError or TypeError for arrays of wrong
@@ -149,34 +147,13 @@ def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium
         same = SAME_TENSION * (np.abs(wanted).max() + np.abs(u).max() + model.length * path.stiffness)
         if not found.converged or (np.abs(wanted - u) <= same).all():
             return found._replace(iterations=found.iterations + iteration), u
-        B = model.terms(found.q, 0 * found.q, u).actuation
-        compliance = np.diag(1.0 / path.stiffness) + B.T @ np.linalg.solve(static_stiffness(model, found.q, u), B)
+        near = ChordSolver(model, found.q, u)
+        compliance = np.diag(1.0 / path.stiffness) + near.terms.actuation.T @ near.answer
         missing = given - shortening - u / path.stiffness
         u = u.copy()
         solve_bounded(compliance, missing + compliance @ u, np.zeros(n_a), path.strength, u, *scratch)
     assert found is not None
     return found._replace(converged=False, reason="tensions and displacements do not come to agree"), u
-
-
-def static_stiffness(model: Model, q: ArrayLike, tension: ArrayLike) -> Array:
-    """Tangent stiffness S = -d(B u - K + F)/dq (n, n) at coordinates q (n,) under tensions (n_a,), to about 1e-6 of its largest entries.
-
-    At an equilibrium dq/du = S^-1 B, and the equilibrium is stable if all eigenvalues of S are positive (S is symmetric if the
-    effects have a potential). Raises ValueError or TypeError for bad arrays, StrainLimitError where there is no strain.
-    """
-    checked_type("model", model, Model, "see build_model")
-    u, at = checked_array("tension", tension, (model.tendon_count,)), checked_array("q", q, (model.coordinate_count,))
-    return _linearised(model, at, u).stiffness
-
-
-def _linearised(model: Model, q: Array, tension: Array) -> Linearised:
-    """The balance at q to first order. Raises StrainLimitError."""
-    with model.workspace() as work:
-        balance = Balance(model, tension, work)
-        here = balance.linearised(q, 1.0)
-    if here is None:
-        raise StrainLimitError(balance.obstacle)
-    return here
 
 
 class ChordSolver:
@@ -188,8 +165,16 @@ class ChordSolver:
     def __init__(self, model: Model, q: Array, tension: Array) -> None:
         self.model, self.q, self.tension, self._known = model, q, tension, rests_at_tensions(model)
         self.terms = model.terms(q, np.zeros_like(q), tension)
-        self._compliance = np.linalg.pinv(self.terms.stiffness) if self._known else _linearised(model, q, tension).compliance
+        self._compliance = np.linalg.pinv(self.terms.stiffness) if self._known else self._inverse_stiffness()
         self.answer: Array = self._compliance @ self.terms.actuation
+
+    def _inverse_stiffness(self) -> Array:
+        with self.model.workspace() as work:
+            balance = Balance(self.model, self.tension, work)
+            here = balance.linearised(self.q, 1.0)
+        if here is None:
+            raise StrainLimitError(balance.obstacle)
+        return here.compliance
 
     @property
     def tip_jacobian(self) -> Array:

@@ -22,13 +22,11 @@ STRAIN_SHARE, LOOSEST_STRAIN = 2.0, 3e-6
 """Tolerance of the strain's Newton within a step, as a share of the step's over the rod's length, and the most: columns are as far off as
 that, the strain by the square. With more, two ways of computing one motion, as a latency of an environment and a delay of its scene, come
 apart by more than a millionth of the position error."""
-BESIDE_MIDDLE = 0.5 / np.sqrt(3.0)
+BESIDE_MIDDLE, UNRESOLVED = 0.5 / np.sqrt(3.0), 0.05
 """Place in a step, as a share of it from its middle, where a command that is a function of time is looked at besides: a Gauss point, which
-no period that fits into steps hits."""
+no period that fits into steps hits; and the share of its range that it may change there otherwise than from step to step."""
 RESOLVED = 0.3
 """Phase [rad] of the slowest vibration that one step of a linearised motion may cover."""
-UNRESOLVED = 0.05
-"""Share of the range of such a command: the most that it may change there otherwise than from step to step."""
 
 Command = ArrayLike | Callable[[float], ArrayLike]
 
@@ -89,24 +87,15 @@ def command_table(model: Model, command: Command, start: float, samples: int, pe
     if len(held) > 1:
         inside = _sampled(command, middles + BESIDE_MIDDLE * step, model.tendon_count) - held
         missed = np.minimum(np.abs(inside), np.abs(inside - BESIDE_MIDDLE * np.gradient(held, axis=0))).max(axis=1)
-        worst = int(np.argmax(missed))
-        if missed[worst] > UNRESOLVED * np.ptp(held, axis=0).max():
+        if missed.max() > UNRESOLVED * np.ptp(held, axis=0).max():
+            where = f"at {middles[np.argmax(missed)]:.6g} s by {missed.max():.3g} {model.command_unit} more than from step to step"
             text = (
-                f"more than from step to step, at {middles[worst]:.6g} s: a shorter integrator.step follows it, and jumps belong to borders"
+                f"command(t) changes within integrator steps of {step:g} s, over which it is held, {where}: use a shorter integrator.step"
             )
-            change = f"by {missed[worst]:.3g} {model.command_unit} {text} of steps"
-            text = f"command(t) changes within integrator steps of {step:g} s, over which it is held, {change}"
-            warnings.warn(text, CommandWarning, stacklevel=3)
+            warnings.warn(f"{text}; jumps belong to borders of steps", CommandWarning, stacklevel=3)
     return held.reshape(shape)
 
 
 def _sampled(command: Callable[[float], ArrayLike], times: Array, size: int) -> Array:
     """The function at all times (m,): (m, size). An error names the time."""
-    table = np.empty((times.size, size))
-    for row, time in zip(table, times, strict=True):
-        given = command(time)
-        plain = type(given) is np.ndarray and given.dtype == np.float64 and given.shape == (size,)
-        row[:] = given if plain else checked_array(f"command({time:.6g})", given, (size,))
-    for i in np.flatnonzero(~np.isfinite(table).all(axis=1)):
-        checked_array(f"command({times[i]:.6g})", table[i], (size,))
-    return table
+    return np.array([checked_array(f"command({time:.6g})", command(time), (size,)) for time in times]).reshape(-1, size)

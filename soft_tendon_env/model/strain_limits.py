@@ -16,9 +16,8 @@ class StrainLimitError(ArithmeticError):
 
 def limit_at(arm: Arm, grid: Grid, block: int, q: Array, xi: Array, reached: float) -> str:
     """Message about what ended a search for the strain at a block, see mechanics: the loads inside of it, or `nearest_limit`."""
-    if block == 2 * grid.packs:
-        return "the arm buckles under the loads inside of its strain (strain.include_loads)"
-    return nearest_limit(arm, grid, q, xi, reached)
+    buckles = "the arm buckles under the loads inside of its strain (strain.include_loads)"
+    return buckles if block == 2 * grid.packs else nearest_limit(arm, grid, q, xi, reached)
 
 
 def nearest_limit(arm: Arm, grid: Grid, q: Array, xi: Array, reached: float = 1.0) -> str:

@@ -12,9 +12,8 @@ class Terms(NamedTuple):
 
     `stiffness` is the Jacobian of the drive K - B u to first order, exact at rest q = [u; 0]: G = int Phi_w^T (Sigma - Psi_a)^-1 Phi_w dX
     with Phi_w = [Phi_a Phi_p], K = G q. With loads inside of the strain G = int Phi^T Phi_w dX with their share in Phi, `elastic_force` is
-    K less their force, again G q, and `external_force` that of the other effects alone; G is symmetric for dead forces, and not for a
-    dead moment, which has no potential. That of explicit bases is int Phi^T (Sigma - Psi(u)) Phi dX with the section's negative pivots,
-    where tendons push past its stiffness, clipped to zero.
+    K less their force, again G q, and `external_force` that of the other effects alone. That of explicit bases is
+    int Phi^T (Sigma - Psi(u)) Phi dX with the section's negative pivots, where tendons push past its stiffness, clipped to zero.
     """
 
     mass: Array  # M (n, n)

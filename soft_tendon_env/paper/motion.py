@@ -4,13 +4,12 @@ The last is the package's tip tracker in TendonRod-TipPose-v0, on the same circl
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import root
-from tqdm import tqdm
 
 import soft_tendon_env as ste
 from soft_tendon_env.control import Controller
@@ -22,6 +21,7 @@ from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.targets.motions import Circle
 from soft_tendon_env.evaluation.play import play_steps
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of
+from soft_tendon_env.tools.messages import say
 
 TOLERANCE = 1e-4
 """Error tolerance of the integrator, relative, and absolute in coordinates and rates."""
@@ -92,17 +92,16 @@ class ClosedLoop:
 def integrate(loop: ClosedLoop, duration: float, label: str) -> Motion:
     """Closed-loop motion from rest without tension, over `duration` [s]."""
     n, times = loop.model.coordinate_count, SAMPLE_PERIOD * np.arange(round(duration / SAMPLE_PERIOD) + 1)
-    with tqdm(total=duration, desc=label, bar_format="{l_bar}{bar}| {n:.2f} of {total:.2f} s simulated", leave=False) as bar:
+    say(f"{label}: {duration:g} s")
 
-        def rate(t: float, x: np.ndarray) -> np.ndarray:
-            bar.update(max(0.0, t - bar.n))
-            try:
-                return loop.rate(t, x)
-            except (ste.StrainLimitError, OverflowError):
-                return np.full_like(x, np.nan)  # from which integrators turn back
+    def rate(t: float, x: np.ndarray) -> np.ndarray:
+        try:
+            return loop.rate(t, x)
+        except (ste.StrainLimitError, OverflowError):
+            return np.full_like(x, np.nan)  # from which integrators turn back
 
-        options = {"rtol": TOLERANCE, "atol": TOLERANCE, "jac": loop.jacobian, "t_eval": times}
-        found = solve_ivp(rate, (0.0, times[-1]), np.zeros(2 * n), method="Radau", **options)
+    options = {"rtol": TOLERANCE, "atol": TOLERANCE, "jac": loop.jacobian, "t_eval": times}
+    found = solve_ivp(rate, (0.0, times[-1]), np.zeros(2 * n), method="Radau", **options)
     states = found.y.T
     tip = np.array([loop.model.tip_pose(x[:n])[:3, 3] for x in states])
     tension = np.array([loop.tension(t, x) for t, x in zip(found.t, states, strict=True)])
@@ -122,37 +121,22 @@ def when(time: float) -> str:
     return "always" if time == 0.0 else "never for good" if np.isinf(time) else f"from {time:.2f} s"
 
 
-def root_mean_square(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
+def track(scene: str, feedforward: bool, circle: Circle, duration: float) -> Motion:
+    """An episode of `duration` [s], sampled at the ends of the control periods; tensions are those of the period that ends.
 
-
-class Tracked(NamedTuple):
-    """A scene, and whether the controller is told the tensions that would hold the target at rest, as in the catalogue."""
-
-    scene: str
-    feedforward: bool = True
-
-
-def track(design: Tracked, circle: Circle, duration: float) -> Motion:
-    """An episode of `duration` [s], sampled at the ends of the control periods; tensions are those of the period that ends."""
+    feedforward: whether the controller is told the tensions that would hold the target at rest, as in the catalogue.
+    """
     count = round(duration / PERIOD)
-    env = gym.make(
-        IDS["TipPose"],
-        scene=design.scene,
-        target=circle.model_dump(),
-        tension_limits=LIMITS,
-        control_period=PERIOD,
-        preview=(PERIOD, 2.0 * PERIOD),
-        max_episode_steps=count,
-    )
+    options: dict[str, Any] = {"scene": scene, "target": circle.model_dump(), "tension_limits": LIMITS, "control_period": PERIOD}
+    env = gym.make(IDS["TipPose"], preview=(PERIOD, 2.0 * PERIOD), max_episode_steps=count, **options)
     episodes = episodes_of(env)
     model, limits, aim = episodes.model, episodes.limits, TipPose(0.1 * episodes.model.length)
     controller: Controller = TipTracking(model, limits, PERIOD, aim, **GAINS)
-    if design.feedforward:
+    if feedforward:
         controller = ReferenceGovernor(StaticFeedforward(model, limits, PERIOD, aim), controller)
-    policy = ControllerPolicy(controller, interface_of(env))
-    samples, label = [], f"Figures 5 and 6, {design.scene} at {1e3 * PERIOD:g} ms"
-    for step in tqdm(play_steps(policy, env, [0]), label, total=count + 1, unit="step", leave=False):
+    samples = []
+    say(f"Figures 5 and 6, {scene} at {1e3 * PERIOD:g} ms")
+    for step in play_steps(ControllerPolicy(controller, interface_of(env)), env, [0]):
         arms = episodes.arms
         samples.append((arms.rows.q[0].copy(), arms.reading.tip_pose[0, :3, 3].copy(), episodes.tension[0].copy()))
         if step.ended.any():

@@ -1,6 +1,6 @@
 """Claims of the paper about its figures, beside what is measured here, and shared parts of the pictures."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 import soft_tendon_env as ste
 from soft_tendon_env.evaluation.tables import markdown_table
 
-DESIRED, ACTUAL, OTHER = "#2a9d4e", "#1d4e9e", "#d1495b"
+DESIRED, ACTUAL = "#2a9d4e", "#1d4e9e"
 SNAPSHOTS = 6
 REACH = (-0.4, 0.4)  # [m] sideways
 
@@ -41,25 +41,17 @@ def claims_table(claims: Iterable[Claim]) -> str:
     return markdown_table(("figure", "the paper", "measured", "holds"), rows)
 
 
-def snapshots(samples: int) -> np.ndarray:
-    """Samples evenly spaced in time, the first and the last among them."""
-    return np.linspace(0, samples - 1, SNAPSHOTS).astype(int)
-
-
-def draw_arms(axes: Axes, model: ste.Model, shapes: Iterable[np.ndarray], colour: str) -> None:
-    """Backbones at coordinates (n,), paler the earlier."""
-    shapes = list(shapes)
-    for opacity, q in zip(np.linspace(0.25, 1.0, len(shapes)), shapes, strict=True):
+def draw_arms(axes: Axes, model: ste.Model, motion: np.ndarray, colour: str) -> None:
+    """Backbones at some of the coordinates (m, n) of a motion, paler the earlier."""
+    shown = motion[np.linspace(0, len(motion) - 1, SNAPSHOTS).astype(int)]
+    for opacity, q in zip(np.linspace(0.25, 1.0, SNAPSHOTS), shown, strict=True):
         axes.plot(*model.backbone(q)[:, :3, 3].T, color=colour, alpha=opacity, linewidth=3.0, solid_capstyle="round")
 
 
-def draw_path(axes: Axes, points: np.ndarray, colour: str, label: str, style: str = "-") -> None:
-    """A tip's path through points (m, 3) [m]."""
-    axes.plot(*points.T, color=colour, linewidth=1.6, linestyle=style, label=label)
-
-
-def box(axes: Any, title: str) -> None:
-    """Equal scales, names, and a legend where something has a name, on axes with projection="3d"."""
+def box(axes: Any, title: str, **paths: np.ndarray) -> None:
+    """Equal scales, names, and paths (m, 3) [m] of a tip by their names, on axes with projection="3d"."""
+    for (name, path), colour in zip(paths.items(), (ACTUAL, DESIRED), strict=False):
+        axes.plot(*path.T, color=colour, linewidth=1.6, linestyle="--" if name == "wanted" else "-", label=name)
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title=title, xlim=(0.0, 1.0), ylim=REACH, zlim=REACH)
     axes.set_aspect("equal")
     axes.locator_params(nbins=5)
@@ -69,10 +61,20 @@ def box(axes: Any, title: str) -> None:
 
 def draw_tensions(axes: Axes, time: np.ndarray, tension: np.ndarray, title: str) -> None:
     """Tensions (m, n_a) [N] against time [s]."""
-    for index, (colour, values) in enumerate(zip(matplotlib.color_sequences["tab10"], tension.T, strict=True)):
-        axes.plot(time, values, color=colour, linewidth=1.0, label=f"{index + 1}")
+    lines = axes.plot(time, tension, linewidth=1.0)
+    axes.legend(
+        lines, [f"{i + 1}" for i in range(len(lines))], frameon=False, ncols=5, fontsize="small", title="tendon", title_fontsize="small"
+    )
     axes.set(xlabel="time [s]", ylabel="tension [N]", title=title)
-    axes.legend(frameon=False, ncols=5, fontsize="small", title="tendon", title_fontsize="small")
+    axes.grid(alpha=0.3)
+
+
+def draw_errors(axes: Axes, errors: Mapping[str, tuple[np.ndarray, np.ndarray]], unit: str, title: str) -> None:
+    """Errors (m,) against time (m,) [s] by their labels, on a logarithmic axis."""
+    for label, (time, error) in errors.items():
+        axes.semilogy(time, error, label=label)
+    axes.set(xlabel="time [s]", ylabel=unit, title=title)
+    axes.legend(frameon=False, fontsize="small")
     axes.grid(alpha=0.3)
 
 

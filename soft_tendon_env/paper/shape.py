@@ -14,8 +14,9 @@ import soft_tendon_env as ste
 from soft_tendon_env.control.dynamics import Gains
 from soft_tendon_env.control.paper_laws import ShapeTarget, shape_tension
 from soft_tendon_env.envs.targets.motions import Rise
-from soft_tendon_env.paper.motion import ClosedLoop, Law, Motion, below_for_good, integrate, root_mean_square, when
-from soft_tendon_env.paper.report import ACTUAL, DESIRED, Claim, Result, box, draw_arms, draw_path, draw_tensions, save, snapshots
+from soft_tendon_env.evaluation.metrics import root_mean_square
+from soft_tendon_env.paper.motion import ClosedLoop, Law, Motion, below_for_good, integrate, when
+from soft_tendon_env.paper.report import ACTUAL, DESIRED, Claim, Result, box, draw_arms, draw_errors, draw_tensions, save
 
 TENSION = np.array([0.0, 8.0, 0.0, 0.0, 3.0, 0.0, 0.0, 4.0, 3.0, 0.0])  # [N]
 COURSE = Rise(np.zeros(10), TENSION, 2.5)
@@ -48,7 +49,7 @@ def reproduce(seconds: float, folder: Path) -> Result:
             motion = integrate(ClosedLoop(model, law_of(model, gains)), min(seconds, DURATION), f"Figure 3, {name}, {law}")
             motions[name, law] = motion
             errors[name, law] = np.linalg.norm(wanted_shapes(model, motion.time) - motion.q, axis=1)
-    draw_errors(motions, errors, folder / "figure_3.png")
+    draw_laws(motions, errors, folder / "figure_3.png")
     draw_shapes(models, motions, folder / "figure_4.png")
     numbers = {name: {law: summary(motions[name, law], errors[name, law], errors[name, "feedforward"]) for law in LAWS} for name in MODELS}
     return Result([claim(name, numbers[name]) for name in MODELS], {"shape_error": numbers})
@@ -63,20 +64,17 @@ def claim(name: str, numbers: dict[str, dict[str, float]]) -> Claim:
     ahead, back = numbers["feedforward"], numbers["feedback"]
     keys = [f"below_{part:g}_from_s" for part in PARTS]
     times = ", ".join(f"{100 * part:g} % {when(back[key])} ({when(ahead[key])})" for part, key in zip(PARTS, keys, strict=True))
-    text = f"root mean square {back['rms']:.2g} (feedforward {ahead['rms']:.2g}); below {times}; "
-    text += f"at the end {back['end']:.1g} ({ahead['end']:.1g})"
+    sizes = f"root mean square {back['rms']:.2g} (feedforward {ahead['rms']:.2g})"
+    text = f"{sizes}; below {times}; at the end {back['end']:.1g} ({ahead['end']:.1g})"
     return Claim("3(b)", f"feedback converges fast, {MODELS[name]}", text, all(back[key] < ahead[key] for key in ("rms", "end", *keys)))
 
 
-def draw_errors(motions: dict[tuple[str, str], Motion], errors: dict[tuple[str, str], np.ndarray], path: Path) -> None:
+def draw_laws(motions: dict[tuple[str, str], Motion], errors: dict[tuple[str, str], np.ndarray], path: Path) -> None:
     figure, ((wanted, error), (full, under)) = plt.subplots(2, 2, figsize=(13, 8), constrained_layout=True)
     time = motions["paper", "feedback"].time
     draw_tensions(wanted, time, np.array([target(t).tension for t in time]), "(a) wanted shape, as the tensions that hold it")
-    for (name, law), values in errors.items():
-        error.semilogy(motions[name, law].time[1:], values[1:], label=f"{MODELS[name]}, {law}")
-    error.set(xlabel="time [s]", ylabel="shape error", title="(b) shape error", ylim=(1e-6, None))
-    error.legend(frameon=False)
-    error.grid(alpha=0.3)
+    each = {f"{MODELS[name]}, {law}": (motions[name, law].time[1:], values[1:]) for (name, law), values in errors.items()}
+    draw_errors(error, each, "shape error", "(b) shape error")
     for axes, name, letter in ((full, "paper", "c"), (under, "paper_16dof", "d")):
         draw_tensions(axes, time, motions[name, "feedback"].tension, f"({letter}) tensions with feedback, {MODELS[name]}")
     save(figure, path)
@@ -85,12 +83,9 @@ def draw_errors(motions: dict[tuple[str, str], Motion], errors: dict[tuple[str, 
 def draw_shapes(models: dict[str, ste.Model], motions: dict[tuple[str, str], Motion], path: Path) -> None:
     figure = plt.figure(figsize=(12, 11), constrained_layout=True)
     for place, ((name, law), motion) in enumerate(motions.items(), 1):
-        model, shown = models[name], snapshots(motion.time.size)
-        wanted = wanted_shapes(model, motion.time)
+        model, wanted = models[name], wanted_shapes(models[name], motion.time)
         axes = figure.add_subplot(2, 2, place, projection="3d")
-        draw_arms(axes, model, wanted[shown], DESIRED)
-        draw_arms(axes, model, motion.q[shown], ACTUAL)
-        draw_path(axes, motion.tip, ACTUAL, "actual")
-        draw_path(axes, np.array([model.tip_pose(q)[:3, 3] for q in wanted]), DESIRED, "wanted", "--")
-        box(axes, f"{MODELS[name]}, {law}")
+        draw_arms(axes, model, wanted, DESIRED)
+        draw_arms(axes, model, motion.q, ACTUAL)
+        box(axes, f"{MODELS[name]}, {law}", actual=motion.tip, wanted=np.array([model.tip_pose(q)[:3, 3] for q in wanted]))
     save(figure, path)

@@ -16,25 +16,18 @@ of the closed loop at its equilibrium for a target at rest. "Later" is the secon
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
 
 import soft_tendon_env as ste
 from soft_tendon_env.control.dynamics import Gains
-from soft_tendon_env.control.paper_laws import (
-    LeftInverse,
-    TipPoseTarget,
-    energy_left_inverse,
-    euclidean_left_inverse,
-    tip_pose_tension,
-)
+from soft_tendon_env.control.paper_laws import LeftInverse, TipPoseTarget, energy_left_inverse, euclidean_left_inverse, tip_pose_tension
 from soft_tendon_env.envs.targets.motions import Circle, CircleCourse
+from soft_tendon_env.evaluation.metrics import root_mean_square
 from soft_tendon_env.evaluation.tables import markdown_table
-from soft_tendon_env.paper.motion import PERIOD, ClosedLoop, Law, Motion, Tracked, below_for_good, integrate, root_mean_square, track, when
-from soft_tendon_env.paper.report import ACTUAL, DESIRED, OTHER, Claim, Result, box, draw_arms, draw_path, draw_tensions, save, snapshots
+from soft_tendon_env.paper.motion import PERIOD, ClosedLoop, Law, Motion, below_for_good, integrate, track, when
+from soft_tendon_env.paper.report import ACTUAL, Claim, Result, box, draw_arms, draw_errors, draw_tensions, save
 
 CIRCLE = Circle()
 COURSE = CircleCourse(CIRCLE)
@@ -48,32 +41,21 @@ PLACES = 8  # around the circle
 APART = 1e-4  # [s] between the twists whose difference is the acceleration
 
 
-class Design(NamedTuple):
-    """A scene, what its passive coordinates are, and a left inverse for (39)."""
-
-    scene: str
-    passive: str | None
-    left_inverse: LeftInverse
-
-    def build(self) -> ste.Model:
-        changes = {"strain.passive_coordinates": self.passive} if self.passive else {}
-        return ste.build_model(ste.load_scene(self.scene).replace(changes), "scene")
-
-
 FULL, UNDER, PRINTED = "fully actuated", "underactuated", "underactuated, as printed"
-DESIGNS = {
-    FULL: Design("paper", None, energy_left_inverse),
-    UNDER: Design("paper_16dof", "orthogonal", energy_left_inverse),
-    PRINTED: Design("paper_16dof", "raw", euclidean_left_inverse),
-    "underactuated, moments": Design("paper_16dof", "raw", energy_left_inverse),
-    "underactuated, Euclidean": Design("paper_16dof", "orthogonal", euclidean_left_inverse),
+DESIGNS: Mapping[str, tuple[str, str, LeftInverse]] = {
+    FULL: ("paper", "none", energy_left_inverse),
+    UNDER: ("paper_16dof", "orthogonal", energy_left_inverse),
+    PRINTED: ("paper_16dof", "raw", euclidean_left_inverse),
+    "underactuated, moments": ("paper_16dof", "raw", energy_left_inverse),
+    "underactuated, Euclidean": ("paper_16dof", "orthogonal", euclidean_left_inverse),
 }
+"""Scenes, their passive coordinates, and left inverses for (39)."""
 SAMPLED = {FULL: f"{FULL}, sampled", UNDER: f"{UNDER}, sampled"}
 TRACKED = {
-    SAMPLED[FULL]: Tracked("paper"),
-    SAMPLED[UNDER]: Tracked("paper_16dof"),
-    f"{SAMPLED[FULL]}, no feedforward": Tracked("paper", feedforward=False),
-    f"{SAMPLED[UNDER]}, no feedforward": Tracked("paper_16dof", feedforward=False),
+    SAMPLED[FULL]: ("paper", True),
+    SAMPLED[UNDER]: ("paper_16dof", True),
+    f"{SAMPLED[FULL]}, no feedforward": ("paper", False),
+    f"{SAMPLED[UNDER]}, no feedforward": ("paper_16dof", False),
 }
 SHOWN = {FULL: 5, UNDER: 6, PRINTED: 6, SAMPLED[FULL]: 5, SAMPLED[UNDER]: 6}
 """Figures whose claims they are judged by."""
@@ -92,14 +74,16 @@ def law_of(left_inverse: LeftInverse, wanted: Callable[[float], TipPoseTarget]) 
 
 def reproduce(seconds: float, folder: Path) -> Result:
     """The first `seconds` of the motion."""
-    duration, models = min(seconds, DURATION), {name: design.build() for name, design in DESIGNS.items()}
-    loops = {name: ClosedLoop(models[name], law_of(design.left_inverse, target)) for name, design in DESIGNS.items()}
-    motions = {name: integrate(loop, duration, f"Figures 5 and 6, {name}") for name, loop in loops.items()}
-    motions |= {name: track(design, CIRCLE, duration) for name, design in TRACKED.items()}
+    duration, models, motions = min(seconds, DURATION), dict[str, ste.Model](), dict[str, Motion]()
+    for name, (scene, passive, inverse) in DESIGNS.items():
+        changes = {} if passive == "none" else {"strain.passive_coordinates": passive}
+        models[name] = ste.build_model(ste.load_scene(scene).replace(changes), "scene")
+        motions[name] = integrate(ClosedLoop(models[name], law_of(inverse, target)), duration, f"Figures 5 and 6, {name}")
+    motions |= {name: track(*design, CIRCLE, duration) for name, design in TRACKED.items()}
     for name in (FULL, UNDER):
         draw(name, models[name], motions, folder / f"figure_{SHOWN[name]}.png")
     numbers = {name: summary(motion, duration) for name, motion in motions.items()}
-    real_parts = {name: real_parts_around(models[name], design.left_inverse) for name, design in DESIGNS.items()}
+    real_parts = {name: real_parts_around(models[name], inverse) for name, (*_, inverse) in DESIGNS.items()}
     tables = f"{variants(numbers, real_parts)}\n\n{sampled(numbers)}"
     return Result(claims(numbers), {"tip_error": numbers, "largest_real_parts_1_per_s": real_parts}, tables)
 
@@ -172,60 +156,47 @@ def real_parts_around(model: ste.Model, left_inverse: LeftInverse) -> list[float
     """
     parts = []
     for pose in COURSE.sample(CIRCLE.period / PLACES * np.arange(PLACES, dtype=np.float64)).tip_pose:
-        standing = TipPoseTarget(pose, np.zeros(6), np.zeros(6))
         q = ste.tension_for_tip_pose(model, pose).q
         for inverse in dict.fromkeys((energy_left_inverse, left_inverse)):
-            loop = ClosedLoop(model, law_of(inverse, partial(_constant, standing)))
+            loop = ClosedLoop(model, law_of(inverse, partial(_standing, pose)))
             q = loop.equilibrium(q)
         parts.append(loop.largest_real_part(q))
     return parts
 
 
-def _constant(target: TipPoseTarget, t: float) -> TipPoseTarget:
-    return target
+def _standing(pose: np.ndarray, t: float) -> TipPoseTarget:
+    return TipPoseTarget(pose, np.zeros(6), np.zeros(6))
 
 
 def variants(numbers: dict[str, dict[str, float]], real_parts: dict[str, list[float]]) -> str:
     """A table of the designs."""
-    rows = []
-    for name, (scene, passive, left_inverse) in DESIGNS.items():
-        rows.append((scene, passive or "none", INVERSES[left_inverse], f"{max(real_parts[name]):.2f}", outcome(numbers[name])))
+    rows = [
+        (scene, passive, INVERSES[inverse], f"{max(real_parts[name]):.2f}", outcome(numbers[name]))
+        for name, (scene, passive, inverse) in DESIGNS.items()
+    ]
     header = ("scene", "passive coordinates", "pseudo-inverse", f"largest real part at {PLACES} places [1/s]", "from rest")
     return markdown_table(header, rows)
 
 
 def sampled(numbers: dict[str, dict[str, float]]) -> str:
     """A table of what acts at the control period."""
-    rows = []
-    for name, (scene, feedforward) in TRACKED.items():
-        since = when(numbers[name].get("below_1_mm_from_s", np.inf))
-        rows.append((scene, "yes" if feedforward else "no", since, outcome(numbers[name])))
+    rows = [
+        (scene, "yes" if feedforward else "no", when(numbers[name].get("below_1_mm_from_s", np.inf)), outcome(numbers[name]))
+        for name, (scene, feedforward) in TRACKED.items()
+    ]
     return markdown_table((f"every {1e3 * PERIOD:g} ms, scene", "feedforward from statics", "below 1 mm", "from rest"), rows)
 
 
 def draw(name: str, model: ste.Model, motions: dict[str, Motion], path: Path) -> None:
     """`name` in space and as tensions, its error beside those of others."""
-    figure = plt.figure(figsize=(16, 8), constrained_layout=True)
+    figure, motion = plt.figure(figsize=(16, 8), constrained_layout=True), motions[name]
     grid = figure.add_gridspec(2, 3)
-    arms, motion = figure.add_subplot(grid[:, 0], projection="3d"), motions[name]
-    time = motion.time
-    draw_arms(arms, model, motion.q[snapshots(time.size)], ACTUAL)
-    draw_path(arms, motion.tip, ACTUAL, "actual")
-    draw_path(arms, COURSE.sample(time).tip_pose[:, :3, 3], DESIRED, "wanted", "--")
-    box(arms, f"(a) {name}")
-    draw_tensions(figure.add_subplot(grid[0, 1:]), time, motion.tension, "(b) tensions")
-    figure.axes[-1].set_ylim(np.array([-1.5, 1.5]) * np.abs(motion.tension[time >= SMOOTH]).max())
-    draw_errors(figure.add_subplot(grid[1, 1:]), name, motions)
+    arms, tensions = figure.add_subplot(grid[:, 0], projection="3d"), figure.add_subplot(grid[0, 1:])
+    draw_arms(arms, model, motion.q, ACTUAL)
+    box(arms, f"(a) {name}", actual=motion.tip, wanted=COURSE.sample(motion.time).tip_pose[:, :3, 3])
+    draw_tensions(tensions, motion.time, motion.tension, "(b) tensions")
+    tensions.set_ylim(np.array([-1.5, 1.5]) * np.abs(motion.tension[motion.time >= SMOOTH]).max())
+    each = {f"(39), {label}": (motions[label].time, 1e3 * tip_error(motions[label])) for label in (FULL, UNDER, PRINTED, SAMPLED[name])}
+    draw_errors(figure.add_subplot(grid[1, 1:]), each, "tip error [mm]", "(c) distance of the tip from the target")
+    figure.axes[-1].axhline(1e3 * VERY_SMALL, color="black", linestyle=":", linewidth=1.0)
     save(figure, path)
-
-
-def draw_errors(axes: Axes, name: str, motions: dict[str, Motion]) -> None:
-    for label, colour in ((FULL, ACTUAL), (UNDER, DESIRED), (PRINTED, "gray")):
-        motion = motions[label]
-        axes.semilogy(motion.time, 1e3 * tip_error(motion), color=colour, label=f"(39), {label}", linewidth=2.5 if label == name else 1.0)
-    motion, label = motions[SAMPLED[name]], f"(39), {SAMPLED[name]}: every {1e3 * PERIOD:g} ms"
-    axes.semilogy(motion.time, 1e3 * tip_error(motion), color=OTHER, label=label, linewidth=2.5)
-    axes.axhline(1e3 * VERY_SMALL, color="black", linestyle=":", linewidth=1.0, label=f"{1e3 * VERY_SMALL:g} mm")
-    axes.set(xlabel="time [s]", ylabel="tip error [mm]", title="(c) distance of the tip from the target")
-    axes.legend(frameon=False, fontsize="small", loc="upper right", ncols=3)
-    axes.grid(alpha=0.3)

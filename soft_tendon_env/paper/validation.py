@@ -8,11 +8,11 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from tqdm import tqdm
 
 import soft_tendon_env as ste
-from soft_tendon_env.paper.motion import root_mean_square
-from soft_tendon_env.paper.report import ACTUAL, Claim, Result, box, draw_arms, draw_path, draw_tensions, save, snapshots
+from soft_tendon_env.evaluation.metrics import root_mean_square
+from soft_tendon_env.paper.report import ACTUAL, Claim, Result, box, draw_arms, draw_errors, draw_tensions, save
+from soft_tendon_env.tools.messages import say
 
 AMPLITUDE = np.array([6.0, 2.0, 2.0, 5.0, 4.0, 5.0, 3.0, 4.0, 5.0, 4.0])  # [N]
 FREQUENCY = np.array([0.4, 0.6, 0.3, 0.5, 0.7, 0.8, 0.45, 0.65, 0.55, 0.35])  # [Hz]
@@ -34,17 +34,13 @@ def tension(t: float) -> np.ndarray:
 def reproduce(seconds: float, folder: Path) -> Result:
     """The first `seconds` of the motion."""
     models = {name: ste.build_model(ste.load_scene(name).replace(FINE), "scene") for name in (*REDUCED, FULL)}
-    motions = {name: simulated(name, model, min(seconds, DURATION)) for name, model in models.items()}
+    say(f"Figure 2: {min(seconds, DURATION):g} s of {', '.join(models)}")
+    motions = {name: ste.simulate(model, tension, min(seconds, DURATION), SAMPLE_PERIOD) for name, model in models.items()}
     mismatch = {name: np.linalg.norm(motions[name].tip_pose[:, :3, 3] - motions[FULL].tip_pose[:, :3, 3], axis=1) for name in REDUCED}
     draw(models["paper"], motions, mismatch, folder / "figure_2.png")
     time = motions[FULL].time
     numbers = {name: summary(time, 1e3 * error) for name, error in mismatch.items()}
     return Result(claims(numbers, models[FULL].length), {"tip_mismatch_mm": numbers})
-
-
-def simulated(name: str, model: ste.Model, duration: float) -> ste.Trajectory:
-    with tqdm(total=duration, desc=f"Figure 2, {name}", bar_format="{l_bar}{bar}| {n:.1f} of {total:.1f} s", leave=False) as bar:
-        return ste.simulate(model, tension, duration, SAMPLE_PERIOD, progress=lambda time: bar.update(time - bar.n))
 
 
 def summary(time: np.ndarray, error: np.ndarray) -> dict[str, float]:
@@ -81,19 +77,14 @@ def draw(model: ste.Model, motions: dict[str, ste.Trajectory], mismatch: dict[st
     draw_tensions(figure.add_subplot(grid[0, 0]), time, np.array([tension(t) for t in time]), "(b) inputs")
     draw_tensions(figure.add_subplot(grid[0, 1]), time, reduced.q, "(c) coordinates of the fully actuated system")
     arms = figure.add_subplot(grid[0, 2], projection="3d")
-    draw_arms(arms, model, reduced.q[snapshots(time.size)], ACTUAL)
-    draw_path(arms, reduced.tip_pose[:, :3, 3], "black", "path of the tip", ":")
-    box(arms, "(d) shapes of the fully actuated system")
+    draw_arms(arms, model, reduced.q, ACTUAL)
+    box(arms, "(d) shapes of the fully actuated system", actual=reduced.tip_pose[:, :3, 3])
     tips = figure.add_subplot(grid[1, 0])
     for name, style in zip((FULL, *REDUCED), ("-", "--", ":"), strict=True):
-        for axis, colour in enumerate(("#d1495b", "#66a182", "#2e6f95")):
-            tips.plot(time, motions[name].tip_pose[:, axis, 3], style, color=colour, label=f"{'xyz'[axis]}, {name}")
+        tips.plot(time, motions[name].tip_pose[:, :3, 3], style, label=[f"{axis}, {name}" for axis in "xyz"])
+        tips.set_prop_cycle(None)
     tips.set(xlabel="time [s]", ylabel="tip position [m]", title="(e) tip")
     tips.legend(frameon=False, fontsize="small", ncols=3)
-    errors = figure.add_subplot(grid[1, 1:])
-    for name, label in REDUCED.items():
-        errors.semilogy(time[1:], 1e3 * mismatch[name][1:], label=label)
-    errors.set(xlabel="time [s]", ylabel="mismatch [mm]", title=f"(f) distance of the tip from that of {FULL}")
-    errors.legend(frameon=False)
-    errors.grid(alpha=0.3)
+    each = {label: (time[1:], 1e3 * mismatch[name][1:]) for name, label in REDUCED.items()}
+    draw_errors(figure.add_subplot(grid[1, 1:]), each, "mismatch [mm]", f"(f) distance of the tip from that of {FULL}")
     save(figure, path)

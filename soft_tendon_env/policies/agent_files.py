@@ -6,14 +6,14 @@ where it sees them as they are; `config.json`: the configuration that it was tra
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, Self
 
-from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, field_validator
 
 from soft_tendon_env.envs import Options
 from soft_tendon_env.policies.network import WEIGHTS, algorithm_names
 from soft_tendon_env.policies.normalization import STATISTICS
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, read_toml, shown
+from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml
 from soft_tendon_env.tools.files import configs_folder, read_json, shipped_folder
 from soft_tendon_env.tools.types import Positive
 
@@ -26,41 +26,16 @@ SHIPPED_NAMES = f"{', '.join(SHIPPED[:-1])} or {SHIPPED[-1]}, which ship"
 """These names in words."""
 ARM = ("scene", "fidelity", "control_period", "tension_limits")
 """Options that define the arm."""
-INTERFACE = ("observation", "preview", "history", "sensors", "contact_sections", "action", "tension_rate")
+INTERFACE = ("observation", "preview", "history", "sensors", "action", "tension_rate")
 """Options that say what a policy observes and how its actions are read."""
-OF_TRAINING = (
-    "steps",
-    "seconds",
-    "seed",
-    "threads",
-    "learning_rate",
-    "hindsight",
-    "evaluation",
-    "checkpoint_every",
-    "checkpoint_seconds",
-    "record",
-    "evaluated",
-    "seconds_learned",
-    "engine",
-    "runners",
-)
-"""Keys of config.json that say how an agent was trained, and nothing of how it acts."""
-TARGETS_OF_TRAINING = ("bank", "pool")
-"""Keys of its `options.target` that say of how many motions a training had its targets, and nothing of how the agent acts."""
-UNKNOWN = re.compile("valid: |unknown")
 
 
-def _checked_options(options: dict[str, Any]) -> dict[str, Any]:
-    Options.parse(options, "options")
-    return options
-
-
-EnvironmentOptions = Annotated[dict[str, Any], AfterValidator(_checked_options)]
+EnvironmentOptions = Annotated[dict[str, Any], AfterValidator(lambda options: Options.parse(options, "options") and options)]
 """Options of an environment as plain tables."""
 
 
 class AgentConfig(Configuration):
-    """Configuration of a trained agent, config.json, as far as it acts: what is OF_TRAINING is left out, other keys refused unless empty.
+    """Configuration of a trained agent, config.json, as far as it acts.
 
     Attributes:
         task: name of the task that it was trained on; None: not known.
@@ -71,7 +46,7 @@ class AgentConfig(Configuration):
         strain: strain parametrisation that its arm had, which says what coordinates are; None: that of its options today.
         integral_time: [s] of integral action around it, see integral.py; None: none.
         normalise: {"observations": false} where it sees observations as they are.
-        start_from, arms, steps_done: course of its training, see trained_by.py; None: none, or not known.
+        steps_done: of its training; None: not known.
         files: SHA-256 of the files that belong together, by name.
     """
 
@@ -85,26 +60,14 @@ class AgentConfig(Configuration):
     strain: dict[str, Any] | None = None
     integral_time: Positive | None = None
     normalise: dict[str, Any] = Field(default={})
-    start_from: str | None = None
-    arms: int | None = None
     steps_done: int | None = Field(default=None, ge=0)
     files: dict[str, str] = Field(default={})
 
-    @model_validator(mode="before")
-    @classmethod
-    def _says_nothing_else(cls, values: dict[str, Any]) -> dict[str, Any]:
-        text = "it is an unknown key, and should be taken out where it changes nothing in how the agent acts"
-        if other := [key for key, value in values.items() if value and key not in (*cls.model_fields, *OF_TRAINING)]:
-            raise ConfigurationError([Problem((key,), f"is {shown(values[key])}: {text}") for key in other])
-        return values
-
-    @field_validator("options", mode="before")
-    @classmethod
-    def _of_any_targets(cls, options: Any) -> Any:
-        target = options.get("target") if isinstance(options, dict) else None
-        if not isinstance(target, dict):
-            return options
-        return {**options, "target": {key: value for key, value in target.items() if key not in TARGETS_OF_TRAINING}}
+    @property
+    def policy_arguments(self) -> dict[str, Any]:
+        """Arguments of its policy network, with plain values."""
+        sde = {"use_sde": True} if self.hyperparameters.get("use_sde") else {}
+        return {**(self.hyperparameters.get("policy_kwargs") or {}), **sde}
 
     @field_validator("algorithm")
     @classmethod
@@ -115,35 +78,34 @@ class AgentConfig(Configuration):
 
 
 class AgentFiles(NamedTuple):
-    """Paths of an agent: its folder or .zip file, and the algorithm that was named with it (None: not named)."""
+    """Paths of an agent: its folder or .zip file, the folder of its other files, and these."""
 
     path: Path
-    algorithm: str | None = None
+    folder: Path
+    weights: Path
+    config: Path
+    statistics: Path
 
-    @property
-    def folder(self) -> Path:
-        return self.path.parent if self.is_zip else self.path
+    @classmethod
+    def of(cls, path: Path) -> Self:
+        """The files of a folder, or of a .zip file with others beside it."""
+        is_zip = path.suffix == ".zip"
+        folder = path.parent if is_zip else path
+        return cls(path, folder, path if is_zip else path / WEIGHTS, folder / CONFIG, folder / STATISTICS)
 
     @property
     def is_zip(self) -> bool:
-        return self.path.suffix == ".zip"
-
-    @property
-    def weights(self) -> Path:
-        return self.path if self.is_zip else self.path / WEIGHTS
-
-    @property
-    def config(self) -> Path:
-        return self.folder / CONFIG
-
-    @property
-    def statistics(self) -> Path:
-        return self.folder / STATISTICS
+        return self.path == self.weights
 
 
 def is_shipped(name: str) -> bool:
     """True for the name of an agent that ships, unless there is a folder or a file of that name."""
     return name in SHIPPED and not Path(name).exists()
+
+
+def is_run(folder: Path) -> bool:
+    """True for the folder of a training, with its best agent in it."""
+    return (folder / "best").is_dir() and not (folder / WEIGHTS).is_file()
 
 
 def is_agent(name: str) -> bool:
@@ -160,11 +122,6 @@ def _checked_agent(name: str) -> str:
 
 AgentName = Annotated[str, AfterValidator(_checked_agent)]
 """Name of an agent, see `find_agent`."""
-
-
-def is_run(folder: Path) -> bool:
-    """True for the folder of a training, with its best agent in it."""
-    return (folder / "best").is_dir() and not (folder / WEIGHTS).is_file()
 
 
 def trained_folder() -> Path:
@@ -188,21 +145,10 @@ def shipped_as(name: str, task: str) -> str:
 
 
 def find_agent(name: str, task: str) -> AgentFiles:
-    """Files of an agent by its name: one of `SHIPPED` for the task, a folder, "path.zip" or "ALGORITHM:path.zip".
-
-    Raises ValueError, FileNotFoundError.
-    """
-    if is_shipped(name):
-        return AgentFiles(trained_folder() / shipped_as(name, task) / task)
-    before, colon, after = name.partition(":")
-    files = AgentFiles(Path(after), before) if colon and not Path(name).exists() else AgentFiles(Path(name))
-    if files.algorithm is not None and files.algorithm not in algorithm_names():
-        raise ValueError(f"{name}: the algorithm is {files.algorithm!r}; valid: {', '.join(algorithm_names())}")
+    """Files of an agent by its name: one of `SHIPPED` for the task, a folder or a .zip file. Raises ValueError, FileNotFoundError."""
+    files = AgentFiles.of(trained_folder() / shipped_as(name, task) / task if is_shipped(name) else Path(name))
     if not files.weights.is_file():
-        beside = f": the agent is its folder, {files.folder}" if files.is_zip and (files.folder / WEIGHTS).is_file() else ""
-        if not files.is_zip and (files.folder / "model.zip").is_file():
-            beside = f": the agent is its file, {files.folder / 'model.zip'}"
-        raise FileNotFoundError(f"{name}: there is no file {files.weights}{beside}")
+        raise FileNotFoundError(f"{name}: there is no file {files.weights}")
     return files
 
 
@@ -210,13 +156,4 @@ def read_config(files: AgentFiles) -> AgentConfig:
     """Configuration of an agent, an empty one for a .zip file that has none beside it. Raises ValueError, FileNotFoundError."""
     if files.is_zip and not files.config.exists():
         return AgentConfig()
-    try:
-        return AgentConfig.parse(read_json(files.config), str(files.config))
-    except ConfigurationError as error:
-        raise with_import(error, str(files.config)) from error
-
-
-def with_import(error: ConfigurationError, source: str) -> ConfigurationError:
-    """The error of an agent's configuration, which says of names that are not known what makes those of a user's own known."""
-    text = "; if a module of your own registers it, --import MODULE is missing before the command, or `import MODULE` in Python"
-    return ConfigurationError([Problem(key, said + text * bool(UNKNOWN.search(said))) for key, said in error.problems], source)
+    return AgentConfig.parse(read_json(files.config), str(files.config))

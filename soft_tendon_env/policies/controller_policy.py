@@ -1,13 +1,10 @@
 """Controllers as policies: Stable-Baselines3's `predict` around a controller of `soft_tendon_env.control`.
 
-    policy, state = ControllerPolicy(controller, interface_of(env)), None
-    action, state = policy.predict(observation, state)
-
 What the controller knows comes out of the observation and of its own state; what it decides becomes an action.
 """
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+import warnings
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,7 +101,6 @@ def make_policy(
     controller: str | Entry,
     env: Any,
     model: Model | str | None = None,
-    without: Sequence[str] = (),
     latency: float | None = None,
     estimator: str | None = None,
     uncertainty: Uncertainty = USUAL,
@@ -112,60 +108,45 @@ def make_policy(
     """Controller of `soft_tendon_env.control.CONTROLLERS` as a policy, for an environment made with `observation_options`.
 
     model: what the controller believes, the environment's own before randomisation by default; a name, "fast": that at another fidelity,
-    see envs.Options. Where coordinates are observed, it should have the same. without: names of effects that are left out of what it
-    believes, ["contact", "fluid"]. estimator: of ESTIMATORS, finds the coordinates from what else is observed, knowing the noise of the
-    sensors; None: they are observed. uncertainty: of what it believes, for a Kalman filter.
+    see envs.Options. Where coordinates are observed, it should have the same. estimator: of ESTIMATORS, finds the coordinates from what
+    else is observed, knowing the noise of the sensors; None: they are observed. uncertainty: of what it believes, for a Kalman filter.
     latency: delay of commands [s] that it knows of and makes up for (Smith predictor), by default that of the actuators in its model; with
     estimator="adaptive" what it believes at first.
     Raises TypeError, ValueError; ConfigurationError where the environment does not show what the controller needs.
     """
     finds = None if estimator is None else estimator_entry(estimator)
     episodes, interface = episodes_of(env), interface_of(env)
-    believed = episodes.model if model is None else model
-    if isinstance(believed, str):
-        believed = build_model(episodes.model.scene, believed)
+    believed = build_model(episodes.model.scene, model) if isinstance(model, str) else model or episodes.model
     if believed.coordinate_count != episodes.model.coordinate_count:
         if estimator is None or episodes.task.shapes:
             there = f"{believed.coordinate_count} coordinates where the environment's has {episodes.model.coordinate_count}"
             raise ValueError(f"the controller's model has {there}, which are observed: it should have the same strain parametrisation")
         interface = interface._replace(model=believed)
-    if episodes.options.start == "random" and interface.actions.increment is not None and "command" not in interface.layout.slices:
-        text = "lacks command: where episodes begin under random tensions and actions are increments, nothing else tells the command"
-        raise ConfigurationError([Problem(("observation",), text)], "environment")
-    displaced = [name for name, effect in believed.scene.effects.chosen().items() if effect.command_unit != "N"]
-    if without or displaced:  # what a controller decides are tensions, of which ControllerPolicy makes commands
-        believed = model_without(believed, sorted({*without, *displaced}))
-    believed, delay = without_delay(believed)
+    believed, delay = _under_tensions(believed)
     late = checked_number("latency", delay if latency is None else latency, 0.0, "a number of seconds, at least 0")
     entry = _entry(controller, episodes.task.name)
-    _check_told(entry, controller, interface, _periods_ahead(entry, late, episodes.period, finds))
+    _check_preview(entry, interface, _periods_ahead(entry, late, episodes.period, finds))
     greatest = late if finds is None else finds.greatest_latency or late
     predictor = SmithPredictor(believed, greatest, episodes.period) if greatest else None
-    setting = estimator_setting(episodes, believed, late, uncertainty)
+    setting = _setting(episodes, believed, late, uncertainty)
+    if finds is not None and finds.greatest_latency and {"q", "q_dot"} & {*setting.observed}:
+        text = "an estimate of the latency from observed coordinates makes the loop unstable, with errors up to a thousand times as large"
+        warnings.warn(f"{text}: make the environment with observation_options(..., estimator={estimator!r})", stacklevel=2)
     found = None if finds is None else finds.make(believed, setting)
     return ControllerPolicy(entry.make(believed, episodes.limits.copy(), episodes.period), interface, found, predictor)
 
 
-def model_without(model: Model, effects: Sequence[str]) -> Model:
-    """Model of the same arm without some of its effects, ["gravity"]. Raises TypeError, ValueError for those that it has not."""
-    if isinstance(effects, str) or not all(isinstance(name, str) for name in effects):
-        raise TypeError(f"without should be a list of names of effects, not {shown(effects)}")
-    own = model.scene.effects.chosen()
-    for name in effects:
-        if name not in own:
-            raise ValueError(f"without names {name!r}: {not_among(name, own) if own else 'the model has no effects'}")
-    return build_model(model.scene.replace({f"effects.{name}": None for name in effects}))
+def _under_tensions(model: Model) -> tuple[Model, float]:
+    """Model of the same arm whose commands are tensions that arrive at once, and the delay of its actuators [s]."""
+    effects = model.scene.effects
+    changes: dict[str, Any] = {f"effects.{name}": None for name, effect in effects.chosen().items() if effect.command_unit != "N"}
+    delay = 0.0 if effects.actuators is None else effects.actuators.delay
+    if delay:
+        changes["effects.actuators.delay"] = 0.0
+    return build_model(model.scene.replace(changes)) if changes else model, delay
 
 
-def without_delay(model: Model) -> tuple[Model, float]:
-    """Model of the same arm whose commands arrive at once, and the delay of its actuators [s]."""
-    actuators = model.scene.effects.actuators
-    if actuators is None or not actuators.delay:
-        return model, 0.0
-    return build_model(model.scene.replace({"effects.actuators.delay": 0.0})), actuators.delay
-
-
-def estimator_setting(episodes: Episodes, model: Model, latency: float, uncertainty: Uncertainty) -> Setting:
+def _setting(episodes: Episodes, model: Model, latency: float, uncertainty: Uncertainty) -> Setting:
     """Observation of an environment, for an estimator that believes in a model and a latency [s] of commands."""
     foreign = () if model.scene.strain == episodes.model.scene.strain else ("coordinates", "rates")  # of another parametrisation
     observed = tuple(field for group, field in PARAMETERS.items() if group in episodes.layout.slices and group not in foreign)
@@ -179,7 +160,7 @@ def _periods_ahead(entry: Entry, latency: float, period: float, estimator: Estim
     return entry.looks_ahead + late + (rest > 0.0)
 
 
-def _check_told(entry: Entry, controller: str | Entry, interface: Interface, periods: int) -> None:
+def _check_preview(entry: Entry, interface: Interface, periods: int) -> None:
     """Raises ConfigurationError where a target that moves is not told for as long as a controller looks ahead, or for every period of it.
 
     Between the times of a preview the target goes straight. What looks two periods ahead takes the target's velocity of that, and feedback
@@ -190,10 +171,12 @@ def _check_told(entry: Entry, controller: str | Entry, interface: Interface, per
     if entry.looks_ahead <= LOOKS_AHEAD:
         missed = needed > told[-1] * (1.0 + SAME)
     if _task(interface.task).goal is None and missed.any():
-        name = repr(controller) if isinstance(controller, str) else entry.description
-        text = f"tells the target at {shown(told[1:].tolist())} s, and {name} needs it at every control period up to {needed[-1]:.3g} s"
-        allowed = f"observation_options(), which has preview=[{interface.period:g} * k for k in range(1, {periods + 1})]"
-        raise ConfigurationError([Problem(("preview",), f"{text}: make the environment with {allowed}")], "environment")
+        text = f"tells the target at {shown(told[1:].tolist())} s, and it is needed at every control period up to {needed[-1]:.3g} s"
+        _fail("preview", f"{text}: make the environment with observation_options()")
+
+
+def _fail(key: str, text: str) -> NoReturn:
+    raise ConfigurationError([Problem((key,), text)], "environment")
 
 
 def _task(name: str) -> Task:
@@ -214,17 +197,16 @@ def _entry(controller: str | Entry, task: str) -> Entry:
 class ControllerPolicy:
     """Controller behind Stable-Baselines3's `predict`, for one row or many.
 
-    Args:
-        controller: see control.protocol.
-        interface: see `interface_of`.
-        estimator: finds the coordinates from what is measured; None: they are observed.
-        predictor: of where the arm will be when commands arrive; None: they arrive at once.
-
-    Raises ConfigurationError where the observation lacks what the controller needs.
+    estimator: finds the coordinates from what is measured; None: they are observed. predictor: of where the arm will be when commands
+    arrive; None: they arrive at once. Raises ConfigurationError where the observation lacks what the controller needs.
     """
 
     def __init__(
-        self, controller: Controller, interface: Interface, estimator: Estimator | None = None, predictor: SmithPredictor | None = None
+        self,
+        controller: Controller,
+        interface: Interface,
+        estimator: Estimator | None = None,
+        predictor: SmithPredictor | None = None,
     ) -> None:
         self.controller, self.interface, self.estimator, self.predictor = controller, interface, estimator, predictor
         self._lost = LostState(type(controller).__name__)
@@ -236,11 +218,9 @@ class ControllerPolicy:
         needed = [*TIP, *(group for group, name in PARAMETERS.items() if name in state)]
         needed += [] if "wanted_coordinates" in groups else _task(interface.task).reference
         if missing := [name for name in needed if name not in groups]:
-            text = f"lacks {', '.join(missing)}, which {type(controller).__name__} needs: make the environment with observation_options()"
-            raise ConfigurationError([Problem(("observation",), text)], "environment")
+            _fail("observation", f"lacks {', '.join(missing)}, which {type(controller).__name__} needs: make it with observation_options()")
         if (np.diff(interface.ahead) <= 0.0).any():
-            text = f"should be times that increase by at least a control period, but is read as {interface.ahead[1:].tolist()} s"
-            raise ConfigurationError([Problem(("preview",), text)], "environment")
+            _fail("preview", f"is {interface.ahead[1:].tolist()} s: it should be times that increase by at least a control period")
 
     def predict(
         self,

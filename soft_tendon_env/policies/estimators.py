@@ -46,19 +46,12 @@ Make = Callable[[Model, Setting], Estimator]
 
 @dataclass(frozen=True)
 class EstimatorEntry:
-    """State estimator of ESTIMATORS.
+    """State estimator of ESTIMATORS."""
 
-    Attributes:
-        prefix: what stands before a controller's name in the name of its policy, "filtered:".
-        make: the estimator for a model and a Setting.
-        greatest_latency: [s] of commands that it estimates by itself; 0: it does not.
-        filters: it is a Kalman filter: entries of its Uncertainty can be tuned.
-    """
-
-    prefix: str
+    prefix: str  # what stands before a controller's name in the name of its policy, "filtered:"
     make: Make
-    greatest_latency: float = 0.0
-    filters: bool = False
+    greatest_latency: float = 0.0  # [s] of commands that it estimates by itself; 0: it does not
+    filters: bool = False  # whether it is a Kalman filter: entries of its Uncertainty can be tuned
 
 
 def _kalman_filter(model: Model, setting: Setting, greatest_latency: float | None = None) -> Estimator:
@@ -71,14 +64,13 @@ def _kalman_filter(model: Model, setting: Setting, greatest_latency: float | Non
     return ExtendedKalmanFilter(model, setting.period, setting.tension, sensing, **known)
 
 
+_adaptive = partial(_kalman_filter, greatest_latency=GREATEST_LATENCY)
 ESTIMATORS: dict[str, EstimatorEntry] = {
     "kalman": EstimatorEntry("filtered:", _kalman_filter, filters=True),
-    "adaptive": EstimatorEntry(
-        "adaptive:", partial(_kalman_filter, greatest_latency=GREATEST_LATENCY), greatest_latency=GREATEST_LATENCY, filters=True
-    ),
+    "adaptive": EstimatorEntry("adaptive:", _adaptive, GREATEST_LATENCY, filters=True),
 }
 """State estimators by name: extended Kalman filter, and the same with unknown latency."""
-Own = TypeVar("Own", bound=Make)
+Added = TypeVar("Added", bound=Make)
 
 
 def estimator_entry(name: str) -> EstimatorEntry:
@@ -88,19 +80,14 @@ def estimator_entry(name: str) -> EstimatorEntry:
     return ESTIMATORS[name]
 
 
-def register_estimator(name: str) -> Callable[[Own], Own]:
+def register_estimator(name: str) -> Callable[[Added], Added]:
     """Decorator of a class or function (model, Setting) that makes a state estimator, see control.protocol: policies of controllers with it
-    are called "name:CONTROLLER".
+    are called "name:CONTROLLER". Raises ValueError for the names of the package's own."""
 
-    Registering what has the same module and name again replaces it, as in a notebook. Raises ValueError for a name that is taken.
-    """
-
-    def add(make: Own) -> Own:
-        prefix = f"{name}:"
-        present: Any = next((of.make for own, of in ESTIMATORS.items() if name == own or prefix == of.prefix), make)
-        if (getattr(present, "__module__", ""), getattr(present, "__qualname__", "")) != (make.__module__, make.__qualname__):
+    def add(make: Added) -> Added:
+        if name in ("kalman", "adaptive", "filtered"):
             raise ValueError(f"there is an estimator {name!r} already: choose another name")
-        ESTIMATORS[name] = EstimatorEntry(prefix, make)
+        ESTIMATORS[name] = EstimatorEntry(f"{name}:", make)
         return make
 
     return add

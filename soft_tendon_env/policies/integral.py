@@ -1,8 +1,6 @@
 """Integral action around a learned policy: it sees the target moved by the integral of the error, so that no constant error is left.
 
-A learned policy brings the arm to rest a little beside the target: by what its network has wrong, and on another arm by what loads and
-stiffness do. With what was left so far added to the way that it sees to the target, it ends where it should. It need not have learned so,
-and where errors are large it acts as before.
+It need not have learned so, and where errors are large it acts as before.
 """
 
 from collections.abc import Mapping

@@ -1,10 +1,10 @@
-"""Names of policies, parsed once into a type: a controller, a trained agent, the seeds of a training, or a policy of one's own.
+"""Names of policies, parsed once into a type: a controller, a trained agent, or a user's policy.
 
     name = PolicyName.parse("filtered:predictive@fast", "TipPose")
     env = gym.make("TendonRod-TipPose-v0", **name.options({}))
     policy = name.load(env)
 
-The grammars are those of the four classes. For another one, add a class, and its case to `PolicyName.parse`.
+The grammars are those of the three classes. For another one, add a class, and its case to `PolicyName.parse`.
 """
 
 import importlib
@@ -19,9 +19,8 @@ from soft_tendon_env.accuracy.fidelity import AS_SCENE, build_model, checked_fid
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.control.catalogue import Entry
 from soft_tendon_env.control.kalman import USUAL
-from soft_tendon_env.envs.options import Options, given_scene, groups_of, resolved_scene
-from soft_tendon_env.envs.tasks import TASKS
-from soft_tendon_env.policies.agent import architecture_of, load_agent
+from soft_tendon_env.envs.options import Options, given_scene
+from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.policies.agent_files import (
     ARM,
     INTERFACE,
@@ -32,21 +31,19 @@ from soft_tendon_env.policies.agent_files import (
     is_agent,
     is_run,
     read_config,
-    with_import,
 )
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.estimators import ESTIMATORS
-from soft_tendon_env.policies.own_policy import OwnPolicy, named, own_environment
 from soft_tendon_env.policies.protocol import FunctionPolicy, Policy
+from soft_tendon_env.policies.user_policy import policy_environment
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, read_toml, shown
+from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml, shown
+from soft_tendon_env.tools.files import digest, digests
 
 BEST = "best"
 """Name of the folder of a training's best agent, within that of the training."""
 BELIEVED = "@"
 """Separator between a controller's name and the fidelity of the model that it believes in."""
-OWN = ":"
-"""Separator between the module and the name of a policy of one's own."""
 ESTIMATOR = "estimator."
 """Prefix of parameters of the state estimator among those of a controller."""
 
@@ -59,11 +56,10 @@ class PolicyName:
     task: str
 
     @staticmethod
-    def parse(text: str, task: str) -> Union["Controller", "Agent", "Seeds", "Own"]:
-        """The policy that a name means: the first of the four that fits. Raises ValueError that says what names there are."""
-        estimator, prefix = next(((name, of.prefix) for name, of in ESTIMATORS.items() if text.startswith(of.prefix)), (None, ""))
-        path = Path(text)
-        if not prefix and is_agent(text):
+    def parse(text: str, task: str) -> Union["Controller", "Agent", "UserPolicy"]:
+        """The policy that a name means: the first of the three that fits. Raises ValueError that says what names there are."""
+        path, controllers = Path(text), CONTROLLERS.get(task, {})
+        if is_agent(text):
             return Agent(text, task)
         if path.suffix == ".toml" and path.is_file():
             tuned = TunedController.parse(read_toml(path), text)
@@ -71,33 +67,38 @@ class PolicyName:
             if not isinstance(named, Controller):
                 raise ValueError(f"{text}: policy is {tuned.policy!r}: it should be a controller")
             return named.with_parameters(tuned.parameters, text)
+        estimator, prefix = next(((name, of.prefix) for name, of in ESTIMATORS.items() if text.startswith(of.prefix)), (None, ""))
         controller, mark, belief = text.removeprefix(prefix).partition(BELIEVED)
-        if controller in CONTROLLERS.get(task, {}):
+        if controller in controllers:
             return Controller(text, task, controller, estimator, _checked_belief(text, belief) if mark else None)
         if prefix:
-            wanted = f"what stands behind {prefix!r} should be a controller of {task}, {not_among(controller, CONTROLLERS.get(task, {}))}"
-            hint = "An agent acts without a state estimator, if it was trained with noise and a history"
-            raise ValueError(f"policy is {text!r}: {wanted}. {hint}")
-        module, colon, name = text.partition(OWN)
+            wanted = f"what stands behind {prefix!r} should be a controller of {task}, {not_among(controller, controllers)}"
+            raise ValueError(f"policy is {text!r}: {wanted}")
+        module, colon, name = text.partition(":")
         if colon and not path.exists() and _is_module(module):
-            return Own(text, task, module, name)
-        of_another_task = any(text in entries for entries in CONTROLLERS.values())
-        if not (of_another_task or is_run(path)) and (path.is_dir() or len(path.parts) > 1):
-            return Seeds(text, task)
-        raise _unknown(text, task, controller)
+            return UserPolicy(text, task, module, name)
+        what = "a folder" if path.is_dir() else "a file" if path.is_file() else "no policy"
+        hint = f", such as {path / BEST}," if is_run(path) else ""
+        agents = f"the folder of an agent{hint or ','} a .zip file of Stable-Baselines3, {SHIPPED_NAMES}, module:name"
+        raise ValueError(
+            f"policy is {text!r}, {what}: it should be {agents}, or a controller of {task}; {not_among(controller, controllers)}"
+        )
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Options of an environment in which the policy sees what it needs: its own, and those given. Raises ValueError, OSError."""
-        raise _unknown(self.text, self.task, self.text)
+        raise NotImplementedError
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
-        """The policy for an environment with its options.
+        """The policy for an environment with its options. Raises ValueError, OSError, ModuleNotFoundError.
 
         scene: of the arm that a controller believes in, by default the environment's, at the fidelity that the name says, if it says one.
-        other_effects: whether the arm may have effects that an agent was not trained with. Raises ValueError, OSError,
-        ModuleNotFoundError.
+        other_effects: whether the arm may have effects that an agent was not trained with.
         """
-        raise _unknown(self.text, self.task, self.text)
+        raise NotImplementedError
+
+    def fingerprint(self) -> Any:
+        """Plain values that tell it from others: its name, and digests of its files. Raises ValueError, OSError."""
+        return self.text
 
 
 class TunedController(Configuration):
@@ -109,7 +110,7 @@ class TunedController(Configuration):
 
 @dataclass(frozen=True)
 class Controller(PolicyName):
-    """A controller of the catalogue: NAME, where its coordinates are observed, or with the estimator that finds them.
+    """A controller of the catalogue: NAME, where its coordinates are observed, or behind the estimator that finds them.
 
     filtered:NAME by an extended Kalman filter from whatever is observed; adaptive:NAME by one that estimates the latency of commands too.
     NAME@FIDELITY believes in a model of another fidelity than the arm's. A .toml file of `soft-tendon tune` is one with other `parameters`.
@@ -154,11 +155,14 @@ class Controller(PolicyName):
         believed = self.belief if scene is None else build_model(scene, self.belief or AS_SCENE)
         return make_policy(controller, env, believed, estimator=self.estimator, uncertainty=USUAL._replace(**changed))
 
+    def fingerprint(self) -> Any:
+        return [self.text, dict(self.parameters)]
+
 
 @dataclass(frozen=True)
 class Agent(PolicyName):
     """A trained agent: the name of one that ships for the task, "agent" for the best of them; its folder; or a .zip file of
-    Stable-Baselines3, ALGORITHM:path.zip where the file does not say of which algorithm it is."""
+    Stable-Baselines3."""
 
     @property
     def files(self) -> AgentFiles:
@@ -171,46 +175,39 @@ class Agent(PolicyName):
         return read_config(self.files)
 
     @property
-    def algorithm(self) -> str:
-        """Name of the algorithm that trained it. Raises ValueError, OSError."""
-        return architecture_of(self.text, self.files, self.config)[0].algorithm
+    def training(self) -> str:
+        """The algorithm and the steps that trained it, as far as they are known. Raises ValueError, OSError."""
+        steps = self.config.steps_done
+        return (self.config.algorithm or "Stable-Baselines3") + ("" if steps is None else f", {steps:,} steps")
 
     @property
-    def arm(self) -> dict[str, Any] | None:
-        """Options of the arm that it was trained on, all of them; None where no config.json says so. Raises ValueError, OSError."""
+    def arm(self) -> dict[str, Any]:
+        """Options of the arm that it was trained on, all of them; none where no config.json says so. Raises ValueError, OSError."""
         options = self.config.options
-        return None if options is None else Options.parse(options, "options").model_dump(mode="json", include=set(ARM))
+        return {} if options is None else Options.parse(options, "options").model_dump(mode="json", include=set(ARM))
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """The arm that it was trained on, and how it sees and moves it: not what was to be learned. Raises ValueError, OSError."""
-        own = self.config.options
-        if own is None:
-            return dict(given)
-        parsed = Options.parse(own, "options")
-        try:
-            groups_of(parsed, TASKS[self.task], resolved_scene(parsed))
-        except ConfigurationError as error:
-            problems = [Problem(("options", *key), text) for key, text in error.problems]
-            raise with_import(ConfigurationError(problems), str(self.files.config)) from error
+        own = self.config.options or {}
         return {**{key: value for key, value in own.items() if key in (*ARM, *INTERFACE)}, **given}
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
         return load_agent(self.text, env, other_effects)
 
+    def fingerprint(self) -> Any:
+        files = self.files
+        if not files.is_zip:
+            return digests(files.path)
+        return {path.name: digest(path) for path in (files.path, files.config, files.statistics) if path.is_file()}
+
 
 @dataclass(frozen=True)
-class Seeds(PolicyName):
-    """The folder of several seeds of one training, seed_0, seed_1, ..., as `soft-tendon sweep` leaves it: many policies, which have each
-    their own options."""
+class UserPolicy(PolicyName):
+    """A user's policy, module:name: a callable that gets an environment and returns an object with Stable-Baselines3's `predict`, or a
+    function of observations (rows, size) that returns actions (rows, n_a).
 
-
-@dataclass(frozen=True)
-class Own(PolicyName):
-    """A policy of one's own, module:name: a callable that gets an environment and returns an object with Stable-Baselines3's `predict`, or
-    a function of observations (rows, size) that returns actions (rows, n_a).
-
-    The environment is its own, see `own_environment`, with the spaces, control period and limits of the one that it acts in. Its attribute
-    `options`, if it has one, says what it observes and how its actions are read: options of the environment, those of INTERFACE.
+    The environment shares nothing with the one that it acts in, see `policy_environment`. Its attribute `options`, if it has one, says what
+    it observes and how its actions are read: options of the environment, those of INTERFACE.
     """
 
     module: str
@@ -220,8 +217,7 @@ class Own(PolicyName):
     def maker(self) -> Callable[..., Any]:
         """The callable. Raises ValueError where there is none."""
         try:
-            with named(self.text):
-                made = getattr(importlib.import_module(self.module), self.name)
+            made = getattr(importlib.import_module(self.module), self.name)
         except (ImportError, AttributeError) as error:
             text = f"policy is {self.text!r}: it should be module:name of what makes a policy from an environment; {error}"
             raise ValueError(text) from error
@@ -229,17 +225,9 @@ class Own(PolicyName):
             raise ValueError(f"policy is {self.text!r}: {self.name} should be callable with an environment, not {type(made).__name__}")
         return made
 
-    @property
-    def source(self) -> Path | None:
-        """The file of its module, if it has one."""
-        file = getattr(importlib.import_module(self.module), "__file__", None)
-        return None if file is None else Path(file)
-
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Raises ValueError for options of its own that are none, or change the arm, the task or the clock."""
         own = getattr(self.maker, "options", {})
-        if not isinstance(own, Mapping):
-            raise ValueError(f"policy is {self.text!r}, whose options should be a table, not {shown(own)}")
         if other := [str(name) for name in own if name not in INTERFACE]:
             text = f"policy is {self.text!r}, whose options have {', '.join(other)}: a policy may set {', '.join(INTERFACE)} alone"
             raise ValueError(f"{text}; what changes the arm, the task or the clock is said by who runs it")
@@ -247,13 +235,17 @@ class Own(PolicyName):
         return {**own, **given}
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
-        with named(self.text):
-            made = self.maker(own_environment(env, scene))
+        made = self.maker(policy_environment(env, scene))
         predicts = callable(getattr(made, "predict", None))
         if isinstance(made, type) or not (predicts or callable(made)):
             text = f"{self.name} should make an object with predict, or a function of observations, not {shown(made)}"
             raise ValueError(f"policy is {self.text!r}: {text}")
-        return OwnPolicy(self.text, made if predicts else FunctionPolicy(made), env)
+        return made if predicts else FunctionPolicy(made)
+
+    def fingerprint(self) -> Any:
+        """With the source of its module."""
+        file = getattr(importlib.import_module(self.module), "__file__", None)
+        return [self.text, None if file is None else digest(Path(file))]
 
 
 def _is_module(name: str) -> bool:
@@ -270,13 +262,3 @@ def _checked_belief(text: str, belief: str) -> str:
     except ValueError as error:
         raise ValueError(f"policy is {text!r}: what stands behind {BELIEVED!r} {error}") from error
     return belief
-
-
-def _unknown(text: str, task: str, controller: str) -> ValueError:
-    """The error that a name is not that of one policy."""
-    path = Path(text)
-    what = "a folder" if path.is_dir() else "a file" if path.is_file() else "no policy"
-    hint = f", such as {path / BEST}," if is_run(path) else ""
-    agents = f"the folder of an agent{hint or ','} a .zip file of Stable-Baselines3, {SHIPPED_NAMES}, module:name"
-    controllers = not_among(controller, CONTROLLERS.get(task, {}))
-    return ValueError(f"policy is {text!r}, {what}: it should be {agents}, or a controller of {task}; {controllers}")

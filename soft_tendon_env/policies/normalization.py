@@ -71,25 +71,20 @@ def read_normalization(path: Path) -> Normalization:
     """Read what `save_normalization` wrote; no object is unpickled. Raises ValueError, FileNotFoundError."""
     try:
         arrays = arrays_in(read_bytes(path))
-    except FileNotFoundError:
-        raise
-    except UNREADABLE as error:
-        raise ValueError(f"{path} is no .npz file of arrays, or was cut or damaged: {first_line(error)}") from error
-    for name, array in arrays.items():
-        if not isinstance(array, np.ndarray) or array.dtype != np.float64 or not np.isfinite(array).all():
-            kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
-            raise ValueError(f"{path}: {name} is of type {kind}: it should be finite numbers of type float64")
-    try:
+        finite = all(array.dtype == np.float64 and np.isfinite(array).all() for array in arrays.values())
         clip, epsilon = float(arrays.pop("clip")), float(arrays.pop("epsilon"))
         keys = [name.removesuffix("mean").removesuffix(".") for name in arrays if name.rpartition(".")[2] == "mean"]
         moments = {key: Moments(*(arrays.pop(f"{key}.{name}" if key else name) for name in Moments._fields)) for key in keys}
-    except (KeyError, TypeError) as error:
-        raise ValueError(f"{path} should have mean, variance, clip and epsilon, and lacks {error}") from error
-    for key, of in moments.items():
-        if of.mean.shape != of.variance.shape or (of.variance < 0.0).any():
-            raise ValueError(f"{path}: {key or 'variance'} should have variances of at least 0, as many as means")
-    if arrays or not moments or not (clip > 0.0 and epsilon >= 0.0):
-        raise ValueError(f"{path} should have mean, variance, clip above 0 and epsilon, and nothing else ({', '.join(arrays) or 'values'})")
+    except FileNotFoundError:
+        raise
+    except (*UNREADABLE, AttributeError) as error:
+        raise ValueError(f"{path} is no .npz file of mean, variance, clip and epsilon, or was damaged: {first_line(error)}") from error
+    alike = all(of.mean.shape == of.variance.shape and (of.variance >= 0.0).all() for of in moments.values())
+    if arrays or not (moments and finite and alike and clip > 0.0 and epsilon >= 0.0):
+        text = (
+            "mean, variance, clip and epsilon alone: finite numbers of type float64, as many variances of at least 0 as means, clip above 0"
+        )
+        raise ValueError(f"{path} should have {text}")
     return Normalization(moments, clip, epsilon)
 
 
@@ -97,7 +92,5 @@ def check_observations(path: Path, normalization: Normalization, space: gym.Spac
     """Raises ValueError where statistics are of other observations than those of the space."""
     parts = space.spaces if isinstance(space, gym.spaces.Dict) else {BOX: space}
     shapes = {key: part.shape for key, part in parts.items()}
-    own = normalization.shapes()
-    if any(shapes.get(key) != shape for key, shape in own.items()) or own.keys() != shapes.keys():
-        text = f"{path} is of observations {own.get(BOX, own)}, this environment has {shapes.get(BOX, shapes)}"
-        raise ValueError(text)
+    if (own := normalization.shapes()) != shapes:
+        raise ValueError(f"{path} is of observations {own.get(BOX, own)}, this environment has {shapes.get(BOX, shapes)}")

@@ -31,18 +31,14 @@ class FunctionPolicy:
 
 
 class LostState:
-    """Warns, once, where calls of `predict` neither give the state back nor say that an episode starts."""
+    """Warns, once, where calls of `predict` neither give the state back nor say that an episode starts. owner: what forgets everything."""
 
     def __init__(self, owner: str) -> None:
-        """owner: what forgets everything without it."""
         self._owner, self._calls = owner, 0  # in a row
 
     def notice(self, lost: bool) -> None:
         """A call. Warns with UserWarning after `STATELESS_CALLS` in a row without state."""
         self._calls = self._calls + 1 if lost else 0
         if self._calls == STATELESS_CALLS:  # once: the count goes on
-            warnings.warn(
-                f"predict was called {STATELESS_CALLS} times in a row without the state of {self._owner}, which forgets "
-                "everything: give it back, action, state = policy.predict(observation, state)",
-                stacklevel=3,
-            )
+            text = f"predict was called {STATELESS_CALLS} times in a row without the state of {self._owner}, which forgets everything"
+            warnings.warn(f"{text}: give it back, action, state = policy.predict(observation, state)", stacklevel=3)

@@ -4,9 +4,8 @@ import os
 import socket
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -56,28 +55,12 @@ class RerunViewer(RerunStream):
         super().__init__(recording, NAME, "the viewer", STATIONS, TRAIL)
 
 
-class Pace:
-    """Holds a simulation back to the clock on the wall; one that is late does not hurry afterwards."""
-
-    def __init__(self, period: float) -> None:
-        """`period` [s] between steps."""
-        self._period, self._due = period, -np.inf
-
-    def wait(self) -> None:
-        """Return when it is time for the next step."""
-        now = time.perf_counter()
-        self._due += self._period
-        if self._due < now - LAG:
-            self._due = now
-        time.sleep(max(0.0, self._due - now))
-
-
 class LiveRows:
     """Shows rows of running episodes in the viewer, no faster than their own clock. Closing the viewer's window does no harm."""
 
     def __init__(self, episodes: Episodes) -> None:
         """Raises gymnasium.error.Error where no viewer can be opened."""
-        self._episodes, self._viewer, self._pace = episodes, RerunViewer(PORT), Pace(episodes.period)
+        self._episodes, self._viewer, self._due = episodes, RerunViewer(PORT), -np.inf
         rows = range(min(len(episodes.step_count), ROWS))
         names = ["arm"] if len(episodes.step_count) == 1 else [f"row_{row}" for row in rows]
         self._recorders = {}
@@ -96,7 +79,11 @@ class LiveRows:
         info, reward = self._episodes.info(), self._episodes.reward
         for row, recorder in self._shown(members):
             recorder.step(np.empty(0), float(reward[row]), row_info(info, row))
-        self._pace.wait()
+        now = time.perf_counter()
+        self._due += self._episodes.period
+        if self._due < now - LAG:  # one that is late does not hurry afterwards
+            self._due = now
+        time.sleep(max(0.0, self._due - now))
 
     def frames(self) -> None:
         """Send what is at hand; there are no pictures to return."""
@@ -121,28 +108,19 @@ def is_open(port: int) -> bool:
 
 
 def open_viewer(port: int) -> None:
-    """Open the Rerun viewer in a process of its own and wait until it listens. Raises gymnasium.error.Error."""
+    """Open the Rerun viewer in a process of its own, which no Ctrl-C reaches, and wait until it listens. Raises gymnasium.error.Error."""
     if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in DISPLAYS):
         raise Error(
             f"the Rerun viewer needs a display, and none of {', '.join(DISPLAYS)} is set: "
             'use render_mode="rgb_array" or RecordRollout, or start a viewer first (`rerun --headless`)'
         )
-    with tempfile.TemporaryFile() as said:
-        process = _start([sys.executable, "-m", "rerun_cli", "--port", str(port), "--bind", "127.0.0.1", "--expect-data-soon"], said)
-        end = time.monotonic() + OPENS_WITHIN
-        while not is_open(port) and process.poll() is None and time.monotonic() < end:
-            time.sleep(0.05)
-        time.sleep(SETTLES)
-        if process.poll() is not None or not is_open(port):
-            said.seek(0)
-            lines = said.read().decode(errors="replace").split("\n")
-            reason = next((line for line in reversed(lines) if line.startswith("Error")), "it did not answer")
-            raise Error(f"the Rerun viewer did not open: {reason}; `rerun` in a terminal says more")
-
-
-def _start(command: Sequence[str], said: Any) -> subprocess.Popen[bytes]:
-    """A process that outlives this one and that no Ctrl-C meant for this one reaches; its messages go to a file."""
+    command = [sys.executable, "-m", "rerun_cli", "--port", str(port), "--bind", "127.0.0.1", "--expect-data-soon"]
+    quiet: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
     environment = {**os.environ, "RERUN_APP_ONLY": "true"}  # no questions about analytics
-    return subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said, env=environment, start_new_session=True
-    )
+    process = subprocess.Popen(command, env=environment, start_new_session=True, **quiet)
+    end = time.monotonic() + OPENS_WITHIN
+    while not is_open(port) and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.05)
+    time.sleep(SETTLES)
+    if process.poll() is not None or not is_open(port):
+        raise Error("the Rerun viewer did not open; `rerun` in a terminal says why")

@@ -1,7 +1,6 @@
 """Rerun blueprint: the layout with which the viewer opens a recording, the arms large, beside them plots of what is compared.
 
-Plots of errors end at FAR of the rod's length or ASKEW, so that an arm that fails hides no other. The viewer has no logarithmic axis (its
-issue 6773); a second tab shows decimal logarithms.
+Plots of errors end at FAR of the rod's length or ASKEW, so that an arm that fails hides no other.
 """
 
 import math
@@ -82,8 +81,7 @@ def line_styles(arms: dict[str, DrawnArm]) -> dict[str, LineStyle]:
             if kind in ("tension", "action"):
                 styles[f"{kind}/{part(name)}"] = LineStyle(series, hues(len(series)) if len(arms) == 1 else tones)
             elif kind == "error":
-                style = LineStyle([name], [arm.color])
-                styles |= {f"{plot}/{part(scalar)}/{part(name)}": style for scalar in series for plot in ("plot", "log10_plot")}
+                styles |= {f"plot/{part(scalar)}/{part(name)}": LineStyle([name], [arm.color]) for scalar in series}
             else:
                 for scalar, tone in zip(series, tones, strict=True):
                     label = scalar if len(arms) == 1 else f"{name} {scalar}"
@@ -126,34 +124,29 @@ def _scenery(arms: dict[str, DrawnArm], trail: float, aspect: float) -> rrb.Spat
 
 
 def _errors(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> list[rrb.View | rrb.Container]:
-    """Two plots per error in tabs, in its unit and as a logarithm, with a line per arm."""
+    """A plot per error, in its unit, with a line per arm."""
     legend, length = LEGEND if len(arms) > 1 else NO_LEGEND, max(arm.model.length for arm in arms.values())
     most = {"mm": FAR * length, "deg": ASKEW}
-    found = []
+    found: list[rrb.View | rrb.Container] = []
     for name in _names(arms, "error"):
         unit = error_unit(name)
         shown = (0.0, most[unit.symbol]) if unit.symbol in most else None
         title = f"{unit.titled}, up to {shown[1]:.3g}" if shown else unit.titled
-        logarithm = f"log10 of {unit.symbol}" if unit.symbol else "log10"
-        plots = (f"/plot/{part(name)}", title, shown), (f"/log10_plot/{part(name)}", logarithm, None)
-        found.append(_tabs(*(_plot(origin, own, axis, legend, values) for origin, own, values in plots)))
+        found.append(_plot(f"/plot/{part(name)}", title, axis, legend, shown))
     return found
 
 
 def _tensions(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None, live: bool) -> list[rrb.View | rrb.Container]:
     """Tensions and actions, a plot per arm: one that shakes hides no other."""
-    titles = {"tension": "tensions [N]", "action": "actions"}
-    found = {kind: title for kind, title in titles.items() if _names(arms, kind)}
-    if len(arms) == 1:
-        (arm,) = arms
-        return [_plot(f"/{kind}/{part(arm)}", title, axis, LEGEND) for kind, title in found.items()]
     limits = np.array([tendon.tension_limits for arm in arms.values() for tendon in arm.model.scene.tendons])
-    ranges = {"tension": (float(limits.min()), float(limits.max())), "action": (-1.0, 1.0)}  # one for all arms
-    axis, columns = axis if live else None, math.ceil(math.sqrt(len(arms)))
-    return [
-        rrb.Grid(*(_plot(f"/{kind}/{part(arm)}", arm, axis, NO_LEGEND, ranges[kind]) for arm in arms), name=title, grid_columns=columns)
-        for kind, title in found.items()
-    ]
+    kinds = {"tension": ("tensions [N]", (float(limits.min()), float(limits.max()))), "action": ("actions", (-1.0, 1.0))}
+    alone, found = len(arms) == 1, list[rrb.View | rrb.Container]()
+    for kind, (title, span) in kinds.items():
+        if _names(arms, kind):
+            shown = (axis, LEGEND) if alone else (axis if live else None, NO_LEGEND)
+            plots = [_plot(f"/{kind}/{part(arm)}", title if alone else arm, *shown, None if alone else span) for arm in arms]
+            found.append(plots[0] if alone else rrb.Grid(*plots, name=title, grid_columns=math.ceil(math.sqrt(len(arms)))))
+    return found
 
 
 def _others(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> list[rrb.View | rrb.Container]:

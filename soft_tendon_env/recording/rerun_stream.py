@@ -4,14 +4,11 @@ In one recording several arms run side by side, and the episodes of each arm fol
 
 - timelines: `sim_time` [s] and `step` go on from episode to episode, `episode` counts them; an arm's first sample is at 0, 0, 0;
 - `world/ARM/...`, in metres: `backbone`, `body`, `mount`, `tendons`, `tip`, `trail`, `target`, `target_trail`, `target_backbone`,
-  `markers`, `solids/NUMBER` of the effects, and the arm's `name`, with its error beneath;
+  `markers`, `solids/NUMBER` of the effects, and the arm's `name` with the title of its episode;
 - `tension/ARM` [N] and `action/ARM`: a row of numbers per sample; `error/ARM/NAME`, `reward/ARM/NAME`, `other/ARM/NAME`: one number, in SI
   units;
-- `plot/NAME/ARM`, `log10_plot/NAME/ARM`: for the plots, an error in millimetres, in degrees, or in its own unit, and its decimal logarithm;
+- `plot/NAME/ARM`: for the plots, an error in millimetres, in degrees, or in its own unit;
 - `episodes/ARM`: the title of each episode where it begins; `scene/ARM`: the scene as JSON.
-
-A recording per episode would start each of them at 0. But the rows of a vector environment do not end together, and arms that are to be
-compared belong in one view.
 """
 
 import json
@@ -25,7 +22,7 @@ from soft_tendon_env.drawing import palette
 from soft_tendon_env.drawing.geometry import body, label_place, side_by_side, tension_colors
 from soft_tendon_env.drawing.renderer import mount_size, normals, view_box
 from soft_tendon_env.drawing.shapes import backbones, base_poses, drawing_stations, surface, tendon_curves
-from soft_tendon_env.envs.tracking import SYMBOLS, error_unit
+from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.recording.rollout import Rollout
 from soft_tendon_env.scene.scene import rod_length, scene_to_dict
@@ -51,9 +48,6 @@ AXES = np.stack([np.zeros((3, 3)), np.diag([0.12, 0.08, 0.04])], axis=1)
 
 TENDON_WIDTH, TRAIL_WIDTH, TARGET_WIDTH, TARGET_SIZE = -1.0, -1.25, -0.75, -4.0
 """Radii of lines and points in pixels: Rerun takes negative ones so."""
-
-LEAST_ERROR = 1e-6
-"""Smallest error, in its unit, that logarithms are taken of: zero has none."""
 
 
 def new_recording(name: str) -> rr.RecordingStream:
@@ -133,7 +127,7 @@ class RerunStream:
         self._send_arm(root, known, rollout, times)
         self._send_target(root, known, rollout, times)
         self._send_solids(root, known, rollout, times)
-        self._send(f"{root}/name", times, rr.Points3D.columns(labels=_labels(arm, rollout)))
+        self._send(f"{root}/name", times, rr.Points3D.columns(labels=[f"{arm}\n{rollout.title}".rstrip()] * rollout.samples))
         self._send_numbers(arm, known, rollout, times)
         known.step += rollout.samples
         known.shown += rollout.samples
@@ -237,9 +231,7 @@ class RerunStream:
         for name, values in rollout.scalars.items():
             self._send(f"{_kind(name)}/{part(arm)}/{part(name)}", times, rr.Scalars.columns(scalars=values))
             if _kind(name) == "error":
-                shown = error_unit(name).factor * values
-                for plot, numbers in {"plot": shown, "log10_plot": np.log10(np.maximum(shown, LEAST_ERROR))}.items():
-                    self._send(f"{plot}/{part(name)}/{part(arm)}", times, rr.Scalars.columns(scalars=numbers))
+                self._send(f"plot/{part(name)}/{part(arm)}", times, rr.Scalars.columns(scalars=error_unit(name).factor * values))
         series = {kind: [f"{kind} {i}" for i in range(values.shape[1])] for kind, values in rows.items()}
         for name in rollout.scalars:
             series.setdefault(_kind(name), []).append(name)
@@ -262,16 +254,6 @@ class RerunStream:
 def _kind(scalar: str) -> str:
     """The group of plots that a scalar belongs to."""
     return "reward" if scalar.startswith("reward") else "error" if scalar.endswith("error") else "other"
-
-
-def _labels(arm: str, rollout: Rollout) -> list[str]:
-    """The arm's name, the title of its episode, and its first error that has a unit, for each sample."""
-    name = f"{arm}\n{rollout.title}".rstrip()
-    shown = next((name for name in rollout.scalars if name in SYMBOLS), None)
-    if shown is None:
-        return [name] * rollout.samples
-    unit = error_unit(shown)
-    return [f"{name}\n{unit.text(value)}" for value in rollout.scalars[shown].tolist()]
 
 
 def _nanoseconds(period: float) -> int:

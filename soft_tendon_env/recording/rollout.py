@@ -1,6 +1,6 @@
 """One episode as arrays, the buffer that collects them while an environment runs, and whole episodes. Knows nothing of files."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,8 +23,7 @@ class Rollout:
     period [s] between samples; strain (samples, points, 6) as of `Model.strain`; tension (samples, n_a) [N] as applied;
     tip_pose, target_pose (samples, 4, 4); target_backbone (samples, m, 3) [m], m = 0 being as good as None; action (samples, k), the one
     that led to the sample; scalars (samples,) each, NaN where there is none;
-    effects of the arm, None: those of its scene; markers (samples, m, 3) [m], measured points, NaN where one was not seen. Raises
-    ValueError for other shapes.
+    effects of the arm, None: those of its scene; markers (samples, m, 3) [m], measured points, NaN where one was not seen.
     """
 
     model: Model
@@ -39,18 +38,6 @@ class Rollout:
     title: str = ""
     effects: Effects | None = None
     markers: Array | None = None
-
-    def __post_init__(self) -> None:
-        samples = len(self.strain)
-        _check_shape("strain", self.strain, (samples, self.model.grid.point_count, 6))
-        _check_shape("tension", self.tension, (samples, self.model.tendon_count))
-        _check_shape("tip_pose", self.tip_pose, (samples, 4, 4))
-        _check_shape("target_pose", self.target_pose, (samples, 4, 4))
-        _check_shape("target_backbone", self.target_backbone, (samples, None, 3))
-        _check_shape("markers", self.markers, (samples, None, 3))
-        _check_shape("action", self.action, (samples, None))
-        for name, values in self.scalars.items():
-            _check_shape(f"scalars[{name!r}]", values, (samples,))
 
     @property
     def samples(self) -> int:
@@ -67,21 +54,11 @@ class RolloutBuffer:
     def __len__(self) -> int:
         return len(self._scalars)
 
-    def append(
-        self,
-        strain: Array,
-        tension: Array,
-        tip_pose: Array,
-        target_pose: Array,
-        target_backbone: Array,
-        action: ArrayLike,
-        scalars: dict[str, object],
-    ) -> None:
-        """Add a sample, shapes as in `Rollout` less the first axis, but for the strain (m,), as the kernels have it.
+    def append(self, sample: Sequence[ArrayLike], scalars: dict[str, object]) -> None:
+        """Add a sample: strain (m,) as the kernels have it, and tension, tip pose, target pose, target backbone and action of a `Rollout`.
 
-        Numbers and bools count as scalars; their dict is kept, not copied.
+        Numbers and bools count as scalars.
         """
-        sample = strain, tension, tip_pose, target_pose, target_backbone, action
         self._samples.append([np.array(values, dtype=np.float64) for values in sample])
         self._scalars.append(scalars)
 
@@ -104,13 +81,6 @@ def scalar_columns(records: list[dict[str, object]]) -> dict[str, Array]:
     return {name: np.array([float(value) if isinstance(value, NUMBERS) else np.nan for value in own]) for name, own in columns.items()}
 
 
-def _check_shape(name: str, given: Array | None, wanted: tuple[int | None, ...]) -> None:
-    if given is None or given.ndim == len(wanted) and all(w in (None, g) for w, g in zip(wanted, given.shape, strict=True)):
-        return
-    shape = ", ".join("any" if size is None else str(size) for size in wanted)
-    raise ValueError(f"{name} should have shape ({shape}), not {given.shape}")
-
-
 def collect(env: gym.Env[Any, Any], policy: Callable[[Any], ArrayLike], seed: int | None = None) -> Rollout:
     """One episode of an environment with actions policy(observation), until it ends."""
     episodes = episodes_of(env)
@@ -128,10 +98,8 @@ def collect(env: gym.Env[Any, Any], policy: Callable[[Any], ArrayLike], seed: in
 
 def take_sample(buffer: RolloutBuffer, now: Episodes, row: int, action: ArrayLike, scalars: dict[str, object]) -> None:
     """Add where a row stands now, with the action that led there and the numbers to keep."""
-    arms = now.arms
-    buffer.append(
-        arms.rows.xi[row], now.tension[row], arms.reading.tip_pose[row], now.target_pose[row], now.target_backbone[row], action, scalars
-    )
+    reading, strain = now.arms.reading, now.arms.rows.xi[row]
+    buffer.append((strain, now.tension[row], reading.tip_pose[row], now.target_pose[row], now.target_backbone[row], action), scalars)
 
 
 def no_action(space: gym.Space[Any]) -> Array:

@@ -65,13 +65,6 @@ class RowRecorder:
             if self._flush_period is not None and perf_counter() >= self._written + self._flush_period:
                 self._write()
 
-    def last_step(self, action: ArrayLike, reward: float, info: Mapping[str, object]) -> None:
-        """Take the state before a reset in the same step."""
-        last, row = self._episodes.last, self._row
-        if self._recording and last is not None:
-            state = last.strain[row], last.tension[row], last.tip_pose[row], last.target_pose[row], last.target_backbone[row]
-            self._buffer.append(*state, action, {**info, "reward": reward})
-
     def finish(self) -> None:
         """Write what there is of the episode and end it."""
         self.flush()
@@ -143,8 +136,8 @@ class RecordRollout(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
 class VectorRecordRollout(gym.vector.VectorWrapper, gym.utils.RecordConstructorArgs):
     """Records these `rows` of a vector environment to the Rerun file `path`, each as an arm `row_0`, `row_1`, ... with its own episodes.
 
-    `episode_trigger(number)` is asked for each episode of each row, otherwise as `RecordRollout`. The step in which an environment of
-    `AutoresetMode.NEXT_STEP` resets a row belongs to no episode.
+    `episode_trigger(number)` is asked for each episode of each row, otherwise as `RecordRollout`. The step in which an environment resets a
+    row belongs to no episode: of `AutoresetMode.SAME_STEP` episodes are recorded without their last step.
     """
 
     def __init__(
@@ -184,8 +177,6 @@ class VectorRecordRollout(gym.vector.VectorWrapper, gym.utils.RecordConstructorA
                 if ended:
                     recorder.finish()
             else:  # the row has been reset, either instead of a step or after one
-                if ended:
-                    recorder.last_step(actions[row], float(rewards[row]), row_info(infos.get("final_info", {}), row))
                 recorder.begin(row_info(infos, row))
         return result
 

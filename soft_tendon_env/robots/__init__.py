@@ -4,40 +4,24 @@ from typing import TYPE_CHECKING, Any
 
 from soft_tendon_env.robots.clock import Timing
 from soft_tendon_env.robots.environment import RobotEnv
-from soft_tendon_env.robots.log import LoggedRun, read_log
+from soft_tendon_env.robots.log import ReplayRobot
+from soft_tendon_env.robots.measured_arm import Rest
 from soft_tendon_env.robots.protocol import Measurement, Robot, load_robot
-from soft_tendon_env.robots.replay import ReplayRobot
-from soft_tendon_env.robots.rest import Rest
 from soft_tendon_env.robots.run import Report, rehearse, run_policy
 from soft_tendon_env.robots.safety import RobotStopped, Stop
 from soft_tendon_env.robots.simulated import SimulatedRobot
 
 if TYPE_CHECKING:
-    from soft_tendon_env.robots.dynamixel import DynamixelRobot
+    from soft_tendon_env.robots.dynamixel import DynamixelRobot, MotorSettings
 
-__all__ = [
-    "DynamixelRobot",
-    "LoggedRun",
-    "Measurement",
-    "ReplayRobot",
-    "Report",
-    "Rest",
-    "Robot",
-    "RobotEnv",
-    "RobotStopped",
-    "SimulatedRobot",
-    "Stop",
-    "Timing",
-    "load_robot",
-    "read_log",
-    "rehearse",
-    "run_policy",
-]
+LAZY = ("DynamixelRobot", "MotorSettings")
+__all__ = ["Measurement", "ReplayRobot", "Report", "Rest", "Robot", "RobotEnv", "RobotStopped", "SimulatedRobot", "Stop", "Timing"]
+__all__ += ["DynamixelRobot", "MotorSettings", "load_robot", "rehearse", "run_policy"]
 
 
 def __getattr__(name: str) -> Any:
-    if name != "DynamixelRobot":
+    if name not in LAZY:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from soft_tendon_env.robots.dynamixel import DynamixelRobot
+    from soft_tendon_env.robots import dynamixel  # here: its SDK is an extra
 
-    return DynamixelRobot
+    return getattr(dynamixel, name)

@@ -2,42 +2,31 @@
 
 import threading
 from time import perf_counter, sleep
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
-SPIN = 5e-4
-"""Time [s] before a deadline at which sleeping ends: the scheduler wakes a process late by less than that, where it is idle."""
+SPIN = 5e-4  # [s] before a deadline at which sleeping ends: the scheduler wakes a process late by less, where it is idle
 
 
-class Clock(Protocol):
-    """A clock [s]. real: whether time goes on by itself."""
-
-    real: bool
-
-    def now(self) -> float:
-        """The time [s]."""
-
-    def wait_until(self, time: float) -> None:
-        """Waits until a time [s]; returns at once where it is past."""
-
-
-class RealClock:
-    """The monotonic clock of the machine."""
+class Clock:
+    """Monotonic clock of the machine. real: whether time goes on by itself."""
 
     real = True
 
     def now(self) -> float:
+        """The time [s]."""
         return perf_counter()
 
     def wait_until(self, time: float) -> None:
+        """Waits until a time [s]; returns at once where it is past."""
         while (left := time - perf_counter()) > 0.0:
             if left > SPIN:
                 sleep(left - SPIN)
 
 
-class SteppedClock:
-    """A clock that stands still but while somebody waits: for simulations faster, or slower, than real time."""
+class SteppedClock(Clock):
+    """Clock that stands still but while somebody waits: for simulations faster, or slower, than real time."""
 
     real = False
 
@@ -53,7 +42,7 @@ class SteppedClock:
 
 
 class Timing(NamedTuple):
-    """Statistics of the periods of a loop: how late each began after its deadline [s], and how many deadlines were missed."""
+    """Statistics of the periods of a loop: how late each began after its deadline [s]."""
 
     periods: int
     overruns: int  # periods whose work ended after the next deadline
@@ -78,27 +67,21 @@ class Pacer:
     def start(self) -> None:
         """The first period begins now."""
         self._first = self._began = self.clock.now()
-        self._lateness, self._busy, self._overruns = list[float](), list[float](), 0
-
-    @property
-    def count(self) -> int:
-        """Periods that are over."""
-        return len(self._lateness)
+        self.count, self._lateness, self._busy = 0, list[float](), list[float]()
 
     def wait(self) -> float:
         """Waits for the next deadline; returns by how much [s] it is missed."""
-        deadline = self._first + self.period * (self.count + 1)
-        now = self.clock.now()
-        self._busy.append(now - self._began)
-        self._overruns += now > deadline
-        self.clock.wait_until(deadline)
+        self.count += 1
+        self._busy.append(self.clock.now() - self._began)
+        self.clock.wait_until(self._first + self.period * self.count)
         self._began = self.clock.now()
-        self._lateness.append(self._began - deadline)
+        self._lateness.append(self._began - self._first - self.period * self.count)
         return self._lateness[-1]
 
     @property
     def timing(self) -> Timing:
         """Statistics since `start`; zeros before the first period is over."""
         late, busy = (np.array(values or [0.0]) for values in (self._lateness, self._busy))
+        overruns = int((np.concatenate([[0.0], late[:-1]]) + busy > self.period).sum())
         p50, p99 = np.percentile(late, [50, 99])
-        return Timing(self.count, self._overruns, float(p50), float(p99), float(late.max()), float(np.percentile(busy, 99)))
+        return Timing(self.count, overruns, float(p50), float(p99), float(late.max()), float(np.percentile(busy, 99)))

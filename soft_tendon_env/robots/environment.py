@@ -5,33 +5,27 @@
 Policies and Stable-Baselines3 run on it as they are. A step lasts a control period, to its absolute deadline.
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.error import ResetNeeded
-from gymnasium.wrappers import PassiveEnvChecker
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.single import TendonRodEnv
 from soft_tendon_env.robots.clock import Timing
 from soft_tendon_env.robots.log import RobotLog
-from soft_tendon_env.robots.measured_arm import MeasuredArm, misfit
+from soft_tendon_env.robots.measured_arm import REST, MeasuredArm, Rest, misfit
 from soft_tendon_env.robots.protocol import Robot, check_robot
-from soft_tendon_env.robots.reach import reach_of
-from soft_tendon_env.robots.rest import REST, Rest
 from soft_tendon_env.robots.safety import RobotStopped, SafeRobot, Stop
 from soft_tendon_env.tools.checks import checked_count, checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
-SETTLE = 1.0
-"""Time [s] in which an arm is brought to where episodes begin."""
-PATIENCE = 3
-"""Control periods without a new reading, or behind the deadlines, after which an arm is let go."""
+SETTLE = 1.0  # [s] in which an arm is brought to where episodes begin
+PATIENCE = 3  # control periods without a new reading, or behind the deadlines, after which an arm is let go
 
 
 class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
@@ -41,8 +35,7 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
     Rest, and makes what it then measures the zero of tendon lengths and strains. Commands stay within the environment's limits, and change
     by at most `rate` [N/s, or m/s] where that is given. After `patience` periods without a new reading or behind the deadlines, a tip where
     the arm cannot be, or an error of the robot, the tendons are slack within RAMP and the episode is truncated, `info["stopped"]` says why;
-    `reset` begins again. `close` lets the tendons go and closes the robot. From a `reset` in the main thread until then, signals that would
-    end or suspend the process let the tendons go too, and raise KeyboardInterrupt.
+    `reset` begins again. `close` lets the tendons go and closes the robot.
 
     Args:
         env: what it observes and how actions are read; its options say the scene, `control_period` and `tension_limits`.
@@ -50,7 +43,6 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         settle: 0 for one that is at rest where episodes begin when the first one does, and whose sensors have their zeros.
         rest: speed of an arm at rest, and how long it is waited for; a ReplayRobot begins at once.
         log: new CSV file of the periods, see log.py; None: none. A file that is there is not overwritten.
-        dry: send nothing to the robot, and read alone.
 
     Raises ConfigurationError where the robot does not fit the environment, TypeError, ValueError, OSError.
     """
@@ -65,7 +57,6 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         rest: Rest = REST,
         patience: int = PATIENCE,
         log: str | Path | None = None,
-        dry: bool = False,
     ) -> None:
         super().__init__(env)
         inner = checked_type("env", env.unwrapped, TendonRodEnv, "made by gym.make('TendonRod-TipPose-v0')")
@@ -75,12 +66,12 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
             raise ConfigurationError([Problem(("robot",), f"is {type(robot).__name__}, {reason}")], "environment")
         if inner.render_mode is not None:
             raise ValueError(f"render_mode is {inner.render_mode!r}: it should be None for a robot; RecordRollout records one")
-        actions = episodes.actions
-        limits = np.stack([actions.least, actions.greatest], axis=1)
-        sensors, fastest = episodes.sensors.size, None if rate is None else checked_number("rate", rate, 1e-9, "a positive number, or None")
+        limits = np.stack([episodes.actions.least, episodes.actions.greatest], axis=1)
+        fastest = None if rate is None else checked_number("rate", rate, 1e-9, "a positive number, or None")
         rise = checked_number("settle", settle, 0.0, "a number of seconds, at least 0")
         checked_type("rest", rest, Rest, "such as Rest(speed=0.005, wait=60.0)")
-        self._safe = SafeRobot(robot, limits, sensors, reach_of(episodes), fastest, checked_count("patience", patience, 1), dry)
+        sensors, length = episodes.sensors.size, np.inf if episodes.model.scene.effects.moving_base is not None else episodes.model.length
+        self._safe = SafeRobot(robot, limits, sensors, length, episodes.period, fastest, checked_count("patience", patience, 1))
         self._log = None if log is None else RobotLog(Path(log), robot.command_unit, self._safe.senses, len(limits), sensors)
         if fastest is not None:  # the pretension is not there before the rate has led to it
             rise = max(rise, float(np.abs(episodes.start_command - self._safe.slack).max()) / fastest)
@@ -90,12 +81,7 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """A new episode, which begins with the robot at rest. Raises RobotStopped where it does not come to that."""
-        try:
-            self._last = self.env.reset(seed=seed, options=options)
-        except BaseException:  # Gymnasium's checker of the first reset needs it whole
-            if checker := next((own for own in _layers(self.env) if isinstance(own, PassiveEnvChecker)), None):
-                checker.checked_reset = False
-            raise
+        self._last = self.env.reset(seed=seed, options=options)
         return self._last
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -143,15 +129,8 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
 def robot_of(env: gym.Env[Any, Any]) -> RobotEnv:
     """The RobotEnv within wrappers. Raises TypeError."""
     episodes_of(env)
-    for own in _layers(env):
-        if isinstance(own, RobotEnv):
-            return own
-    raise TypeError("env should be a RobotEnv, alone or wrapped")
-
-
-def _layers(env: gym.Env[Any, Any]) -> Iterator[gym.Env[Any, Any]]:
-    """The wrappers of an environment from the outermost on, and itself."""
     while isinstance(env, gym.Wrapper):
-        yield env
+        if isinstance(env, RobotEnv):
+            return env
         env = env.env
-    yield env
+    raise TypeError("env should be a RobotEnv, alone or wrapped")

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Mapping
 
 import numpy as np
+import scipy.fft
 
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.episodes import Episodes
@@ -15,44 +16,54 @@ from soft_tendon_env.envs.observation import HISTORY
 from soft_tendon_env.envs.tasks import TIP
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.motion.tape import Tape
+from soft_tendon_env.model.step_control import slowest_vibration
 from soft_tendon_env.policies.estimators import PARAMETERS
 from soft_tendon_env.policies.regimes import TARGET_GROUPS
 from soft_tendon_env.robots.clock import Pacer
-from soft_tendon_env.robots.log import RobotLog
+from soft_tendon_env.robots.log import ReplayRobot, RobotLog
 from soft_tendon_env.robots.protocol import COMMANDS, Measurement, Robot
-from soft_tendon_env.robots.replay import ReplayRobot
-from soft_tendon_env.robots.rest import READINGS, WOBBLE, Rest, motion_of, window_of
 from soft_tendon_env.robots.safety import SafeRobot
-from soft_tendon_env.tools.messages import describe, say
-from soft_tendon_env.tools.types import Array
+from soft_tendon_env.tools.configuration import Configuration
+from soft_tendon_env.tools.messages import describe
+from soft_tendon_env.tools.types import Array, NotNegative, Positive
 
 FIELDS: Mapping[str, str] = {**dict.fromkeys(TIP, "tip_pose"), **PARAMETERS}
 """Fields of a Measurement by the observation groups that are made of them."""
-AWAY = 0.05
-"""Distance, in lengths of the arm, from where its tip first rested that gets a word: it may have buckled to another side, or been moved."""
-LOOKS = 10
-"""How often in the window of its speed an arm is looked at, whether it rests; it does when it did twice on end."""
+READINGS, LOOKS = 20, 10  # of which a speed is measured at least, and looks in its window; an arm rests when it did twice on end
+WINDOW = 2.0  # [s] at least over which the speed is measured: at 50 Hz and with noise of 2 mm, it shows a drift of 1.5 mm/s
+WOBBLE = 0.15  # [s] whose way at the greatest speed of rest is the greatest spread of rest: of fast small motion, as of filtered sensors
+STANDS_OUT = 33.0  # power of a mode over the median of all that is motion: one of 10,000 modes of white noise has as much
+
+
+class Rest(Configuration):
+    """Greatest speed of an arm at rest, and the longest time for which it is waited for.
+
+    Attributes:
+        speed: of the tip, root mean square over the window, as a share of the arm's length per second.
+        wait: time [s] under the first command.
+    """
+
+    speed: Positive = 0.005
+    wait: NotNegative = 60.0
+
+
+REST = Rest()
+"""Rest unless a user says otherwise."""
 
 
 class MeasuredArm(Arms):
     """One row, the robot. `place` brings it to rest where episodes begin, and makes that the zero of lengths and strains.
 
-    Args:
-        episodes: of the environment, begun never.
-        robot: see SafeRobot.
-        is_there: the first episode finds it at rest under the first command, and its sensors have their zeros.
-        rise: time [s] in which the command rises from slack.
-        rest: see Rest.
-        log: of every period, or None.
+    is_there: the first episode finds it at rest under the first command, and its sensors have their zeros. rise: time [s] in which the
+    command rises from slack.
     """
 
     def __init__(self, episodes: Episodes, robot: SafeRobot, is_there: bool, rise: float, rest: Rest, log: RobotLog | None) -> None:
         super().__init__(episodes.model, 1, episodes.period, np.empty(0), episodes.sensors)
         self.robot, self.pacer, self._log, self._rise, self._rest = robot, Pacer(robot.clock, episodes.period), log, rise, rest
-        self._window, self._is_there, self._has_zeros = window_of(episodes.model), is_there, is_there
-        self._recorded = robot.robot if isinstance(robot.robot, ReplayRobot) else None
+        self._window = max(WINDOW, np.pi / slowest_vibration(episodes.model))  # [s], half a swing, which stands still where it turns
+        self._is_there = self._has_zeros = is_there
         self._command, self._actuation = episodes.start_command, episodes.actuation
-        self._first: Array | None = None  # (3,) [m] of the tip where it first rested
         self.zero: dict[str, Array] = {}
         """Values by field that are added to what the robot measures, so that it reads as the model at rest."""
 
@@ -62,23 +73,20 @@ class MeasuredArm(Arms):
         self.robot.begin()
         self.pacer.start()
         self.zero = {}
-        if self._recorded is not None:
-            self._recorded.begin()
-        if self._is_there or self._recorded is not None:
+        if isinstance(self.robot.robot, ReplayRobot):
+            self.robot.robot.begin()
+            self._is_there = True
+        if self._is_there:
             self.robot.write(self._command)
             held = [self.robot.read()]
         else:
             held = self._at_rest()
             rest = {name: getattr(self.reading, name)[0].copy() for name in ("tendon_length", "strain") if name in self.robot.senses}
             if not self._has_zeros:
-                self.zero = {name: own - np.mean([getattr(at, name) for at in held], axis=0) for name, own in rest.items()}
+                self.zero = {name: value - np.mean([getattr(at, name) for at in held], axis=0) for name, value in rest.items()}
             self.pacer.start()
         self._is_there = False
         self._take(held[-1])
-        tip = self.reading.tip_pose[0, :3, 3].copy()
-        self._first = tip if self._first is None else self._first
-        if (away := float(np.linalg.norm(tip - self._first))) > AWAY * self.model.length:
-            say(f"the arm rests {1e3 * away:.3g} mm from where it first did, and has its zeros of lengths and strains there")
         if self._log is not None:
             self._log.begin(self.pacer.period, self._zeroed(held[-2:][0]), self._command)
 
@@ -114,23 +122,17 @@ class MeasuredArm(Arms):
                 held.popleft()
             if k < window or k % max(window // LOOKS, 1) or len(held) < READINGS:
                 continue
-            positions = np.array([own.tip_pose[:3, 3] for _, own in held if own.tip_pose is not None])
+            positions = np.array([at.tip_pose[:3, 3] for _, at in held if at.tip_pose is not None])
             speed, spread = motion_of(positions, period * (held[-1][0] - held[0][0]) / (len(held) - 1))
             is_still = speed <= bound or spread <= WOBBLE * bound
             if is_still and was_still:
                 break
             if period * k >= self._rest.wait and not is_still:
-                self.robot.fail(self._restless(speed, period * k))
+                text = f"the arm does not come to rest: its tip moves at {speed:.3g} m/s, {period * k:g} s after the first command"
+                todo = "Wait longer or allow more, by Rest(wait=.., speed=..) or --rest-wait and --rest-speed, or damp the arm"
+                self.robot.fail(f"{text}; at rest it is at most {self._rest.speed:g} lengths a second, {bound:.3g} m/s. {todo}")
             was_still = is_still
-        return [own for _, own in held]
-
-    def _restless(self, speed: float, waited: float) -> str:
-        """Cause of the stop of an arm whose tip goes on to move at a speed [m/s]."""
-        length, rest = self.model.length, self._rest
-        found = f"its tip moves at {speed:.3g} m/s, {speed / length:.2g} of its length per second, {waited:g} s after the first command"
-        allowed = f"at rest it is at most {rest.speed:g} ({rest.speed * length:.3g} m/s)"
-        todo = "Wait longer or allow more, by Rest(wait=.., speed=..) or --rest-wait and --rest-speed, or damp the arm"
-        return f"the arm does not come to rest: {found}; {allowed}. {todo}"
+        return [at for _, at in held]
 
     def _zeroed(self, measured: Measurement) -> Measurement:
         """A measurement with the zeros of the arm at rest."""
@@ -146,24 +148,30 @@ class MeasuredArm(Arms):
 
 def misfit(robot: Robot, episodes: Episodes) -> str:
     """Reason why a robot cannot play an environment's episodes; "": it can."""
-    unit, senses = episodes.model.command_unit, set(robot.senses)
+    unit, senses, options, groups = episodes.model.command_unit, {*robot.senses}, episodes.options, episodes.layout.slices
     if robot.command_unit != unit:
         driven = f"{COMMANDS[robot.command_unit]}-driven, and the scene's arm is driven by {COMMANDS[unit]}s"  # type: ignore[index] # N or m
         return f"{driven}: give the scene [effects.tendon_elasticity], or take it away"
-    drawn = episodes.options.randomize
-    if drawn.of_arm or drawn.of_actuators or drawn.latency != (0.0, 0.0):
+    if options.randomize.of_arm or options.randomize.of_actuators or options.randomize.latency != (0.0, 0.0):
         return "as it is: the option randomize should have no more than the noise of its sensors, for policies that know of it"
-    if episodes.task.shapes:
-        return f"measured at its tip and by its sensors alone, and {episodes.task.name} compares shapes of the whole arm"
-    if episodes.model.scene.effects.contact is not None:
-        return "unable to measure contact: take the obstacles, effects.contact, out of the scene"
-    if episodes.options.tip_speed_limit is not None and "tip_twist" not in senses:
-        return "without a measured tip_twist, which the option tip_speed_limit needs"
-    needed = {**{FIELDS[name]: name for name in episodes.layout.slices if name in FIELDS}, "tip_pose": "the errors of the task"}
+    if episodes.task.shapes or episodes.model.scene.effects.contact is not None:
+        return "measured at its tip and by its sensors alone: take a task of the tip, and a scene without effects.contact"
+    needed = {**{FIELDS[name]: name for name in groups if name in FIELDS}, "tip_pose": "the errors of the task"}
+    needed |= {"tip_twist": "the option tip_speed_limit"} if options.tip_speed_limit is not None else {}
     if missing := [f"{name} ({why})" for name, why in needed.items() if name not in senses]:
-        found = not {"q", "q_dot", "tip_twist", "strain_rate"}.isdisjoint(needed.keys() - senses)
-        hint = " Controllers behind a state estimator: filtered:NAME" if found else ""
+        hint = " Controllers behind a state estimator: filtered:NAME" if {"q", "q_dot", "tip_twist"} & (needed.keys() - senses) else ""
         return f"without {', '.join(missing)}, which is observed.{hint}"
-    known = {*FIELDS, *TARGET_GROUPS, HISTORY}
-    odd = [name for name in episodes.layout.slices if name not in known]
+    odd = [name for name in groups if name not in {*FIELDS, *TARGET_GROUPS, HISTORY}]
     return f"unable to measure the observation groups {', '.join(odd)}" if odd else ""
+
+
+def motion_of(position: Array, period: float) -> tuple[float, float]:
+    """Speed [m/s], and distance from the mean [m], root mean square, of a point measured at positions (m, 3) [m] one period [s] apart.
+
+    Differences of noisy samples are mostly noise: 1 mm at 50 Hz makes 70 mm/s. So the motion is that of the cosine modes that stand out of
+    the noise, whose power is about the same in all modes.
+    """
+    power = scipy.fft.dct(position, axis=0, norm="ortho")[1:] ** 2 / len(position)
+    power = np.sum(power, axis=1, where=power > STANDS_OUT * np.median(power, axis=0))
+    rate = np.pi * np.arange(1, len(position)) / (len(position) * period)
+    return float(np.sqrt(np.sum(rate**2 * power))), float(np.sqrt(np.sum(power)))

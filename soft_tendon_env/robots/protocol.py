@@ -1,8 +1,5 @@
-"""Interface of a real arm: measurements that are read, and commands of its tendons that are written.
-
-A class of one's own needs two names and three methods; docs/how_to/robots.md has one in twenty lines. What it raises ends a run safely, see
-safety.py.
-"""
+"""Interface of a real arm: measurements that are read, and commands of its tendons that are written. docs/how_to/robots.md has a class of
+one's own in twenty lines. What it raises ends a run safely, see safety.py."""
 
 import importlib
 from collections.abc import Mapping
@@ -10,17 +7,15 @@ from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from soft_tendon_env.tools.checks import checked_array, checked_number, shown_numbers
+from soft_tendon_env.tools.checks import checked_array, checked_number
 from soft_tendon_env.tools.configuration import not_among, shown
 from soft_tendon_env.tools.extensions import look_in_this_folder
 from soft_tendon_env.tools.types import Array
 
 Unit = Literal["N", "m"]
-"""Unit of commands: tensions, or displacements by which actuators pull tendons in."""
 COMMANDS: Mapping[Unit, str] = {"N": "tension", "m": "displacement"}
-"""Quantity that is commanded, by its unit."""
-RIGID = 1e-3
-"""Tolerance of the entries of a measured pose: rotations that are sent with four digits, or as float32, keep it."""
+"""Quantities that are commanded: tensions, or displacements by which actuators pull tendons in."""
+RIGID = 1e-3  # tolerance of the entries of a measured pose: rotations that are sent with four digits, or as float32, keep it
 
 
 class Measurement(NamedTuple):
@@ -35,7 +30,7 @@ class Measurement(NamedTuple):
     strain_rate: Array | None = None  # (s, 6)
 
 
-SENSED = tuple(name for name in Measurement._fields if name != "time")
+SENSED = Measurement._fields[1:]
 """Fields of a measurement that a robot may sense."""
 
 
@@ -56,7 +51,7 @@ class Robot(Protocol):
         """Sends a command (n_a,) and returns what was sent, in the same unit, after limits and rounding of its own; None: as it is. What is
         sent next does not depend on it. Raises any exception where the arm cannot be reached.
 
-        All methods are called in one thread, which is not the main one; where a call does not return, the next come from another."""
+        Calls come one at a time; slack comes from the watchdog's thread, also while another call hangs."""
 
     def close(self) -> None:
         """Lets go of the arm, which is slack by then."""
@@ -71,12 +66,9 @@ def load_robot(name: str, options: Mapping[str, Any]) -> Robot:
     module, _, attribute = name.partition(":")
     try:
         made = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"robot is {name!r}: it should be MODULE:CLASS; {error}") from error
-    try:
         robot: Robot = made(**options)
-    except TypeError as error:
-        raise ValueError(f"robot {name} cannot be made with the options {shown(dict(options))}: {error}") from error
+    except (ImportError, AttributeError, TypeError) as error:
+        raise ValueError(f"robot is {name!r} with the options {shown(dict(options))}: it should be MODULE:CLASS; {error}") from error
     check_robot(robot)
     return robot
 
@@ -84,17 +76,15 @@ def load_robot(name: str, options: Mapping[str, Any]) -> Robot:
 def check_robot(robot: Any) -> None:
     """Raises TypeError or ValueError for an object that lacks a part of `Robot`, or says what cannot be."""
     name = type(robot).__name__
-    for method in ("read", "write", "close"):
-        if not callable(getattr(robot, method, None)):
-            raise TypeError(f"{name} should have a method {method}, see soft_tendon_env.robots.Robot")
+    if missing := [method for method in ("read", "write", "close") if not callable(getattr(robot, method, None))]:
+        raise TypeError(f"{name} should have a method {missing[0]}, see soft_tendon_env.robots.Robot")
     unit, senses = getattr(robot, "command_unit", None), getattr(robot, "senses", None)
     if unit not in COMMANDS:
         raise ValueError(f"{name}.command_unit is {unit!r}: it should be 'N' (tension-driven) or 'm' (displacement-driven)")
     if not isinstance(senses, tuple):
         raise TypeError(f"{name}.senses should be a tuple of names, such as ('tip_pose',), not {shown(senses)}")
-    for sensed in senses:
-        if sensed not in SENSED:
-            raise ValueError(f"{name}.senses names {sensed!r}: {not_among(str(sensed), SENSED)}")
+    if odd := [sensed for sensed in senses if sensed not in SENSED]:
+        raise ValueError(f"{name}.senses names {odd[0]!r}: {not_among(str(odd[0]), SENSED)}")
 
 
 def checked_measurement(given: Any, senses: tuple[str, ...], tendons: int, sensors: int) -> Measurement:
@@ -104,17 +94,22 @@ def checked_measurement(given: Any, senses: tuple[str, ...], tendons: int, senso
     sizes: dict[str, tuple[int, ...]] = {"tip_pose": (4, 4), "tip_twist": (6,), "strain": (sensors, 6), "strain_rate": (sensors, 6)}
     time = checked_number("measurement.time", given.time, -np.inf, "a finite number of seconds")
     found = {name: checked_array(f"measurement.{name}", getattr(given, name), sizes.get(name, (tendons,))) for name in senses}
-    if "tip_pose" in found and (fault := _fault(found["tip_pose"])):
-        raise ValueError(f"measurement.tip_pose should be a pose [[R, r], [0, 0, 0, 1]] with a rotation R: {fault}")
+    if "tip_pose" in found:
+        R, row = found["tip_pose"][:3, :3], found["tip_pose"][3]
+        off = max(np.abs(row - [0.0, 0.0, 0.0, 1.0]).max(), np.abs(R @ R.T - np.eye(3)).max(), 1.0 - np.sign(np.linalg.det(R)))
+        if off > RIGID:
+            raise ValueError(f"measurement.tip_pose is no pose [[R, r], [0, 0, 0, 1]] with a rotation R, by {off:.3g}: is it transposed?")
     return Measurement(time, **found)
 
 
-def _fault(pose: Array) -> str:
-    """Fault of a pose (4, 4) that is not rigid, in words; "": it has none."""
-    rotation, row = pose[:3, :3], pose[3]
-    if np.abs(row - [0.0, 0.0, 0.0, 1.0]).max() > RIGID:
-        turned = ", it is transposed" if np.abs(pose[:, 3] - [0.0, 0.0, 0.0, 1.0]).max() <= RIGID else ""
-        return f"its last row is {shown_numbers(row)}{turned}"
-    if (off := np.abs(rotation @ rotation.T - np.eye(3)).max()) > RIGID:
-        return f"R R^T is off the identity by {off:.3g}"
-    return "R is mirrored, its determinant is -1" if np.linalg.det(rotation) < 0.0 else ""
+class DryRobot:
+    """Robot that is read alone: commands are not sent."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._robot, name)
+
+    def write(self, command: Array) -> None:
+        """Sends nothing."""

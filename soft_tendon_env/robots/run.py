@@ -14,7 +14,6 @@ from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.robots.clock import Timing
 from soft_tendon_env.robots.environment import robot_of
 from soft_tendon_env.robots.safety import RobotStopped, Stop
-from soft_tendon_env.robots.signals import SIGNALS
 from soft_tendon_env.tools.messages import first_line
 from soft_tendon_env.tools.types import Array
 
@@ -51,30 +50,30 @@ def run_policy(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int
     """Runs a policy on a robot for so long [s]; lets the tendons go and closes the robot whatever happens.
 
     env: a RobotEnv, alone or wrapped. report: JSON file that is written whatever happens; None: none. A robot that is stopped ends the run,
-    `Report.stop` says why, as for an episode that ends early; what the policy raises, and KeyboardInterrupt, which every signal that would
-    end or suspend the process becomes, go on to the caller with slack tendons. Raises TypeError for other environments, ValueError for
+    `Report.stop` says why, as for an episode that ends early; what the policy raises, and KeyboardInterrupt, as which SIGTERM acts too,
+    go on to the caller with slack tendons. Raises TypeError for other environments, ValueError for
     episodes that are shorter than the run, OSError.
     """
     robot, episodes = robot_of(env), episodes_of(env)
     found = list[list[float]]()
-    with SIGNALS.held():
+    try:
+        _play(policy, env, seconds, seed, found)
+    except RobotStopped as stopped:  # before it came to where episodes begin
+        robot.stop(str(stopped))
+    except BaseException as error:
+        robot.stop("interrupted" if isinstance(error, KeyboardInterrupt) else first_line(error))
+        raise
+    finally:
+        timing = robot.timing
         try:
-            with SIGNALS.acting():
-                _play(policy, env, seconds, seed, found)
-        except RobotStopped as stopped:  # before it came to where episodes begin
-            robot.stop(str(stopped))
-        except BaseException as error:
-            robot.stop("interrupted" if isinstance(error, KeyboardInterrupt) else first_line(error))
-            raise
+            env.close()
         finally:
-            timing = robot.timing
-            try:
-                env.close()
-            finally:
-                errors = np.array(found).reshape(-1, len(episodes.errors)).T
-                done = Report(dict(zip(episodes.errors, errors, strict=True)), timing, robot.stop(FINISHED))
-                if report is not None:
-                    _write(report, done, robot.zero)
+            errors = np.array(found).reshape(-1, len(episodes.errors)).T
+            done = Report(dict(zip(episodes.errors, errors, strict=True)), timing, robot.stop(FINISHED))
+            if report is not None:
+                rms = {name: root_mean_square(values) for name, values in done.errors.items()}
+                zeros = {name: value.tolist() for name, value in robot.zero.items()}
+                write_json(report, {**origin(), "timing": timing._asdict(), "stop": vars(done.stop), "rms": rms, "zero": zeros})
     return done
 
 
@@ -92,10 +91,3 @@ def _play(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int, fou
         if k == steps or step.ended[0]:
             break
     robot.stop(FINISHED if k == steps else f"the episode ended after {k} of {steps} control periods")
-
-
-def _write(path: Path, report: Report, zero: dict[str, Array]) -> None:
-    """Write a report as JSON. Raises OSError."""
-    errors = {name: root_mean_square(values) for name, values in report.errors.items()}
-    zeros = {name: value.tolist() for name, value in zero.items()}
-    write_json(path, {**origin(), "timing": report.timing._asdict(), "stop": vars(report.stop), "rms": errors, "zero": zeros})

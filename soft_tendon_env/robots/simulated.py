@@ -19,7 +19,7 @@ from soft_tendon_env.evaluation.conditions import NOMINAL, model_error
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.policies.regimes import SENSORS
-from soft_tendon_env.robots.clock import Clock, RealClock, SteppedClock
+from soft_tendon_env.robots.clock import Clock, SteppedClock
 from soft_tendon_env.robots.protocol import Measurement, Unit
 from soft_tendon_env.tools.checks import checked_array, checked_count
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
@@ -32,9 +32,8 @@ EARLY = 1e-9  # [s] by which a command may arrive before its time: clocks are su
 
 
 class SimulatedRobot:
-    """Simulated arm, at rest under the tensions nearest to zero until it is first read or commanded.
-
-    It is simulated up to the present whenever it is read or commanded. Every field of Measurement is sensed but tensions.
+    """Simulated arm, at rest under the tensions nearest to zero until it is first read or commanded, and simulated up to the present
+    whenever it is. Every field of Measurement is sensed but tensions.
 
     Args:
         model_error: names of soft_tendon_env.evaluation.MODEL_ERRORS, with commas between.
@@ -57,7 +56,7 @@ class SimulatedRobot:
         episodes = Episodes(TASKS["TipPose"], given.model_copy(update=undelayed), rows=1)
         self._episodes, self._arms, self._actuation = episodes, episodes.arms, episodes.actuation
         self.command_unit: Unit = "m" if episodes.model.command_unit == "m" else "N"
-        self.clock: Clock = RealClock() if real_time else SteppedClock()
+        self.clock = Clock() if real_time else SteppedClock()
         first = episodes.start_command
         self._sensors = Sensors(episodes.options.randomize.noise, 1, first.size, episodes.sensors.size)
         self._readings = np.zeros(1, dtype=np.int64)
@@ -107,14 +106,10 @@ class SimulatedRobot:
 
 def _options(errors: str, given: Mapping[str, Any]) -> Options:
     """Options of a simulated robot with model errors. Raises ConfigurationError, ValueError."""
-    for name in given:
-        if name not in OF_ARM:
-            raise ConfigurationError([Problem((name,), f"is an unknown key: {not_among(name, OF_ARM)}")], "SimulatedRobot")
-    drawn = given.get("randomize", {})
-    error = model_error(errors)
-    if twice := sorted(drawn.keys() & error.keys()):
-        raise ConfigurationError(
-            [Problem(("randomize",), f"has {', '.join(twice)}, and so has the model error {errors!r}")], "SimulatedRobot"
-        )
+    drawn, error = given.get("randomize", {}), dict(model_error(errors).randomize)
+    problems = [Problem((name,), f"is an unknown key: {not_among(name, OF_ARM)}") for name in given if name not in OF_ARM]
+    problems += [Problem(("randomize", name), f"is in the model error {errors!r} too") for name in sorted(drawn.keys() & error.keys())]
+    if problems:
+        raise ConfigurationError(problems, "SimulatedRobot")
     target = {"type": "hold", "pose": np.eye(4).tolist()}  # which costs nothing, and nobody sees
     return Options.parse({"sensors": SENSORS, **given, "target": target, "randomize": {**drawn, **error}}, "SimulatedRobot")

@@ -20,14 +20,9 @@ def scene_names() -> tuple[str, ...]:
 
 
 def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
-    """Loads a scene from TOML.
+    """Loads a scene from TOML: a shipped scene's name, or the path of a file whose name ends in ".toml".
 
-    Args:
-        name_or_path: a shipped scene's name, or the path of a file whose name ends in ".toml".
-
-    Raises:
-        ConfigurationError: no such name or file, not TOML, or not a valid scene; the message has a line per mistake.
-        TypeError: neither a name nor a path.
+    Raises ConfigurationError where there is no such scene or file or it is not valid, with a line per mistake; TypeError.
     """
     if not isinstance(name_or_path, str | os.PathLike):
         raise TypeError(f"name_or_path should be the name of a shipped scene or the path of a TOML file, not {type(name_or_path).__name__}")

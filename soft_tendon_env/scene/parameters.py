@@ -10,7 +10,7 @@ import numpy as np
 
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.scene.scene import Scene, scene_to_dict
-from soft_tendon_env.tools.configuration import ANY, ConfigurationError, Problem, matching, not_among, shown
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, shown
 
 TABLES = ("segments", "tendons", "effects")
 """Tables of a scene with the numbers of the arm; the others say how it is computed."""
@@ -47,99 +47,10 @@ class Parameter(NamedTuple):
         return {key: value * own if self.is_factor else value for key, own in zip(self.keys, self.values, strict=True)}
 
 
-def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...]:
-    """Parameters of a scene by dotted keys, in which `*` stands for every entry: `"segments.*.young_modulus"`,
-    `"tendons.3.routing.offset.0"`, `"effects.gravity.acceleration.2"`.
-
-    Any number of `[[segments]]`, `[[tendons]]` and `[effects]` can be one, but for lengths of segments and ends and limits of
-    tendons. An effect that does nothing unless it is told to, as a tip load, need not be in the scene. Raises TypeError for what is no
-    text, ConfigurationError for keys of anything else, with those that there are.
-    """
-    if isinstance(names, str) or not isinstance(names, Iterable):
-        raise TypeError(f"keys should be several dotted keys, such as ['segments.*.young_modulus'], not {shown(names)}")
-    table = number_tables(scene)
-    entries = dict(_leaves(table))
-    return tuple(_parameter(name, _keys(table, entries, name), entries) for name in names)
-
-
-def scene_with_numbers(scene: Scene, changes: Mapping[str, float]) -> Scene:
-    """The scene with other numbers by dotted keys, among them those of effects that it lacks, see `scene_parameters`.
-
-    Raises ConfigurationError.
-    """
-    named = {key.split(".")[1] for key in changes if key.startswith("effects.")} - scene.effects.chosen().keys()
-    return scene.replace({**{f"effects.{name}": own for name, own in _idle_effects(named).items()}, **changes})
-
-
-def number_tables(scene: Scene) -> dict[str, Any]:
-    """The tables of a scene with the numbers of its arm, plain, with those of effects that do nothing by default."""
-    table = scene_to_dict(scene, {*TABLES})
-    return {**table, "effects": {**_idle_effects(EFFECTS), **table["effects"]}}
-
-
-def _idle_effects(names: Iterable[str]) -> dict[str, Any]:
-    """Tables of those of the effects that do nothing by default, by name."""
-    found = {}
-    for name in names:
-        with contextlib.suppress(ConfigurationError, KeyError):
-            if not (effect := EFFECTS[name]()).acts:
-                found[name] = effect.model_dump(mode="json", exclude_none=True)
-    return found
-
-
-def _keys(table: Mapping[str, Any], entries: Mapping[str, Any], name: str) -> list[str]:
-    """Keys of the numbers that a name stands for."""
-    if not isinstance(name, str):
-        raise TypeError(f"a parameter should be a dotted key such as 'segments.*.young_modulus', not {shown(name)}")
-    with contextlib.suppress(ConfigurationError):
-        keys = matching(table, name)
-        if ANY not in name and keys[0] in entries:
-            return keys
-        if found := [key for key in keys if key in entries and not _misfit(key, entries[key])]:
-            return found
-    valid = {re.sub(r"\.\d+(?=\.|$)", ".*", key) for key, value in entries.items() if not _misfit(key, value)}
-    raise ConfigurationError([Problem((name,), f"is no number of the scene: {not_among(name, valid)}")])
-
-
-def _parameter(name: str, keys: list[str], entries: Mapping[str, Any]) -> Parameter:
-    for key in keys:
-        if misfit := _misfit(key, entries[key]):
-            raise ConfigurationError([Problem((key,), misfit)])
-    beside = {other for key in keys for other in entries if _array_of(other) == _array_of(key)}
-    size = max(abs(value) for other, value in entries.items() if other in beside and isinstance(value, float))
-    return Parameter(name, tuple(keys), tuple(entries[key] for key in keys), size)
-
-
-def _misfit(key: str, value: Any) -> str:
-    """Reason why an entry of a scene is no parameter; empty where it is one."""
-    for pattern, reason in FIXED.items():
-        if re.fullmatch(pattern, key):
-            return f"is no parameter: {reason}"
-    if isinstance(value, float):
-        return ""
-    kind = "a switch" if isinstance(value, bool) else "a whole number" if isinstance(value, int) else "no number"
-    return f"is no parameter: {shown(value)} is {kind}"
-
-
-def _array_of(key: str) -> str:
-    """Key of the array that a number stands in, of a number of its own the key itself."""
-    head, _, last = key.rpartition(".")
-    return head if last.isdecimal() else key
-
-
-def _leaves(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted keys and values of nested plain tables and arrays."""
-    if not isinstance(node, dict | list):
-        yield key.removeprefix("."), node
-        return
-    for name, value in node.items() if isinstance(node, dict) else enumerate(node):
-        yield from _leaves(value, f"{key}.{name}")
-
-
 class Range(NamedTuple):
-    """Range of a number of the scene, or of several that change together."""
+    """Range of numbers that change together: of their value, or of a factor or an offset of what the scene says."""
 
-    name: str  # as messages have it
+    name: str
     keys: tuple[str, ...]
     values: tuple[float, ...]  # in the scene, one per key
     kind: str  # "value", or one of KINDS
@@ -152,6 +63,29 @@ class Range(NamedTuple):
         return {key: made(own) for key, own in zip(self.keys, self.values, strict=True)}
 
 
+def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...]:
+    """Parameters of a scene by dotted keys, in which `*` stands for every entry: `"segments.*.young_modulus"`,
+    `"tendons.3.routing.offset.0"`, `"effects.gravity.acceleration.2"`.
+
+    Any number of `[[segments]]`, `[[tendons]]` and `[effects]` can be one, but for lengths of segments and ends and limits of
+    tendons. An effect that does nothing unless it is told to, as a tip load, need not be in the scene. Raises TypeError for what is no
+    text, ConfigurationError for keys of anything else, with those that there are.
+    """
+    if isinstance(names, str) or not isinstance(names, Iterable):
+        raise TypeError(f"keys should be several dotted keys, such as ['segments.*.young_modulus'], not {shown(names)}")
+    entries = _entries(scene)
+    return tuple(_parameter(name, entries) for name in names)
+
+
+def scene_with_numbers(scene: Scene, changes: Mapping[str, float]) -> Scene:
+    """The scene with other numbers by dotted keys, among them those of effects that it lacks, see `scene_parameters`.
+
+    Raises ConfigurationError.
+    """
+    named = {key.split(".")[1] for key in changes if key.startswith("effects.")} - scene.effects.chosen().keys()
+    return scene.replace({**{f"effects.{name}": own for name, own in _idle_effects(named).items()}, **changes})
+
+
 def dotted_ranges(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """A table of ranges with tables in tables as dotted keys."""
     found: dict[str, Any] = {}
@@ -162,39 +96,86 @@ def dotted_ranges(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def ranges_of(scene: Scene, wanted: Mapping[str, Any]) -> tuple[Range, ...]:
-    """Ranges by dotted keys of a scene, checked against it.
+    """Ranges by dotted keys of a scene, checked against it; of a vector a list with one for each entry.
 
     Raises ConfigurationError for keys that are no numbers of the scene, with those that there are, for what is no range, and for a number
     that two of them draw.
     """
-    table, found = number_tables(scene), list[Range]()
-    for key, value in wanted.items():
-        found += _ranges(scene, table, key, value)
-    for i, own in enumerate(found):
-        if other := next((before for before in found[:i] if {*before.keys} & {*own.keys}), None):
-            _fail(own.name, f"draws what {other.name!r} draws already")
+    entries, found, drawn = _entries(scene), list[Range](), dict[str, str]()
+    for name, value in wanted.items():
+        places = sorted({key.rpartition(".")[2] for key in _matching(f"{name}.*", entries)})
+        parts = [(name, value)]
+        if places and places[-1].isdecimal() and _is_relative(value):
+            parts = [(f"{name}.*", value)]
+        elif places and places[-1].isdecimal():
+            if not isinstance(value, list) or len(value) != len(places):
+                _fail(name, f"is {shown(value)}: it should be a list of {len(places)}, each {NUMBER}; or {{'{KINDS[0]}': {NUMBER}}}")
+            parts = [(f"{name}.{i}", own) for i, own in enumerate(value)]
+        for key, own in parts:
+            _, keys, values, _ = _parameter(key, entries)
+            ((kind, interval),) = own.items() if _is_relative(own) else (("value", own),)
+            found.append(Range(key, keys, values, kind, *_interval(key, interval)))
+            if twice := next((drawn[number] for number in keys if number in drawn), None):
+                _fail(key, f"draws what {twice!r} draws already")
+            drawn |= dict.fromkeys(keys, key)
     return tuple(found)
 
 
-def _ranges(scene: Scene, table: Mapping[str, Any], key: str, value: Any) -> list[Range]:
-    """The range of a number, or of each entry of a vector."""
-    try:
-        entries = sorted({own.rpartition(".")[2] for own in matching(table, f"{key}.*")})
-    except ConfigurationError:
-        entries = []
-    if not entries or not entries[-1].isdecimal():
-        return [_range(scene, key, value)]
-    if _is_relative(value):
-        return [_range(scene, f"{key}.*", value)]
-    if not isinstance(value, list) or len(value) != len(entries):
-        _fail(key, f"is {shown(value)}: it should be a list of {len(entries)}, each {NUMBER}; or {{'{KINDS[0]}': {NUMBER}}}")
-    return [_range(scene, f"{key}.{i}", own) for i, own in enumerate(value)]
+def _entries(scene: Scene) -> dict[str, Any]:
+    """Entries of the arm's tables by dotted keys, with those of effects that do nothing by default."""
+    table = scene_to_dict(scene, {*TABLES})
+    return dict(_leaves({**table, "effects": {**_idle_effects(EFFECTS), **table["effects"]}}))
 
 
-def _range(scene: Scene, key: str, value: Any) -> Range:
-    (own,) = scene_parameters(scene, [key])
-    ((kind, interval),) = value.items() if isinstance(value, Mapping) else (("value", value),)
-    return Range(key, own.keys, own.values, kind, *_interval(key, interval))
+def _idle_effects(names: Iterable[str]) -> dict[str, Any]:
+    """Tables of those of the effects that do nothing by default, by name."""
+    found = {}
+    for name in names:
+        with contextlib.suppress(ConfigurationError, KeyError):
+            if not (effect := EFFECTS[name]()).acts:
+                found[name] = effect.model_dump(mode="json", exclude_none=True)
+    return found
+
+
+def _leaves(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted keys and values of nested plain tables and arrays."""
+    if not isinstance(node, dict | list):
+        yield key.removeprefix("."), node
+        return
+    for name, value in node.items() if isinstance(node, dict) else enumerate(node):
+        yield from _leaves(value, f"{key}.{name}")
+
+
+def _matching(name: str, entries: Mapping[str, Any]) -> list[str]:
+    """Keys of the parameters that a name stands for."""
+    pattern = re.escape(re.sub(r"\[(\d+|\*)\]", r".\1", name)).replace(r"\*", r"[^.]+")
+    return [key for key, value in entries.items() if re.fullmatch(pattern, key) and not _misfit(key, value)]
+
+
+def _misfit(key: str, value: Any) -> str:
+    """Reason why an entry is no parameter; empty where it is one."""
+    fixed = next((reason for pattern, reason in FIXED.items() if re.fullmatch(pattern, key)), "")
+    return fixed or ("" if isinstance(value, float) else f"{shown(value)} is no number, or a whole one")
+
+
+def _parameter(name: str, entries: Mapping[str, Any]) -> Parameter:
+    if not isinstance(name, str):
+        raise TypeError(f"a parameter should be a dotted key such as 'segments.*.young_modulus', not {shown(name)}")
+    keys = _matching(name, entries)
+    if not keys and name in entries:
+        _fail(name, f"is no parameter: {_misfit(name, entries[name])}")
+    if not keys:
+        valid = {re.sub(r"\.\d+(?=\.|$)", ".*", key) for key, value in entries.items() if not _misfit(key, value)}
+        _fail(name, f"is no number of the scene: {not_among(name, valid)}")
+    arrays = {_array_of(key) for key in keys}
+    size = max(abs(value) for key, value in entries.items() if isinstance(value, float) and _array_of(key) in arrays)
+    return Parameter(name, tuple(keys), tuple(entries[key] for key in keys), size)
+
+
+def _array_of(key: str) -> str:
+    """Key of the array that a number stands in, of a number of its own the key itself."""
+    head, _, last = key.rpartition(".")
+    return head if last.isdecimal() else key
 
 
 def _is_relative(value: Any) -> bool:

@@ -8,6 +8,7 @@ lose accuracy, which is warned of.
 import functools
 import hashlib
 import json
+import os
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -42,24 +43,17 @@ class FieldsWarning(UserWarning):
 class PassiveFields:
     """Wrench fields along a rod, piecewise Legendre polynomials, the leading ones of a proper orthogonal decomposition.
 
-    Attributes:
-        arm: tables of segments and tendons that they were made for, see `arm_of`.
-        tension_limits: (n_a, 2) [N], within which tensions were drawn.
-        borders: arc lengths [m] between the polynomials, (pieces + 1,).
-        coefficients: (fields, pieces, 6, orders), moments [N m] and forces [N] of unit energy: int F^T Sigma^-1 F dX = 1.
-        effects: the loads, none or those up to whose size they were drawn, see Effects.sample_smaller.
-        singular_values: (fields,), as shares of the first.
-        errors: largest tip distance [m] from full physics on motions that the fields were not made from: by kind of motion, for each of
-            the numbers of fields in "fields".
+    The coefficients are moments [N m] and forces [N] of unit energy: int F^T Sigma^-1 F dX = 1. The errors are the largest tip distances
+    [m] from full physics on motions that the fields were not made from.
     """
 
-    arm: Mapping[str, Any]
-    tension_limits: Array
-    borders: Array
-    coefficients: Array
-    effects: Effects
-    singular_values: Array
-    errors: Mapping[str, tuple[float, ...]]
+    arm: Mapping[str, Any]  # tables of segments and tendons that they were made for, see `arm_of`
+    tension_limits: Array  # (n_a, 2) [N], within which tensions were drawn
+    borders: Array  # (pieces + 1,) arc lengths [m] between the polynomials
+    coefficients: Array  # (fields, pieces, 6, orders)
+    effects: Effects  # the loads, none or those up to whose size they were drawn, see Effects.sample_smaller
+    singular_values: Array  # (fields,), as shares of the first
+    errors: Mapping[str, tuple[float, ...]]  # by kind of motion, for each of the numbers of fields in "fields"
 
     @functools.cached_property
     def digest(self) -> str:
@@ -89,10 +83,10 @@ class PassiveFields:
 
     def misfit(self, scene: Scene) -> str:
         """Difference between the scene and that which they were made for, in words; empty where they fit."""
-        for i, (own, wanted) in enumerate(zip(self.arm["segments"], arm_of(scene)["segments"], strict=True)):
-            for name in MATERIAL:
-                if not own[name] / ALIKE <= wanted[name] <= own[name] * ALIKE:
-                    return f"{name} of {own[name]:g} in segment {i}, not {wanted[name]:g}"
+        for i, segment in enumerate(scene.segments):
+            for name, own in ((name, self.arm["segments"][i][name]) for name in MATERIAL):
+                if not own / ALIKE <= getattr(segment, name) <= own * ALIKE:
+                    return f"{name} of {own:g} in segment {i}, not {getattr(segment, name):g}"
         for i, (tendon, (low, high)) in enumerate(zip(scene.tendons, self.tension_limits, strict=True)):
             (least, greatest), more = tendon.tension_limits, (ALIKE - 1.0) * (high - low)
             if least < low - more or greatest > high + more:
@@ -128,15 +122,9 @@ def read_fields(path: Path) -> PassiveFields:
     """Fields that `PassiveFields.save` wrote. Raises ValueError, FileNotFoundError."""
     table = read_json(path)
     try:
-        fields = PassiveFields(
-            arm=table["arm"],
-            tension_limits=np.array(table["tension_limits"], dtype=float).reshape(-1, 2),
-            effects=Effects(**table["effects"]),
-            borders=np.array(table["borders"], dtype=float),
-            coefficients=np.array(table["coefficients"], dtype=float),
-            singular_values=np.array(table["singular_values"], dtype=float),
-            errors={name: tuple(values) for name, values in table["errors"].items()},
-        )
+        arrays = {name: np.array(table[name], dtype=float) for name in ("tension_limits", "borders", "coefficients", "singular_values")}
+        errors = {name: tuple(values) for name, values in table["errors"].items()}
+        fields = PassiveFields(arm=table["arm"], effects=Effects(**table["effects"]), errors=errors, **arrays)
         shape = (fields.singular_values.size, fields.borders.size - 1, 6, SNAPSHOT_ORDER + 1)
         if fields.coefficients.shape != shape or not np.isfinite(fields.coefficients).all():
             raise ValueError(f"its coefficients should be finite and of shape {shape}, not {fields.coefficients.shape}")
@@ -153,10 +141,9 @@ def _read_once(path: Path, _changed: int) -> PassiveFields:
 def arm_of(scene: Scene) -> dict[str, Any]:
     """Tables of the arm that fields are made for: segments, tendons, the strains that the rod has and the borders of its pieces."""
     segments = [segment.model_dump(mode="json") for segment in scene.segments]
-    tendons = [{"routing": tendon.routing.model_dump(mode="json"), "ends": tendon_ends(scene, tendon)} for tendon in scene.tendons]
+    tendons = [{"routing": tendon.routing.model_dump(mode="json"), "ends": [*tendon_ends(scene, tendon)]} for tendon in scene.tendons]
     strains = [strain for strain in STRAINS if strain in scene.strain.free]
-    table = {"segments": segments, "tendons": tendons, "strains": strains, "borders": breakpoints(scene).tolist()}
-    return dict(json.loads(json.dumps(table)))
+    return {"segments": segments, "tendons": tendons, "strains": strains, "borders": breakpoints(scene).tolist()}
 
 
 def _geometry(arm: Mapping[str, Any]) -> dict[str, Any]:
@@ -185,29 +172,22 @@ def fields_of(scene: Scene) -> PassiveFields:
     (FieldsWarning) where they were made for another material or load."""
     assert not isinstance(scene.strain, ExplicitStrain) and isinstance(scene.strain.passive, Snapshots)
     table = scene.strain.passive
-    found = find_fields(scene, table.digest) if table.file is None else _fields_in(table.file, scene, table.digest)
+    try:
+        found = find_fields(scene, table.digest) if table.file is None else _read_once(Path(table.file), os.stat(table.file).st_mtime_ns)
+    except (OSError, ValueError) as error:
+        raise _refusal(f"is {table.file!r}: {error}", "file") from error
     if found is None:
         which = "" if table.digest is None else f" with the digest {table.digest}"
-        text = f"names passive fields from snapshots{which}, and there is none for this arm: `soft-tendon fields SCENE` makes it"
-        raise _refusal(text)
+        raise _refusal(f"names passive fields{which}, and there are none of this arm: `soft-tendon fields SCENE` makes them")
+    if table.digest not in (None, found.digest):
+        raise _refusal(f"is {table.digest!r}, but {table.file} has {found.digest!r}", "digest")
+    if not found.fits(scene):
+        raise _refusal(f"is {table.file!r}: it is of an arm of other segments, tendons, strains or borders", "file")
     if table.fields > len(found.coefficients):
         raise _refusal(f"is {table.fields}: there are {len(found.coefficients)} of this arm", "fields")
     if misfit := found.misfit(scene):
         text = f"the passive fields of {scene.name!r} were made for {misfit}: `soft-tendon fields` makes those of this scene"
         warnings.warn(text, FieldsWarning, stacklevel=2)
-    return found
-
-
-def _fields_in(file: str, scene: Scene, digest: str | None) -> PassiveFields:
-    """The fields in a file, for the scene's arm and with this digest, if any. Raises ConfigurationError."""
-    try:
-        found = _read_once(path := Path(file), path.stat().st_mtime_ns)
-    except (OSError, ValueError) as error:
-        raise _refusal(f"is {file!r}: {error}", "file") from error
-    if digest not in (None, found.digest):
-        raise _refusal(f"is {digest!r}, but {file} has {found.digest!r}", "digest")
-    if not found.fits(scene):
-        raise _refusal(f"is {file!r}: it is of an arm of other segments, tendons, strains or borders", "file")
     return found
 
 

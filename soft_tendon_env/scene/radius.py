@@ -86,9 +86,7 @@ class RadiusTable(RadiusProfile):
 
 
 def _kind(value: Any) -> str | None:
-    if isinstance(value, Mapping):
-        return value.get("type")
-    return getattr(value, "type", "number")
+    return value.get("type") if isinstance(value, Mapping) else getattr(value, "type", "number")
 
 
 Radius = Annotated[
@@ -98,16 +96,7 @@ Radius = Annotated[
 
 
 def radius_and_slope(profile: float | RadiusProfile, arc_length: ArrayLike, segment_length: float) -> tuple[Array, Array]:
-    """Radius and its slope along one segment.
-
-    Args:
-        profile: a constant radius [m], or a profile.
-        arc_length: any shape, [m] from the segment's start.
-        segment_length: [m].
-
-    Returns:
-        radius [m] and d radius/dX [-], each of the shape of `arc_length`.
-    """
+    """Radius [m] and d radius/dX [-] of a constant radius [m] or a profile, at arc lengths (...) [m] from the segment's start."""
     arc_length = np.asarray(arc_length, dtype=float)
     if isinstance(profile, RadiusProfile):
         return profile.radius_and_slope(arc_length, segment_length)

@@ -23,15 +23,9 @@ class TendonRouting(Configuration):
 
     @abstractmethod
     def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
-        """Offset of the tendon from the axis, and its derivative d/dX.
+        """Offset (m, 2) of the tendon from the axis, y and z [m], and its derivative (m, 2) d/dX [-], at arc lengths (m,) [m].
 
-        Args:
-            arc_length: (m,) [m].
-            radius, radius_slope: (m,) the rod's radius [m] and d radius/dX [-] there.
-            ends: the tendon's own first and last arc length [m].
-
-        Returns:
-            offset (m, 2), y and z [m]; slope (m, 2), dy/dX and dz/dX [-].
+        radius, radius_slope: (m,) the rod's radius [m] and d radius/dX [-] there; ends: the tendon's first and last arc length [m].
         """
 
     def misfit(self, ends: Ends) -> str | None:

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.effects.base import Effects
@@ -24,21 +24,13 @@ GREATEST_TENSION = 1e9
 """Largest tension limit [N]."""
 
 
-def _is_pair(limits: Any) -> Any:
-    if not (isinstance(limits, tuple) and len(limits) == 2):
-        raise ValueError("should be (least, greatest)")
-    return limits
-
-
 def _is_range(limits: tuple[float, float]) -> tuple[float, float]:
-    if limits[0] >= limits[1]:
-        raise ValueError("should be (least, greatest) with least < greatest")
-    if max(-limits[0], limits[1]) > GREATEST_TENSION:
-        raise ValueError(f"should be (least, greatest) within ±{GREATEST_TENSION:g} N")
+    if not -GREATEST_TENSION <= limits[0] < limits[1] <= GREATEST_TENSION:
+        raise ValueError(f"should be (least, greatest) with least < greatest, within ±{GREATEST_TENSION:g} N")
     return limits
 
 
-TensionLimits = Annotated[tuple[float, float], BeforeValidator(_is_pair), AfterValidator(_is_range)]
+TensionLimits = Annotated[tuple[float, float], AfterValidator(_is_range)]
 
 LEAST_TOLERANCE = 1e-11
 """Least error of a step, in parts of the rod's length, that may be asked for: ten times what the integrator's strains are good to."""
@@ -108,14 +100,12 @@ class Quadrature(Configuration):
 class Integrator(Configuration):
     """Time integration: linearly implicit Euler, extrapolated, with steps of `step` [s].
 
-    `columns` of extrapolation are its order (None: 3, or 2 for an arm with next to no damping, see `extrapolation_columns`). A step that
-    fails is halved up to `max_halvings` times.
+    `columns` of extrapolation are its order (None: see `extrapolation_columns`), and k of them cost 1 + k (k - 1) / 2 evaluations. A step
+    that fails is halved up to `max_halvings` times.
 
     With a `tolerance` [m] the order follows the error, and then the step: each step of up to `step` takes 2 columns, or as many more, up
-    to `columns` (None: 6, or 2 for an arm with next to no damping), as bring its estimated error, as root mean square displacement of the
-    rod, below the tolerance; where the most columns do not, it is tried again with a shorter one. k columns cost 1 + k (k - 1) / 2
-    evaluations. Within a step, strains are found as exactly as the tolerance calls for. It can be as small as LEAST_TOLERANCE of the rod's
-    length.
+    to `columns`, as bring its estimated error, as root mean square displacement of the rod, below the tolerance; where the most columns do
+    not, it is tried again with a shorter one.
 
     `quasi_static` leaves inertia out: damping and elasticity alone balance tensions and loads, as where motions are slow beside the arm's
     vibrations.
@@ -229,10 +219,9 @@ def tendon_offset(scene: Scene, tendon: Tendon, arc_length: ArrayLike) -> tuple[
 def extrapolation_columns(scene: Scene) -> int:
     """Number of columns (order) of the extrapolated integrator, with a tolerance the most: the scene's, or what its damping allows.
 
-    On undamped oscillations 2 columns are stable; 3, 4, 5 and 6 grow by up to 0.16, 0.48, 0.74 and 0.95 % a step (stability function,
-    at omega h = 0.64, 1.2, 1.8 and 2.4). Damping ratios in proportion to the frequency (Kelvin-Voigt) outweigh that from 0.0029,
-    0.0023, 0.0015 and 0.0011 at omega h = 0.64 on: 3 columns need the most. Where every segment has 0.01 there, 3 columns are chosen,
-    or up to 6 with a tolerance; elsewhere 2.
+    On undamped oscillations 2 columns are stable, and more grow by up to 0.95 % a step (stability function). Kelvin-Voigt damping
+    outweighs that from a ratio of 0.0029 at omega h = 0.64 on. Where every segment has 0.01 there, 3 columns are chosen, or up to 6 with a
+    tolerance; elsewhere 2.
     """
     if scene.integrator.columns is not None:
         return scene.integrator.columns
@@ -244,21 +233,19 @@ def extrapolation_columns(scene: Scene) -> int:
 
 
 def _misfits(scene: Scene) -> Iterator[Problem]:
-    length = rod_length(scene)
-    limit = length * (1 + SAME_PLACE)
+    length, least = rod_length(scene), LEAST_TOLERANCE * rod_length(scene)
     for i, tendon in enumerate(scene.tendons):
         start, end = tendon_ends(scene, tendon)
         if start >= length:
             yield Problem(("tendons", i, "start"), f"is {start}: it should be less than the rod's length, {length:g}")
-        elif end > limit:
+        elif end > length * (1 + SAME_PLACE):
             yield Problem(("tendons", i, "end"), f"is {end}: it should be at most the rod's length, {length:g}")
         elif min(end, length) - start <= SHORTEST * length:  # no point of the rod might lie between its ends, see breakpoints()
             text = f"runs from {start} to {end}: it should cover more than {SHORTEST:g} of the rod's length, {length:g}"
             yield Problem(("tendons", i), text)
         elif misfit := tendon.routing.misfit((start, end)):
-            yield Problem(("tendons", i, "routing"), f"{misfit}")
-    least = LEAST_TOLERANCE * length
-    if scene.integrator.tolerance is not None and scene.integrator.tolerance < least:
+            yield Problem(("tendons", i, "routing"), misfit)
+    if (scene.integrator.tolerance or least) < least:
         text = f"is {scene.integrator.tolerance:g}: it should be at least {least:g} m, {LEAST_TOLERANCE:g} of the rod's length"
         yield Problem(("integrator", "tolerance"), text)
     for i, border in enumerate(scene.strain.borders):

@@ -1,7 +1,7 @@
 """Strain parametrisations of the rod: statics-based (implicit) and explicit polynomial bases, and which of the six strains exist."""
 
 from collections.abc import Iterable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator
 from pydantic_core.core_schema import ValidationInfo
@@ -56,12 +56,9 @@ class Snapshots(Configuration):
     digest: str | None = Field(default=None, pattern="^[0-9a-f]{16}$")
 
 
-def _kind_of_fields(passive: Any) -> str:
-    return "modes" if isinstance(passive, tuple | list) else "snapshots"
-
-
 PassiveStrain = Annotated[
-    Annotated[tuple[Modes, ...], Tag("modes")] | Annotated[Snapshots, Tag("snapshots")], Discriminator(_kind_of_fields)
+    Annotated[tuple[Modes, ...], Tag("modes")] | Annotated[Snapshots, Tag("snapshots")],
+    Discriminator(lambda passive: "modes" if isinstance(passive, tuple | list) else "snapshots"),
 ]
 
 
@@ -72,8 +69,7 @@ class StaticsBased(Configuration):
 
     Attributes:
         strains: those that the rod has; the others are rigid (torsion and bending alone make a Kirchhoff rod).
-        passive: fields beside those of the tendons: moments [N m] for torsion and bending, forces [N] for the others. Legendre `Modes`, or
-            a table with type "snapshots": those of the arm's own, see `Snapshots`.
+        passive: fields of moments [N m] and forces [N] beside those of the tendons: Legendre `Modes`, or a table with type "snapshots".
         passive_coordinates: "orthogonal" takes from the passive fields what the tendons span already, "raw" leaves them.
         rank_tolerance: combinations of fields below this relative size count as dependent and get no coordinate.
         borders: arc lengths [m] that cut the rod into further pieces.

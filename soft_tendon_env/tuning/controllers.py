@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from soft_tendon_env.envs import Options
 from soft_tendon_env.evaluation.conditions import SEEDS, SETTINGS
-from soft_tendon_env.evaluation.play import validation_error, validation_scores
+from soft_tendon_env.evaluation.play import validation_scores
 from soft_tendon_env.evaluation.settings import RegimeNames, SettingNames, TaskName, episode_steps
 from soft_tendon_env.evaluation.summaries import tracking_cost
 from soft_tendon_env.policies.agent_files import EnvironmentOptions
@@ -98,7 +98,8 @@ class ControllerSearch(Search):
         for start in range(0, len(seeds), BLOCK):
             block = seeds[start : start + BLOCK]
             of_block = [
-                validation_error(name.load, self.task, options, block, self.seconds, self.skip) for options in self.conditions(values)
+                tracking_cost(validation_scores(name.load, self.task, options, block, self.seconds, self.skip))
+                for options in self.conditions(values)
             ]
             costs += [float(np.mean(of_block))] * len(block)
             report(float(np.mean(costs)))

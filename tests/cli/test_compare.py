@@ -15,13 +15,12 @@ import pytest
 
 from soft_tendon_env.control import CONTROLLERS, Entry
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.evaluation import comparison, provenance, settings, summarise, tables
-from soft_tendon_env.evaluation.metrics import ActionTime, EpisodeScore, ErrorScore
-from soft_tendon_env.evaluation.summaries import Summary, Tails, over_seeds
+from soft_tendon_env.evaluation import provenance, settings, tables
+from soft_tendon_env.evaluation.metrics import ActionTime, ErrorScore
+from soft_tendon_env.evaluation.summaries import Summary
 from soft_tendon_env.policies.agent import save_agent
 
 CONFIGS = Path(__file__).parent.parent.parent / "configs"
-METRICS = {"effort": 5.0, "tension_rate": 100.0, "chatter": 0.1}
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 
 
@@ -75,19 +74,19 @@ def rows_of(path):
 
 @pytest.mark.slow  # every process loads torch
 def test_an_agent_is_compared_with_itself_by_two_processes(tmp_path, ppo):
-    config = write_config(tmp_path, tasks=["TipPose"], policies=[str(ppo), f"PPO:{ppo}"], workers=2)
+    other = shutil.copy(ppo, tmp_path / "other.zip")
+    config = write_config(tmp_path, tasks=["TipPose"], policies=[str(ppo), str(other)], workers=2)
     environment = {**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}
     command = [sys.executable, "-m", "soft_tendon_env", "compare", "--config", config]
     printed = subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True, text=True).stdout
-    assert sum(line.startswith(("| PPO:", f"| {ppo}")) for line in printed.splitlines()) == 4, "two tables of two policies"
+    assert sum(line.startswith((f"| {other}", f"| {ppo}")) for line in printed.splitlines()) == 4, "two tables of two policies"
     out = tmp_path / "out" / "compare"
     rows = rows_of(out / "TipPose.csv")
-    assert [row["model_error"] for row in rows] == ["nominal", "tension-10%"] * 2
+    assert [row["condition"] for row in rows] == ["nominal", "tension-10%"] * 2
     assert [row["position_error_rms"] for row in rows[:2]] == [row["position_error_rms"] for row in rows[2:]], "bit for bit"
     results = json.loads((out / "TipPose.json").read_text())["results"]
     assert [len(result["episodes"]) for result in results] == [2] * 4
     assert (out / "TipPose.png").read_bytes().startswith(b"\x89PNG")
-    assert json.loads((out / "configuration.json").read_text())["settings"]["policies"] == [str(ppo), f"PPO:{ppo}"]
 
 
 def test_all_controllers_of_all_tasks_by_default(tmp_path, catalogue, capsys, command):
@@ -117,10 +116,9 @@ def test_arguments_go_before_the_config_file(tmp_path, catalogue, command):
     (result,) = json.loads((tmp_path / "Shape.json").read_text())["results"]
     (episode,) = result["episodes"]
     assert (result["policy"], result["model_error"], episode["steps"]) == ("far", "nominal", 5)
-    (environment,) = json.loads((tmp_path / "configuration.json").read_text())["environments"]
-    assert environment["options"]["preview"] == pytest.approx([0.04, 0.08]), "what the controller looks at, in its periods"
-    assert environment["options"]["fidelity"] == "fast", "of the file, beside what was given"
-    assert not (tmp_path / "Shape_episodes.csv").exists(), "only where it is asked for"
+    environment = json.loads((tmp_path / "Shape.json").read_text())["environments"]["far"]
+    assert environment["preview"] == pytest.approx([0.04, 0.08]), "what the controller looks at, in its periods"
+    assert environment["fidelity"] == "fast", "of the file, beside what was given"
 
 
 def test_episodes_errors_and_options_are_given_on_the_command_line(tmp_path, catalogue, capsys, command):
@@ -134,10 +132,9 @@ def test_episodes_errors_and_options_are_given_on_the_command_line(tmp_path, cat
     assert list(found) == ["nominal", both], "the file's others are not taken"
     assert [[episode["seed"] for episode in result["episodes"]] for result in results] == [[7, 2_000_000]] * 2
     assert found[both]["summary"]["effort"] < found["nominal"]["summary"]["effort"]
-    record = json.loads((tmp_path / "configuration.json").read_text())
-    assert record["model_errors"] == {"nominal": {}, both: {"tension_gain": 0.9, "latency": 0.02}}
-    assert (record["seeds"], record["settings"]["episodes"]) == ([7, 2_000_000], 2)
-    assert record["environments"][0]["options"]["randomize"]["numbers"] == {"effects.tip_load.mass": {"offset": [0.0, 0.1]}}
+    record = json.loads((tmp_path / "TipPose.json").read_text())
+    assert (record["settings"]["seeds"], record["settings"]["episodes"]) == ([7, 2_000_000], 2)
+    assert record["environments"]["far"]["randomize"]["numbers"] == {"effects.tip_load.mass": {"offset": [0.0, 0.1]}}
     again = {key: record["settings"][key] for key in ("episodes", "seeds", "errors")}
     assert settings.Settings.parse(again, "record").seeds == (7, 2_000_000)
 
@@ -170,36 +167,17 @@ def test_policies_whose_episodes_differ_are_not_compared(tmp_path, ppo, catalogu
 
 def test_a_folder_of_runs_is_one_policy(tmp_path, runs, catalogue, capsys, command):
     files = [runs / f"seed_{seed}" / "best" for seed in (2, 10)]
-    config = write_config(tmp_path, episode_csv=True)
+    config = write_config(tmp_path)
     command("compare", "--config", config, "--task", "TipPose", "--policies", "far", runs, *files, "--out", tmp_path / "out")
     printed = capsys.readouterr().out
     results = json.loads((tmp_path / "out" / "TipPose.json").read_text())["results"]
     nominal = {result["policy"]: result for result in results if result["model_error"] == "nominal"}
     assert list(nominal) == ["far", str(runs), *map(str, files)]
-    together, alone = nominal[str(runs)], [nominal[str(file)] for file in files]
-    assert [seed["seed"] for seed in together["seeds"]] == [2, 10], "in the order of numbers"
-    assert [seed["episodes"] for seed in together["seeds"]] == [result["episodes"] for result in alone]
-    each = [result["summary"]["errors"]["position_error"]["rms"] for result in alone]
-    assert each[0] != each[1]
-    assert together["summary"]["errors"]["position_error"]["rms"] == pytest.approx(sum(each) / 2)
-    assert together["summary"]["intervals"]["position_error_rms"] == sorted(each), "of two seeds: from one to the other"
-    assert together["summary"]["episodes"] == 4
-    number = tables.number
-    low, mean, high = (number(1e3 * value) for value in (min(each), sum(each) / 2, max(each)))
-    (line, *_) = (line for line in printed.splitlines() if f"{runs} (2 seeds) " in line)
-    assert f"| {mean} ({low}-{high}) / " in line
-    rows = {row["policy"]: row for row in rows_of(tmp_path / "out" / "TipPose.csv") if row["model_error"] == "nominal"}
-    assert float(rows[str(runs)]["position_error_rms_low"]) == min(each) and rows[str(runs)]["seeds"] == "2"
-    assert rows["far"]["position_error_rms_low"] == rows["far"]["seeds"] == ""
-    rows = rows_of(tmp_path / "out" / "TipPose_episodes.csv")
-    found = [(row["policy"], row["training_seed"], row["model_error"]) for row in rows[::2]]
-    policies = (("far", [""]), (str(runs), ["2", "10"]), *((str(file), [""]) for file in files))
-    assert found == [(policy, seed, error) for policy, seeds in policies for error in ("nominal", "tension-10%") for seed in seeds]
-    for row, episode in zip(rows[:2], results[0]["episodes"], strict=True):
-        assert int(row["episode_seed"]) == episode["seed"]
-        assert float(row["position_error_rms"]) == pytest.approx(episode["errors"]["position_error"]["rms"], rel=1e-5)
-        assert float(row["return"]) == pytest.approx(episode["total_reward"], rel=1e-5)
-        assert row["diverged"] == row["settling_time"] == ""
+    assert nominal[str(runs)]["episodes"] == [episode for file in files for episode in nominal[str(file)]["episodes"]]
+    assert any(f"{runs} (2 seeds) " in line for line in printed.splitlines())
+    rows = {row["policy"]: row for row in rows_of(tmp_path / "out" / "TipPose.csv") if row["condition"] == "nominal"}
+    low, value, high = (float(rows[str(runs)][f"position_error_rms{end}"]) for end in ("_low", "", "_high"))
+    assert low < value < high and (rows[str(runs)]["members"], rows[str(runs)]["episodes"]) == ("2", "4")
 
 
 def rewrite(run, **changes):
@@ -210,9 +188,9 @@ def rewrite(run, **changes):
 @pytest.mark.parametrize(
     "spoil, said",
     [
-        (lambda runs: [shutil.rmtree(run) for run in runs.iterdir()], "has no folders seed_0, seed_1, ..."),
-        (lambda runs: shutil.rmtree(runs), "has no folders seed_0, seed_1, ..."),
-        (lambda runs: rewrite(runs / "seed_10", task="Shape"), "seed_10 was trained on Shape, not on TipPose"),
+        (lambda runs: [shutil.rmtree(run) for run in runs.iterdir()], "a folder: it should be the folder of an agent"),
+        (lambda runs: shutil.rmtree(runs), "no policy: it should be the folder of an agent"),
+        (lambda runs: rewrite(runs / "seed_10", task="Shape"), "seed_10 has task = 'Shape', the first seed has 'TipPose'"),
         (lambda runs: rewrite(runs / "seed_10", algorithm="SAC"), "seed_10 has algorithm = 'SAC', the first seed has 'PPO'"),
         (lambda runs: shutil.rmtree(runs / "seed_10" / "best"), "seed_10 has no agent in best"),
         (lambda runs: (runs / "seed_2" / "config.json").unlink(), "seed_2 is no run: it has no config.json"),
@@ -227,64 +205,18 @@ def test_folders_that_are_no_sweep(tmp_path, runs, catalogue, capsys, spoil, sai
     assert not (tmp_path / "out").exists()
 
 
-def test_what_several_seeds_have_together():
-    def seed_scores(rms, settled, diverged=None):
-        errors = {"position_error": ErrorScore(rms, 2.0 * rms)}
-        return [EpisodeScore(s, 10, errors, settled, METRICS, 1, 7.0, None, diverged, ActionTime(0.001, 0.002), 0.1) for s in (0, 1)]
-
-    scores = [seed_scores(0.003, 1.0), seed_scores(0.001, 3.0), seed_scores(0.002, None), seed_scores(math.nan, None, "speed")]
-    found = over_seeds([summarise(of_seed) for of_seed in scores], scores)
-    assert found.errors["position_error"] == pytest.approx((0.0025, 0.005, math.nan), nan_ok=True), (
-        "of four: without the best and the one without a number"
-    )
-    assert found.intervals["position_error_rms"].low < 0.0025 and math.isnan(found.intervals["position_error_rms"].high)
-    assert (found.seeds, found.episodes, found.settled, found.settling_time, found.diverged) == (4, 8, 4, 2.0, 2)
-    assert (found.bound_violations, found.mean_return, found.reached) == (8, 7.0, None)
-    row = tables.error_table({("a", "nominal"): found}).splitlines()[-5]
-    assert "| a (4 seeds) " in row and "| 2.50 (1.00 to -) ! / 4/8, mean 2.00, p90 3.00, 50 % bad " in row
-    head, _, line, *_ = tables.summary_table("policy", {"a": found}).splitlines()
-    assert [cell.strip() for cell in head.split("|")[2:6]] == ["position [mm] RMS", "mean", "p90", "bad"]
-    assert [cell.strip() for cell in line.split("|")[3:6]] == ["2.00", "3.00", "50 %"]
-    assert tables.csv_record(found)["position_error_p90"] == pytest.approx(0.003) and tables.csv_record(found)["bad"] == 0.5
-    assert tables.SEEDS_LEGEND in tables.summary_table("policy", {"a": found})
-
-
-def summary(**changes):
-    values = {
-        "episodes": 20,
-        "diverged": 0,
-        "errors": {"position_error": ErrorScore(0.0123, 0.02), "angle_error": ErrorScore(math.radians(3.0), 0.1)},
-        "tails": {"position_error": Tails(0.02, 0.07), "angle_error": Tails(0.1, 0.1)},
-        "worst": {"position_error": 0.1, "angle_error": 0.1},
-        "bad": 0.1,
-        "settled": 0,
-        "settling_time": None,
-        "metrics": {"effort": 5.0, "tension_rate": 1234.0, "chatter": 0.25},
-        "bound_violations": 0,
-        "mean_return": 400.0,
-        "reached": None,
-        "action_time": ActionTime(0.002, 0.004),
-    }
-    return Summary(**{**values, **changes})
-
-
 def test_tables_flag_what_diverged():
-    well, badly = {("a", "nominal"): summary()}, {("a", "nominal"): summary(diverged=1)}
-    assert "12.3 / 3.00 |" in tables.error_table(well) and "!" not in tables.error_table(well)
-    assert "12.3 ! / 3.00 !" in tables.error_table(badly) and tables.LEGEND in tables.error_table(badly)
-    full = tables.summary_table("policy", {"a": summary(diverged=1)}, every=True)
-    assert "400.0 ! | 1/20" in full, "beside the return"
-    usual = tables.summary_table("policy", {"a": summary()}).splitlines()[0]
+    errors = {"position_error": ErrorScore(0.0123, 0.02), "angle_error": ErrorScore(math.radians(3.0), 0.1)}
+    metrics = {"effort": 5.0, "tension_rate": 1234.0, "chatter": 0.25}
+
+    def summary(diverged):
+        return Summary(20, diverged, errors, 0, None, metrics, 0, 400.0, None, ActionTime(0.002, 0.004))
+
+    full = tables.summary_table("policy", {"a": summary(1)}, every=True)
+    assert "400.0 ! | 1/20" in full and "12.3 !" in full and tables.LEGEND in full, "beside the return"
+    usual = tables.summary_table("policy", {"a": summary(0)}).splitlines()[0]
     headers = [name.strip() for name in usual.split("|")[1:-1]]
     assert headers == ["policy", "position [mm] RMS", "angle [deg] RMS", "settled", "chatter [N]", "time [ms]"]
-    assert tables.LEGEND in full
-
-
-def test_every_number_is_shown_for_the_arm_of_the_model():
-    shown = comparison.comparison_tables
-    noise, nominal = (("a", "noise"), summary()), (("a", "nominal"), summary())
-    assert "policy (nominal)" in shown(dict([noise, nominal]), {"a": "none"})
-    assert "policy (noise)" in shown(dict([noise]), {"a": "none"})
 
 
 @pytest.mark.cases(

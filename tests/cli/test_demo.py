@@ -5,10 +5,10 @@ import shutil
 
 import pytest
 
-from soft_tendon_env.demo import demo
+from soft_tendon_env.evaluation import demo
 from soft_tendon_env.policies import agent_files
 
-POLICIES = ["paper (printed law)", "tracking (sampled law)", "predictive (MPC)", "agent (PPO)"]
+POLICIES = ["paper (printed law)", "tracking (sampled law)", "predictive (MPC)", "agent (Stable-Baselines3)"]
 SHORT = ("--episodes", "2", "--seconds", "0.2", "--workers", "1")
 
 
@@ -27,7 +27,7 @@ def test_all_policies_are_in_the_tables_the_picture_and_the_recording(main, agen
     printed, written = capsys.readouterr().out, docs.read_text()
     lines = [line for line in printed.splitlines() if line.startswith("| ")]
     assert [line.split("|")[1].strip() for line in lines] == ["circle", *POLICIES, "2 random targets", *POLICIES]
-    assert "kp = 10,000" in printed and "PPO for a number of steps that is not known" in printed and "cannot push" in printed
+    assert "kp = 10,000" in printed and "agent (Stable-Baselines3)" in printed and "cannot push" in printed
     assert all(line in written for line in lines) and "stale" not in written and written.endswith("after\n")
     assert (tmp_path / "demo.png").read_bytes().startswith(b"\x89PNG")
     assert recorded(tmp_path / "demo.rrd") == dict.fromkeys(POLICIES, list(range(22))), "on the circle and on a random target"

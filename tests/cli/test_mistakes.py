@@ -66,8 +66,6 @@ FILES = [
     ("evaluate", ("{best}", "--seconds", "1e12"), "seconds is 1e+12: it should be at most 1000000 control periods, 20000 s"),
     ("evaluate", ("{best}", "--options", '{{"action": "increment"}}'), "trained with action = 'tension', this environment has"),
     ("evaluate", ("{best}", "--scene", "paper"), "was trained on an arm with other segments (scene 'three_tendon')"),
-    ("evaluate", ("PPOO:{model}",), "the algorithm is 'PPOO'; valid: A2C, "),
-    ("evaluate", ("SAC:{model}",), "the file is of PPO, not of SAC"),
     ("evaluate", ("{folder}",), "a folder: it should be the folder of an agent, such as {best}, a .zip file"),
     ("evaluate", ("filtered:",), "policy is 'filtered:': what stands behind 'filtered:' should be a controller of TipPose"),
     ("compare", ("--config", "{model}"), "model.zip: is not valid TOML"),

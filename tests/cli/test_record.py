@@ -36,7 +36,7 @@ def test_a_controller_acts_on_the_arm_of_the_agent_beside(command, agent, record
     command("record", "tracking", file, *SHORT, "--out", tmp_path / "borrowed.rrd")
     said = capsys.readouterr()
     arm = "scene = 'three_tendon', fidelity = 'fast', control_period = 0.04"
-    assert f"note: tracking: on the arm of the agents beside, {arm}" in said.err
+    assert f"note: TipPose: on the arm of the agents, {arm}" in said.err
     assert recorded(tmp_path / "borrowed.rrd") == {"tracking": list(range(6)), "best/model": list(range(6))}
     command("record", "tracking", file, *SHORT, *QUICK, "--options", '{"control_period": 0.04}', "--out", tmp_path / "given.rrd")
     given = capsys.readouterr()

@@ -47,7 +47,7 @@ best = {"seconds": 60, "diverged": 0, "position_error_rms": 0.01 * (given.seed +
 '''
 
 
-DRIVER = '''
+DRIVER = """
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -59,7 +59,7 @@ sweep.TRAIN = (sys.executable, "fake_train.py")
 sweep.find_config = Path
 sweep.read_training = lambda path, changes, seed: SimpleNamespace(task="TipPose")
 main(["sweep", *sys.argv[1:]])
-'''
+"""
 
 
 @pytest.fixture

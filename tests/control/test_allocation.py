@@ -36,15 +36,6 @@ def test_another_solver_agrees_and_the_conditions_of_an_optimum_hold(problem):
     assert found.limited == np.mean(at_least | at_greatest)
 
 
-def test_a_warm_start_ends_where_a_cold_one_does(problem):
-    cold = solved(*problem)
-    A, b, least, greatest = problem
-    for start in (cold.multipliers, solved(A, -b, least, greatest).multipliers, np.zeros(least.size)):
-        warm = solved(*problem, start)
-        assert warm.solved
-        np.testing.assert_allclose(warm.x, cold.x, atol=1e-9)
-
-
 @pytest.mark.cases(
     "wanted, least, greatest, x, limited",
     [
@@ -57,32 +48,3 @@ def test_all_bounds_active_none_and_a_single_choice(wanted, least, greatest, x, 
     found = allocate(np.eye(3), -np.array(wanted), np.array(least), np.array(greatest))
     np.testing.assert_allclose(found.x, x, atol=1e-12)
     assert found.solved and found.limited == limited
-
-
-@pytest.mark.cases(
-    "hessian, gradient",
-    [
-        (np.zeros((2, 2)), np.ones(2)),
-        (-np.eye(2), np.ones(2)),
-        (np.diag([np.nan, 1.0]), np.ones(2)),
-        (np.diag([np.inf, 1.0]), np.ones(2)),
-        (np.array([[1.0, np.nan], [np.nan, 1.0]]), np.ones(2)),
-        (np.array([[1.0, 2.0], [2.0, 1.0]]), np.ones(2)),
-        (np.eye(2), np.array([np.nan, 0.0])),
-        (np.eye(2), np.array([np.inf, 0.0])),
-    ],
-)
-def test_what_cannot_be_solved_is_reported(hessian, gradient):
-    """And answered by zero, within the bounds."""
-    least, greatest = np.array([-1.0, 0.5]), np.array([1.0, 2.0])
-    found = allocate(hessian, gradient, least, greatest)
-    assert not found.solved
-    np.testing.assert_array_equal(found.x, [0.0, 0.5])
-    np.testing.assert_array_equal(found.multipliers, 0.0)
-
-
-def test_a_singular_program_stays_within_its_bounds():
-    """Two tendons that do the same: whatever is answered is allowed."""
-    task = np.array([[1.0, 1.0, 0.0]])
-    found = allocate(task.T @ task, -task[0] * 5.0, np.zeros(3), np.ones(3))
-    assert (found.x >= 0.0).all() and (found.x <= 1.0).all() and np.isfinite(found.multipliers).all()

@@ -1,15 +1,13 @@
 """What every controller of the catalogue keeps to, on arms with few and many tendons; controllers from outside by name."""
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import CONTROLLERS, ControllerInput, ControllerOutput, Reference, register_controller
+from soft_tendon_env.control import ControllerInput, Reference
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.paper_laws import PaperShape
 from soft_tendon_env.control.rigid_motions import moved_pose
 from soft_tendon_env.control.shape_tracking import ShapeFeedforward
-from soft_tendon_env.policies import make_policy, observation_options
 
 PERIOD = 0.02
 SCENES = ["four_tendon", "three_tendon", "catheter", "paper"]
@@ -90,36 +88,3 @@ def test_models_that_cannot_follow_hold_the_last_tensions(build, random_state, l
         np.testing.assert_array_equal(decision.tension, [1.0, 2.0, 5.0])
         assert decision.report["singular"] == 1.0
     assert_sound(controller.act(now, decision.memory), limits_of(model))
-
-
-class Half:
-    """Half of the greatest tensions, whatever is measured."""
-
-    def __init__(self, model, limits, period):
-        self.greatest = limits[:, 1]
-
-    def act(self, now, memory=None):
-        return ControllerOutput(0.5 * self.greatest, report={"limited": 0.0, "singular": 0.0})
-
-
-@pytest.fixture
-def half(forgotten):
-    register = register_controller("half", tasks=["TipPose", "Reach"], description="half of it", looks_ahead=3)
-    assert register(Half) is Half and register(Half) is Half
-
-
-def test_a_controller_from_outside_acts_by_its_name(half):
-    assert observation_options("half", "Reach")["preview"] == pytest.approx([0.02, 0.04, 0.06])
-    env = gym.make("TendonRod-Reach-v0", scene="three_tendon", fidelity="fast", **observation_options("half", "Reach"))
-    observation, _ = env.reset(seed=0)
-    action, _ = make_policy("half", env).predict(observation)
-    np.testing.assert_allclose(action, 0.0, atol=1e-7)
-    with pytest.raises(ValueError, match="controller is 'half': valid: feedforward, paper, predictive, tracking"):
-        observation_options("half", "Shape")
-
-
-def test_a_name_that_is_taken_is_refused():
-    before = CONTROLLERS["TipPose"]["predictive"]
-    with pytest.raises(ValueError, match="the controller 'predictive' of TipPose is registered twice"):
-        register_controller("predictive", tasks=["TipPose"], description="")(Half)
-    assert CONTROLLERS["TipPose"]["predictive"] is before

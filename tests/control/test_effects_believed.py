@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 
 import soft_tendon_env  # noqa: F401
+from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.control import ControllerInput, Reference
 from soft_tendon_env.control.objectives import TipPosition
 from soft_tendon_env.control.predictive import Predictive
 from soft_tendon_env.evaluation import evaluate, summarise
-from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.policies import make_policy, observation_options
-from soft_tendon_env.policies.controller_policy import model_without
+from soft_tendon_env.scene.file import load_scene
 
 PERIOD = 0.02
 LATE = {
@@ -44,37 +44,6 @@ def test_what_is_predicted_is_what_happens(model):
     assert np.abs(memory.disturbance).max() < 1e-3
 
 
-def test_terms_and_simulations_take_the_time_and_the_states(model):
-    """What acts at once is the motion's acceleration: terms there balance what the simulation does."""
-    simulation = Simulation(model)
-    for u in ([2.0, 0.0, 1.0], [0.0, 3.0, 0.0]):
-        simulation.step(u, 0.15)
-    state = simulation.state
-    other = Simulation(model)
-    other.reset(state.q, state.q_dot, time=state.time, effects=state.effects)
-    assert other.state.time == state.time
-    np.testing.assert_array_equal(other.state.effects, state.effects)
-    tip = other.tip_pose
-    simulation.step(np.ones(3), 0.02)
-    other.step(np.ones(3), 0.02)
-    np.testing.assert_allclose(other.state.q_dot, simulation.state.q_dot, rtol=1e-7, atol=1e-9)
-    here = model.terms(state.q, state.q_dot, time=state.time, effects=state.effects)
-    np.testing.assert_allclose(here.tip_pose, tip, atol=1e-9)
-    then = model.terms(state.q, state.q_dot)
-    differs = [np.abs(here.external_force - then.external_force).max(), np.abs(here.tip_pose - then.tip_pose).max()]
-    assert max(differs) > 1e-6 or "contact" in model.scene.effects.chosen(), "of these, contact alone acts by pose and twist"
-
-
-@pytest.mark.parametrize("wrong", [{"time": np.nan}, {"effects": np.zeros(2)}])
-def test_bad_times_and_states_are_refused(build, wrong):
-    model = build("three_tendon", LATE["memory"])
-    q = np.zeros(model.coordinate_count)
-    with pytest.raises(ValueError, match=next(iter(wrong))):
-        model.terms(q, q, **wrong)
-    with pytest.raises(ValueError, match=next(iter(wrong))):
-        Simulation(model).reset(q, q, **wrong)
-
-
 def errors(scene, controller, target="random", **belief):
     """Root mean square position error [m] of two episodes of 3 s, the first second left out."""
     options = {**observation_options(controller, "TipPose"), "target": target}
@@ -94,66 +63,8 @@ CARRIED = {"effects.moving_base": {"amplitude": [0.0, 0.005, 0.003], "angular_am
 )
 def test_a_model_with_the_effect_is_better_than_one_without(changes, controller, share):
     """What a model does not know its controller finds out late."""
-    scene, (key,) = {"scene": "three_tendon", **changes}, changes
-    assert errors(scene, controller) < share * errors(scene, controller, without=[key.split(".")[1]])
-
-
-@pytest.mark.slow
-def test_a_long_horizon_follows_in_water():
-    """Where six periods end before the arm has moved."""
-    scene, quick = {"scene": "paper", "effects.fluid.density": 1000.0}, {"type": "random", "fraction": 0.4, "knot_period": 0.6}
-    assert errors(scene, "long_horizon_predictive", quick) < 0.5 * errors(scene, "predictive", quick)
-
-
-def test_the_time_is_counted_from_the_beginning_of_the_episode(probed, short):
-    env = short("vector", "TendonRod-TipPose-v0")
-    policy, probe = probed(env)
-    observation, state = env.reset(seed=0)[0], None
-    begins = np.ones(3, dtype=bool)
-    for k in range(4):
-        if k == 2:
-            begins = np.array([False, True, False])
-        actions, state = policy.predict(observation, state, begins)
-        observation, begins = env.step(actions)[0], np.zeros(3, dtype=bool)
-    times = np.array([now.time for now, _ in probe.seen]).reshape(4, 3)
-    np.testing.assert_allclose(times, PERIOD * np.array([[0, 0, 0], [1, 1, 1], [2, 0, 2], [3, 1, 3]]))
-    env.close()
-
-
-HEAVY = {"scene": "three_tendon", "effects.gravity.acceleration": [0, 0, -1]}
-
-
-@pytest.mark.parametrize("scene", ["underwater", "paper_among_obstacles", HEAVY])
-@pytest.mark.parametrize("controller", ["tracking", "predictive"])
-def test_a_controller_may_be_given_a_model_without_the_effects(scene, controller):
-    env = gym.make("TendonRod-Reach-v0", scene=scene, fidelity="fast", **observation_options(controller, "Reach"))
-    effects = list(env.unwrapped.model.scene.effects.chosen())
-    policy = make_policy(controller, env, without=effects)
-    behind = policy.controller.controller.model
-    assert not behind.scene.effects.chosen() and behind.arm.effects.count == 0
-    assert behind.coordinate_count == env.unwrapped.model.coordinate_count
-    observation, state = env.reset(seed=0)[0], None
-    for _ in range(5):
-        action, state = policy.predict(observation, state)
-        observation, *_ = env.step(action)
-    assert np.isfinite(action).all()
-
-
-def test_what_a_model_is_without_should_be_there(build):
-    model = build("underwater")
-    with pytest.raises(ValueError, match="without names 'contact': valid: fluid, gravity"):
-        model_without(model, ["contact"])
-    with pytest.raises(TypeError, match="without should be a list of names of effects, not 'fluid'"):
-        model_without(model, "fluid")
-    with pytest.raises(ValueError, match="the model has no effects"):
-        model_without(build("three_tendon"), ["fluid"])
-
-
-def test_a_model_of_other_coordinates_is_refused(build):
-    env = gym.make("TendonRod-TipPose-v0", scene="three_tendon", fidelity="fast", **observation_options("tracking", "TipPose"))
-    other = build_model(build("three_tendon").scene.replace({"strain.passive": []}))
-    with pytest.raises(ValueError, match="which are observed: it should have the same strain parametrisation"):
-        make_policy("tracking", env, model=other)
+    scene = {"scene": "three_tendon", **changes}
+    assert errors(scene, controller) < share * errors(scene, controller, model=build_model(load_scene("three_tendon"), "fast"))
 
 
 CABLES = {"scene": "three_tendon", "effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": [-0.03, 0.05]}}
@@ -163,16 +74,3 @@ CABLES = {"scene": "three_tendon", "effects.tendon_elasticity": {"stiffness": 5e
 def test_controllers_of_tensions_move_elastic_tendons(controller, greatest):
     """Displacements are made of the tensions that they decide on."""
     assert errors(CABLES, controller) < greatest
-
-
-@pytest.mark.parametrize("latency", [0.02, 0.033, 0.06])
-@pytest.mark.parametrize("controller, greatest", [("tracking", 1e-3), ("predictive", 1e-4)])
-def test_a_known_latency_is_made_up_for(controller, greatest, latency):
-    """By the Smith predictor: of the environment's latency, and of the scene's actuators, of which the model tells."""
-    options = observation_options(controller, "TipPose", latency=latency)
-    late = {"randomize": {"latency": latency}}, {"scene": {"scene": "three_tendon", "effects.actuators.delay": latency}}
-    for more, known in zip(late, ({"latency": latency}, {}), strict=True):
-        given = {"scene": "three_tendon", "fidelity": "fast", "max_episode_steps": 150, **options, **more}
-        env = gym.make("TendonRod-TipPose-v0", **given)
-        error = summarise(evaluate(make_policy(controller, env, **known), env, [1, 2])).errors["position_error"].rms
-        assert error < greatest

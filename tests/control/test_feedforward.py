@@ -11,7 +11,6 @@ from soft_tendon_env.control import CONTROLLERS, ControllerInput, Reference
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.objectives import Dynamics, TipPose, TipPosition
 from soft_tendon_env.model.inverse_statics import tension_for_tip_pose
-from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.statics import static_equilibrium
 
 PERIOD = 0.02
@@ -55,37 +54,6 @@ def test_tips_that_tensions_hold_are_reached(build, limits_of, arm, share):
             np.testing.assert_allclose(tip, found.tip_pose, atol=5e-3 * max(model.length, 1.0))
 
 
-@pytest.mark.parametrize("arm", ARMS)
-def test_moving_tips_are_followed(build, limits_of, arm):
-    """A period ahead, from the second period on."""
-    model = build(*ARMS[arm])
-    limits = limits_of(model)
-    phase = np.arange(model.tendon_count)
-    at = [0.15 * limits[:, 1] * (1.0 + np.sin(0.1 * k + phase)) for k in range(31)]
-    poses = np.stack([static_equilibrium(model, tension).tip_pose for tension in at])
-    times = PERIOD * np.arange(2.0)
-    targets = [Reference(times, poses[k : k + 2], poses[k : k + 2, :3, 3]) for k in range(30)]
-    path = decided(StaticFeedforward(model, limits, PERIOD, TipPose(0.1 * model.length)), model, targets)
-    away = np.linalg.norm(np.stack([model.tip_pose(q)[:3, 3] for q in path]) - poses[1:, :3, 3], axis=1)
-    assert away.max() < 2e-3 * model.length
-    assert np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0)) > 0.05 * model.length
-
-
-def test_the_null_space_is_for_effort_or_for_tightness(build, limits_of):
-    """With more to keep tendons tight by, the same position takes more tension, and slack tendons pull."""
-    model = build("paper")
-    limits = limits_of(model)
-    pose = static_equilibrium(model, np.linspace(2.0, 8.0, 10)).tip_pose
-    target, tension = Reference(np.zeros(1), None, pose[None, :3, 3]), []
-    for tight in (0.0, 0.1, 0.2):
-        controller = StaticFeedforward(model, limits, PERIOD, TipPosition(), tight=tight)
-        q = decided(controller, model, [target] * 20)[-1]
-        assert np.linalg.norm(model.tip_pose(q)[:3, 3] - pose[:3, 3]) < 2e-3 * model.length
-        tension.append(q)
-    assert (np.diff(np.mean(tension, axis=1)) > 0.5).all()
-    assert np.min(tension[0]) < 0.1 and min(np.min(tension[1]), np.min(tension[2])) > 1.0
-
-
 @pytest.fixture
 def far():
     """Beyond the length of every arm here."""
@@ -126,23 +94,3 @@ def test_what_cannot_be_reached_is_approached_and_held_still(build, limits_of, d
     assert change.max() < 0.01
     assert move.max() < (1e-2 if name == "feedforward" else 1e-3) * model.length
     assert abs(away) < 0.02 * model.length
-
-
-@pytest.mark.parametrize("scene", ["three_tendon", LONG[1]])
-@pytest.mark.parametrize("task, name", [case for case in CASES if case[1] != "feedforward"])
-def test_nothing_is_wound_up(build, limits_of, drive, holding, far, task, name, scene):
-    """From the same motion, a memory of three seconds out of reach settles about as fast as none."""
-    model, limits = build(scene), limits_of(build(scene))
-    controller, near = CONTROLLERS[task][name].make(model, limits, PERIOD), holding(model, 0.2 * limits[:, 1])
-    simulation = Simulation(model)
-    held = drive(controller, simulation, far, 150)
-    beginning = simulation.state
-    took = []
-    for memory in (held.memory, None):
-        simulation.reset(beginning.q, beginning.q_dot)
-        tip = drive(controller, simulation, near, 150, memory).tip[:, :3, 3]
-        away = np.linalg.norm(tip - near.tip_position[0], axis=1)
-        outside = np.flatnonzero(away > 0.02 * away[0])
-        took.append(PERIOD * outside[-1])
-    assert away[0] > 0.05 * model.length and took[1] < 1.0
-    assert took[0] < 1.5 * took[1] + PERIOD

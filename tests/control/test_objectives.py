@@ -5,7 +5,6 @@ import pytest
 
 from soft_tendon_env.control.objectives import Dynamics, Shape, TipPose, TipPosition
 from soft_tendon_env.control.protocol import Reference
-from soft_tendon_env.control.rigid_motions import adjoint, inverse_pose, moved_pose, pose_error
 
 PERIOD = 0.02
 KINDS = ["pose", "position", "shape"]
@@ -72,64 +71,3 @@ def test_the_bias_is_what_the_jacobian_gains(model, arm, objective):
     velocity = now.jacobian @ q_dot
     difference = (after.jacobian - before.jacobian) @ q_dot / (2 * h)
     np.testing.assert_allclose(now.bias, difference, atol=1e-5 * max(np.abs(difference).max(), np.abs(velocity).max()))
-
-
-@pytest.mark.parametrize("objective", ["position"], indirect=True)
-def test_the_bias_of_the_position_is_its_acceleration(model, arm, objective):
-    """R^T r_dot_dot at q_ddot = 0: the tip frame turns, the target's axes do not."""
-    q, q_dot, terms = arm(2)
-    h = 1e-4 / np.abs(q_dot / model.coordinate_scale()).max()
-    before, now, after = (model.tip_pose(p)[:3, 3] for p in (q - h * q_dot, q, q + h * q_dot))
-    expected = terms.tip_pose[:3, :3].T @ (after - 2.0 * now + before) / h**2
-    bias = objective.aim(arm(2), target_of(model, [q]), 0.0, PERIOD).bias
-    np.testing.assert_allclose(bias, expected, atol=1e-3 * np.abs(expected).max())
-    assert np.abs(bias - terms.tip_bias[3:]).max() > 0.1 * np.abs(expected).max()  # the turning matters here
-
-
-@pytest.mark.parametrize("objective", KINDS, indirect=True)
-@pytest.mark.parametrize("time", [0.0, 0.02, 0.025])
-def test_the_velocity_is_the_target_s(model, objective, time):
-    """Seen from an arm that stands at the target, what its error gains per time; between instants too."""
-    path = [model.rest_coordinates([1.0 + 0.3 * i, 0.1 * i, 0.4]) for i in range(4)]
-    target = target_of(model, path, (0.0, 0.02, 0.04, 0.06))
-    q = path[0] + time / 0.02 * (path[1] - path[0])
-    still, h = moving(model, q), 1e-3
-    now, later = (objective.aim(still, target, t, PERIOD) for t in (time, time + h))
-    short = objective.aim(still, target, time, h)
-    speed = np.linalg.norm(short.velocity)
-    assert np.linalg.norm(now.error) < 1e-3 and speed > 0.01
-    np.testing.assert_allclose((later.error - now.error) / h, short.velocity, atol=2e-3 * speed)
-
-
-def test_a_model_sees_the_pose_target_displaced_as_its_tip_is(model, arm):
-    """A model that reaches what it sees has the arm at the target; before, the errors are the same motion in their two frames."""
-    objective, terms, goal = TipPose(), arm(0).terms, arm(1).terms.tip_pose
-    off = np.array([0.1, -0.2, 0.15, 0.01, 0.02, -0.01])
-    measured = moved_pose(terms.tip_pose, off)
-    seen = objective.seen_from(terms.tip_pose, Reference(np.zeros(1), goal[None]), measured).tip_pose[0]
-    np.testing.assert_allclose(moved_pose(seen, off), goal, atol=1e-12)
-    frame = adjoint(inverse_pose(terms.tip_pose) @ measured)
-    np.testing.assert_allclose(pose_error(terms.tip_pose, seen), frame @ pose_error(measured, goal), atol=1e-12)
-
-
-def test_a_model_sees_the_position_target_displaced_as_its_tip_is(model, arm):
-    objective, now, goal = TipPosition(), arm(0), arm(1).terms.tip_pose
-    pose = now.terms.tip_pose
-    measured = moved_pose(pose, np.array([0.0, 0.0, 0.0, 0.01, 0.02, -0.01]))
-    for target in (Reference(np.zeros(1), goal[None]), Reference(np.zeros(1), tip_position=goal[None, :3, 3])):
-        of_arm = objective.aim(now._replace(terms=now.terms._replace(tip_pose=measured)), target, 0.0, PERIOD).error
-        of_model = objective.aim(now, objective.seen_from(pose, target, measured), 0.0, PERIOD).error
-        np.testing.assert_allclose(of_model, of_arm, atol=1e-14)
-        assert np.linalg.norm(of_arm) > 0.01
-
-
-def test_bending_the_rod_evenly_by_an_angle_of_one_counts_as_half_its_length(build):
-    modes = [{"strains": ["torsion", "bend_y", "stretch"], "order": 2, "span": "rod"}]
-    model = build("three_tendon", {"strain": {"type": "explicit", "modes": modes}})
-    strain = np.zeros(6)
-    strain[1], reference = 1.0 / model.length, model.strain(np.zeros(9))[1]
-    columns = np.stack([(model.strain(unit)[1] - reference).ravel() for unit in np.eye(9)], axis=1)
-    q = np.linalg.lstsq(columns, np.tile(strain, len(reference)), rcond=None)[0]
-    np.testing.assert_allclose(columns @ q, np.tile(strain, len(reference)), atol=1e-12)
-    error = Shape(model).aim(moving(model, np.zeros(9)), Reference(np.zeros(1), q=q[None]), 0.0, PERIOD).error
-    assert np.linalg.norm(error) == pytest.approx(0.5 * model.length, rel=1e-9)

@@ -15,7 +15,6 @@ from soft_tendon_env.control.paper_laws import (
 )
 from soft_tendon_env.control.rigid_motions import adjoint, inverse_pose, pose_error
 from soft_tendon_env.envs.targets.motions import Circle, CircleCourse
-from soft_tendon_env.model.inverse_statics import tension_for_tip_pose
 
 GAINS = Gains(10_000.0, 1000.0)
 CIRCLE = CircleCourse(Circle())
@@ -61,45 +60,6 @@ def test_full_actuation_gives_the_tip_the_commanded_acceleration(build, random_s
     np.testing.assert_allclose(terms.tip_jacobian @ q_ddot + terms.tip_bias, command, rtol=1e-6, atol=1e-6 * np.abs(command).max())
 
 
-def in_other_coordinates(terms, q_dot, T):
-    """The same state in coordinates p with q = T p."""
-    square, column = ("mass", "damping", "stiffness"), ("bias", "actuation", "elastic_force", "external_force")
-    changed = {name: T.T @ getattr(terms, name) @ T for name in square} | {name: T.T @ getattr(terms, name) for name in column}
-    return terms._replace(**changed, tip_jacobian=terms.tip_jacobian @ T), np.linalg.solve(T, q_dot)
-
-
-def test_only_the_inverse_in_the_energy_gives_the_same_tensions_in_all_coordinates(build, random_state):
-    model = build("paper_16dof")
-    q, q_dot = random_state(model, 3)
-    terms, T = model.terms(q, q_dot), np.eye(16) + 0.3 * np.random.default_rng(0).normal(size=(16, 16))
-    change = {}
-    for left_inverse in (energy_left_inverse, euclidean_left_inverse):
-        here = tip_pose_tension(terms, q_dot, on_circle(1.0), GAINS, left_inverse)
-        there = tip_pose_tension(*in_other_coordinates(terms, q_dot, T), on_circle(1.0), GAINS, left_inverse)
-        change[left_inverse] = np.abs(there - here).max() / np.abs(here).max()
-    assert change[energy_left_inverse] < 1e-6
-    assert change[euclidean_left_inverse] > 1e-2
-
-
-def test_small_deviations_on_the_circle_die_out_at_the_rate_of_the_gains(build):
-    """Full actuation: the slow pole of s^2 + kd s + kp."""
-    model, wanted = build("paper"), TipPoseTarget(CIRCLE.sample(np.array([0.3])).tip_pose[0], np.zeros(6), np.zeros(6))
-    rest = np.concatenate([tension_for_tip_pose(model, wanted.pose).q, np.zeros(10)])
-
-    def rate(x):
-        q, q_dot = np.split(x, 2)
-        terms = model.terms(q, q_dot)
-        return np.concatenate([q_dot, acceleration(terms, q_dot, tip_pose_tension(terms, q_dot, wanted, GAINS))])
-
-    for _ in range(20):  # what (39) leaves free comes to rest where it stores least energy: Newton steps of q_ddot = 0
-        jacobian = np.stack([(rate(rest + d) - rate(rest - d)) / 2e-6 for d in 1e-6 * np.eye(20)], axis=1)
-        rest = rest - np.linalg.solve(jacobian, rate(rest))
-    assert np.abs(rate(rest)).max() < 1e-5
-    slow = np.roots([1.0, 1000.0, 10_000.0]).max()
-    parts = np.sort(np.linalg.eigvals(jacobian).real)
-    np.testing.assert_allclose(parts[-6:], slow, rtol=1e-3)
-
-
 @pytest.mark.parametrize("name", ["paper", "paper_16dof", "four_tendon"])
 def test_shape_law_holds_the_wanted_shape_with_its_tensions(build, name):
     model = build(name)
@@ -122,13 +82,3 @@ def test_shape_laws_are_the_printed_ones(build, random_state):
     B = model.terms(q, q_dot).actuation
     expected = wanted.tension + 100.0 * B.T @ (q_bar_dot - q_dot) + 1000.0 * B.T @ (q_bar - q)  # (38)
     np.testing.assert_allclose(shape_tension(model, q, q_dot, wanted, gains), expected)
-
-
-def test_laws_say_what_they_cannot_do(build):
-    explicit, four = build("paper_48dof"), build("four_tendon")
-    with pytest.raises(ValueError, match="explicit basis"):
-        shape_tension(explicit, np.zeros(48), np.zeros(48), ShapeTarget(np.zeros(10), np.zeros(10)), GAINS)
-    with pytest.raises(ValueError, match=r"q should have shape \(10,\)"):
-        shape_tension(build("paper"), np.zeros(9), np.zeros(10), ShapeTarget(np.zeros(10), np.zeros(10)), GAINS)
-    with pytest.raises(ValueError, match="in 3 of 6 directions"):
-        tip_pose_tension(four.terms(np.zeros(3), np.zeros(3)), np.zeros(3), on_circle(0.0), GAINS)

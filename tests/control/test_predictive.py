@@ -6,19 +6,14 @@ Controllers that are told of the errors of the inputs that an estimator has foun
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import ControllerInput, InputError, Reference
+from soft_tendon_env.control import ControllerInput, InputError
 from soft_tendon_env.control.objectives import Shape, TipPose, TipPosition
 from soft_tendon_env.control.predictive import Predictive, Tuning
-from soft_tendon_env.control.smith_predictor import SmithPredictor
-from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.model.simulation import Simulation
 
 PERIOD = 0.02
 OBJECTIVES = {"pose": lambda model: TipPose(0.1 * model.length), "position": lambda model: TipPosition(), "shape": Shape}
 WIDE = np.tile([-100.0, 100.0], (10, 1))
-HELD = 12.0 + 4.0 * np.sin(np.arange(10.0))
-ERROR = InputError(1.0 + 0.2 * np.cos(np.arange(10.0)), 1.5 * np.sin(np.arange(10.0)))
-CONTROLLERS = {"tracking": TipTracking, "predictive": Predictive}
 
 
 @pytest.fixture(scope="module")
@@ -78,14 +73,6 @@ def test_the_plan_improves_along_the_slope_of_the_simulation(model, objective, h
     assert off < 0.1
 
 
-def test_bounds_hold_for_the_whole_plan(model, holding, drive):
-    limits, target = np.tile([2.0, 9.0], (10, 1)), holding(model, np.linspace(0.0, 20.0, 10))
-    motion = drive(Predictive(model, limits, PERIOD, Shape(model)), model, target, 20)
-    plan = motion.memory.tension
-    assert plan.min() >= 2.0 - 1e-9 and plan.max() <= 9.0 + 1e-9
-    assert 0.0 < motion.reports[-1]["limited"] <= 1.0
-
-
 @pytest.mark.parametrize("hold", [1, 2])
 def test_constant_disturbances_are_found_and_allowed_for(model, holding, drive, hold):
     """Two newtons too many in every tendon: found, and the target is held all the same."""
@@ -99,62 +86,3 @@ def test_constant_disturbances_are_found_and_allowed_for(model, holding, drive, 
         np.testing.assert_allclose(found, 2.0 if observer else 0.0, atol=0.1)
         assert motion.reports[-1]["disturbance"] == np.abs(found).max()
     assert off[0.25] < 1e-3
-
-
-def test_displaced_measurements_are_followed(model, holding):
-    """What is measured beside the model's tip moves the target: the same tensions as for that target."""
-    now = near(model, holding, 1)
-    step = np.array([0.01, -0.02, 0.03])
-    measured = now.tip_pose.copy()
-    measured[:3, 3] += step
-    moved = Reference(now.reference.ahead, tip_position=now.reference.tip_position - step)
-    controller = Predictive(model, WIDE, PERIOD, TipPosition())
-    beside = controller.act(now._replace(tip_pose=measured)).tension
-    np.testing.assert_allclose(beside, controller.act(now._replace(reference=moved)).tension, rtol=1e-9)
-    assert np.abs(beside - controller.act(now).tension).max() > 0.1
-
-
-class Told:
-    def __init__(self, controller, error):
-        self.controller, self.error = controller, error
-
-    def act(self, now, memory=None):
-        return self.controller.act(now._replace(input_error=self.error), memory)
-
-
-@pytest.fixture
-def late_error(model, holding, drive):
-    """late_error(name, error): of the tip [m] after a second on an arm with ERROR, of a controller that is told `error`."""
-
-    def after(name, error):
-        target = holding(model, HELD)._replace(tension=HELD)
-        controller = Told(CONTROLLERS[name](model, WIDE, PERIOD, TipPose(0.1)), error)
-        tracked = drive(controller, model, target, 50, act=lambda tension: ERROR.gain * tension + ERROR.offset)
-        return np.linalg.norm(tracked.tip[-1][:3, 3] - target.tip_pose[0, :3, 3])
-
-    return after
-
-
-def test_tracking_that_is_told_needs_no_integral(late_error):
-    assert late_error("tracking", ERROR) < 0.02 * late_error("tracking", None)
-
-
-def test_predictive_control_that_is_told_needs_no_observer_of_its_own(late_error):
-    assert late_error("predictive", ERROR) < 1e-4
-    assert late_error("predictive", InputError(np.ones(10), np.zeros(10))) > 1e-3
-
-
-def test_the_smith_predictor_acts_by_the_inputs_that_the_arm_gets(model, holding):
-    arm, predictor = Simulation(model), SmithPredictor(model, 0.05, PERIOD)
-    sent = tuple(HELD * share for share in (0.2, 0.5, 1.0))
-    state = arm.state
-    now = ControllerInput(state.q, state.q_dot, model.tip_pose(state.q), sent[-1], holding(model, HELD), input_error=ERROR)
-    predicted = predictor.predicted(now, sent)
-    for tension, seconds in zip(sent, (0.01, PERIOD, PERIOD), strict=True):
-        arm.step(ERROR.gain * tension + ERROR.offset, seconds)
-    np.testing.assert_allclose(predicted.q, arm.state.q, rtol=1e-9, atol=1e-9)
-    earlier = predictor.predicted(now, sent, latency=0.02)
-    arm.reset()
-    arm.step(ERROR.gain * sent[-1] + ERROR.offset, PERIOD)
-    np.testing.assert_allclose(earlier.q, arm.state.q, rtol=1e-9, atol=1e-9)
-    assert earlier.reference.ahead[0] == pytest.approx(now.reference.ahead[0] - 0.02)

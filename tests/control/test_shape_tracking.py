@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.control import ControllerInput, Reference
-from soft_tendon_env.control.dynamics import slowest_mode
 from soft_tendon_env.control.paper_laws import energy_left_inverse
-from soft_tendon_env.control.shape_tracking import ShapeFeedforward, ShapeTracking, shape_gains
+from soft_tendon_env.control.shape_tracking import ShapeTracking
 
 PASSIVE = {"strain.passive": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 1, "span": "rod"}]}
 INSIDE = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "strain.include_loads": True}
@@ -50,26 +49,6 @@ def test_short_periods_give_the_paper_s_law(model, random_state):
     assert off[0] < 1e-3 and off[1] < 0.11 * off[0]
 
 
-def test_at_the_target_tensions_are_those_that_hold_it(model, holding):
-    tension = 0.5 + 0.1 * np.arange(model.tendon_count)
-    target = holding(model, tension)
-    now = ControllerInput(target.q[0], np.zeros_like(target.q[0]), target.tip_pose[0], tension, target)
-    for controller in (ShapeTracking(model, wide(model), 0.02), ShapeFeedforward(model, wide(model), 0.02)):
-        held = model.rest_coordinates(controller.act(now).tension)
-        np.testing.assert_allclose(held, target.q[0], atol=1e-4 * np.abs(target.q).max())
-
-
-def test_feedforward_is_the_shape_s_tensions_within_limits(build, holding, random_state):
-    """Whatever the arm does; a period ahead."""
-    model = build("paper")
-    start, end = (holding(model, scale * np.arange(10.0)).q for scale in (1.0, 3.0))
-    now, _ = situation(model, random_state, 0.02)
-    now = now._replace(reference=Reference(np.array([0.0, 0.04]), q=np.vstack([start, end])))
-    decision = ShapeFeedforward(model, np.tile([0.0, 15.0], (10, 1)), 0.02).act(now)
-    np.testing.assert_allclose(decision.tension, np.minimum(2.0 * np.arange(10.0), 15.0), rtol=1e-9, atol=1e-9)
-    assert decision.report["limited"] == pytest.approx(0.2)
-
-
 @pytest.mark.parametrize("settling_time, damping", [(0.4, 10.0), (0.2, 1.0)])
 def test_the_loop_is_stable_and_settles_at_twenty_milliseconds(build, drive, holding, settling_time, damping):
     """The paper's gains (0.4 s, 10) too, within limits."""
@@ -81,22 +60,3 @@ def test_the_loop_is_stable_and_settles_at_twenty_milliseconds(build, drive, hol
     took = 0.02 * np.flatnonzero(off > 0.02 * off[0])[-1]
     assert off[0] > 0.05 * model.length and off[-10:].max() < 1e-3 * model.length
     assert took < 2.5 * settling_time
-
-
-def test_gains_give_the_slowest_mode_its_settling_time(build):
-    """Poles of s^2 + (d + kd w^2) s + (1 + kp) w^2: the slowest at -4 / settling_time, the ratio as wanted."""
-    model = build("paper")
-    kp, kd = shape_gains(model, 0.4, 10.0)
-    mode = slowest_mode(model)
-    poles = np.roots([1.0, mode.damping + kd * mode.frequency**2, (1.0 + kp) * mode.frequency**2])
-    assert max(poles) == pytest.approx(-10.0)
-    assert -poles.sum() / (2.0 * np.sqrt(np.prod(poles))) == pytest.approx(10.0)
-    assert (kp, kd) == (pytest.approx(1000.0, rel=0.25), pytest.approx(100.0, rel=0.25))  # the paper's
-    assert shape_gains(model, 100.0, 1.0) == (0.0, 0.0)
-
-
-@pytest.mark.parametrize("kind", [ShapeTracking, ShapeFeedforward])
-def test_explicit_bases_are_refused(build, kind):
-    model = build("three_tendon", {"strain": {"type": "explicit", "modes": [{"strains": ["bend_y"], "order": 1, "span": "rod"}]}})
-    with pytest.raises(ValueError, match="coordinates that are tensions"):
-        kind(model, wide(model), 0.02)

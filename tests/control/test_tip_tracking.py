@@ -71,22 +71,3 @@ def test_errors_fall_as_the_gains_say(model, near, drive, objective, settling_ti
     took = PERIOD * (1 + np.flatnonzero(away > 0.02 * away[0])[-1])
     assert away[0] > 0.05 * model.length and away[-1] < 1e-4 * model.length
     assert 0.5 * settling_time < took < 1.46 * settling_time + 3.0 * PERIOD
-
-
-def test_the_integral_removes_what_weak_tendons_leave(model, near, drive):
-    """Tensions that arrive at nine tenths."""
-    away = {}
-    for integral_time in (None, 0.5):
-        controller = TipTracking(model, WIDE, PERIOD, TipPose(0.1), integral_time=integral_time)
-        tip = drive(controller, model, near, 250, act=lambda tension: 0.9 * tension).tip[-1]
-        away[integral_time] = np.linalg.norm(tip[:3, 3] - near.tip_position[0]) / model.length
-    assert away[None] > 1e-2 and away[0.5] < 0.01 * away[None]
-
-
-def test_a_task_with_more_directions_than_tendons_is_singular(build, holding):
-    arm = build("three_tendon")
-    target = holding(arm, np.array([1.0, 0.5, 0.2]))
-    now = ControllerInput(target.q[0], np.zeros(3), target.tip_pose[0], np.zeros(3), target)
-    limits = np.tile([0.0, 5.0], (3, 1))
-    singular = [TipTracking(arm, limits, PERIOD, objective).act(now).report["singular"] for objective in (TipPose(0.03), TipPosition())]
-    assert singular == [1.0, 0.0]

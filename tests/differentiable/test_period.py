@@ -46,19 +46,3 @@ def test_every_cotangent_goes_back_to_commands_and_state(moving, out):
             found.append((own.grad * way).sum())
         close = torch.cosine_similarity(torch.stack(found[4 * i :]), torch.stack(expected[4 * i :]), dim=0)
         assert close > 0.99, (i, found[4 * i :], expected[4 * i :])
-
-
-@pytest.mark.cases(
-    "change, message",
-    [
-        ({"commands": torch.zeros(1, 1, 3)}, r"commands should have shape \(4, any, 3\), not \(1, 1, 3\)"),
-        ({"commands": torch.full((4, 1, 3), torch.nan)}, "commands should be finite"),
-        ({"q": torch.zeros(4, 2)}, r"before.q should have shape \(4, 3\), not \(4, 2\)"),
-    ],
-)
-def test_mistakes_are_said(moving, change, message):
-    given = {"commands": torch.zeros(4, 1, 3, dtype=torch.float64), **change}
-    before = arm_tensors(moving)
-    before = before._replace(q=given.pop("q", before.q))
-    with pytest.raises(ValueError, match=message):
-        control_period(moving, before, **given)

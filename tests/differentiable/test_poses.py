@@ -30,18 +30,6 @@ def test_gradients_of_the_logarithm_are_differences_along_body_twists(angle):
     np.testing.assert_allclose(body_cotangent(g_bar.detach(), g_bar.grad)[0, 0], by_wanted, atol=1e-7)
 
 
-def test_the_body_cotangent_of_entries_is_their_difference_along_body_twists():
-    rng = np.random.default_rng(1)
-    pose, weight = moved_pose(np.eye(4), rng.normal(size=6)), rng.normal(size=(4, 4))
-    found = body_cotangent(torch.tensor(pose), torch.tensor(weight))
-    np.testing.assert_allclose(found, slopes(lambda moved: (weight * moved).sum(), pose), atol=1e-8)
-
-
-def test_poses_of_other_shapes_are_refused():
-    with pytest.raises(ValueError, match=r"shapes \(rows, 4, 4\) and \(rows, m, 4, 4\), not \(2, 4, 4\) and \(3, 1, 4, 4\)"):
-        pose_logarithm(torch.eye(4).expand(2, 4, 4), torch.eye(4).expand(3, 1, 4, 4))
-
-
 def test_a_clip_has_gradients_that_lead_back_inside():
     values = torch.tensor([-2.0, -2.0, 0.3, 0.3, 2.0, 2.0], dtype=torch.float64, requires_grad=True)
     clipped = inward_clip(values, -1.0, 1.0)

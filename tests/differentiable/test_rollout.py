@@ -14,7 +14,7 @@ from soft_tendon_env.differentiable import GradientWarning, gradient_accuracy, r
 from soft_tendon_env.differentiable.accuracy import check_gradients
 from soft_tendon_env.envs import IDS, TASKS
 from soft_tendon_env.envs.episodes import episodes_of
-from soft_tendon_env.envs.observation import HISTORY, Group
+from soft_tendon_env.envs.observation import HISTORY
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -64,17 +64,6 @@ def assert_observations_equal(observation, wanted, slices):
     for name, where in slices.items():  # a history has differences of such numbers over a tenth
         tolerance = 2e-5 if name == HISTORY else 1e-6
         np.testing.assert_allclose(observation[:, where], wanted[:, where], rtol=1e-6, atol=tolerance, err_msg=name)
-
-
-def test_two_rollouts_go_on_where_one_would(same):
-    long, short = rows_of("TipPose", history=2), rows_of("TipPose", history=2)
-    torch.manual_seed(0)
-    policy = torch.nn.Linear(long.reset(seed=0)[0].shape[1], 3)
-    short.reset(seed=0)
-    whole, parts = rollout(long, policy, 6), [rollout(short, policy, periods) for periods in (2, 4)]
-    for name in ("q", "error", "action", "action_change", "command"):
-        value = torch.cat([getattr(part, name) for part in parts]).detach()
-        np.testing.assert_allclose(value, getattr(whole, name).detach(), atol=1e-6, err_msg=name)
 
 
 TENSE = {"observation": ["tip_position", "strain_rate", "tendon_lengths", "target_error", "command"], "sensors": 1, "history": 1}
@@ -133,17 +122,6 @@ def test_a_step_that_fails_passes_no_gradient():
     assert not actions.grad[failed].any() and actions.grad[~failed].any(dim=1).all()
 
 
-def test_gradients_of_a_single_environment_are_finite_where_the_arm_lies_on_a_floor():
-    floor = {"obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.04]}]}
-    env = gym.make(IDS["TipPose"], fidelity="fast", scene={**LOADED, "effects.contact": floor})
-    env.reset(seed=0)
-    actions = torch.full((5, 1, 3), -0.9, requires_grad=True)
-    turn = iter(actions)
-    rollout(env, lambda observation: next(turn), 5).error.square().sum().backward()
-    assert episodes_of(env).errors["contact_force"] > 0.01
-    assert torch.isfinite(actions.grad).all() and actions.grad[0].any()
-
-
 def test_effects_whose_states_follow_the_motion_are_refused_backward():
     memory = {"branches": [{"modulus": 0.5, "relaxation_time": 0.1}]}
     env = rows_of("TipPose", scene={"scene": "three_tendon", "effects.viscoelastic_memory": memory})
@@ -169,28 +147,14 @@ def test_mistakes_are_said():
     refused(gym.make("CartPole-v1"), "an environment of soft_tendon_env", TypeError)
 
 
-def test_groups_that_cannot_be_differentiated_are_refused_by_name(monkeypatch):
+def test_groups_that_cannot_be_differentiated_are_refused_by_name():
     floor = {"scene": "three_tendon", "effects.contact": {"obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.04]}]}}
     env = rows_of("TipPose", scene=floor, observation=["tip_position", "contact_force", "clearance"])
     env.reset(seed=0)
     refused(env, "observation names contact_force, clearance: ", ConfigurationError)
-    groups = {
-        "distance": lambda observed: np.linalg.norm(observed.error[:, 0, 3:], axis=1, keepdims=True),
-        "penetration": lambda observed: observed.contact.penetration[:, None],
-        "half": lambda observed: 0.5 * observed.error[:, 0, 3:4],
-    }
-    own = {name: Group("of a user's own", of) for name, of in groups.items()}
-    monkeypatch.setitem(TASKS["TipPose"].__dict__, "groups", own)
-    env = rows_of("TipPose", scene=floor, observation=[*groups])
-    env.reset(seed=0)
-    refused(env, "observation names distance, penetration: ", ConfigurationError)
-    env = rows_of("TipPose", observation=["half"])
-    env.reset(seed=0)
-    assert rollout(env, lambda observation: observation.expand(-1, 3), 1).observation.shape == (3, 1)
 
 
 ELASTIC = {"stiffness": 2e3, "displacement_limits": [0.0, 0.01]}
-DELAYED = {"scene": "three_tendon", "effects.actuators": {"delay": 0.03}}
 ACCURACY = [  # arm, changes, shares of the range that commands change by in a period; least cosine
     ("paper", {}, 0.05, 0.995),
     ("two_segment_six", {}, 0.1, 0.999),
@@ -235,22 +199,3 @@ def test_a_training_is_told_of_gradients_that_are_far_off(scene, randomize, told
     env.reset(seed=0)
     with pytest.warns(GradientWarning, match=told) if told else nullcontext():
         check_gradients(episodes_of(env))
-
-
-@pytest.mark.cases(
-    "action, delay, latency",
-    [("tension", 0.03, 0.0), ("increment", 0.05, 0.0), ("increment", 0.01, 0.0), ("increment", 0.05, 0.01), ("increment", 0.013, 0.047)],
-)
-def test_commands_that_repeat_behind_a_delay_have_gradients(action, delay, latency):
-    """A policy whose action stays what it was, so that commands repeat; an increment pulls from slack, to one side alone."""
-    env = rows_of("TipPose", 1, action=action, scene={**DELAYED, "effects.actuators": {"delay": delay}}, randomize={"latency": latency})
-
-    def cost(bias):
-        env.reset(seed=0)
-        return 1e3 * rollout(env, lambda observation: bias.expand(1, 3), 10, torch.float64).position_error[:, 0].square().sum()
-
-    at = torch.tensor([0.3, -0.1, 0.1] if action == "tension" else [0.0, 0.0, 0.0], dtype=torch.float64, requires_grad=True)
-    cost(at).backward()
-    with torch.no_grad():
-        slopes = torch.stack([(cost(at + 1e-4 * way) - cost(at)) / 1e-4 for way in torch.eye(3, dtype=torch.float64)])
-    assert at.grad is not None and slopes.norm() > 1.0 and torch.allclose(at.grad, slopes, rtol=0.02), (at.grad, slopes)

@@ -65,6 +65,13 @@ def test_pages_of_environments_have_sizes_sections_and_arguments():
         site_environments.on_page_markdown("<!-- environment: None -->", page("a.md"))
 
 
+def test_the_page_of_effects_has_every_key_with_its_meaning():
+    page_of_effects = (ROOT / "docs" / "how_to" / "effects.md").read_text()
+    shown = site_environments.on_page_markdown(page_of_effects, page("how_to/effects.md"))
+    keys = [(name, key) for name, effect in site_environments.EFFECTS.items() for key in effect.model_fields]
+    assert all(f"| `effects.{name}` | `{key}` | " in shown for name, key in keys) and "| None |" not in shown
+
+
 @pytest.fixture(scope="module")
 def index(tmp_path_factory):
     """Entries of the search index of the site, built as `make docs` builds it: location, and the words that a search compares."""

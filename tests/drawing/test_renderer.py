@@ -76,17 +76,6 @@ def test_what_is_shown_besides_the_arm_is_painted_at_its_place(arm):
     assert len(titled) and titled[:, 0].max() < 40
 
 
-def test_tendons_are_coloured_by_tension(arm):
-    """The same shape with other tensions: pale when slack, dark red at the limit."""
-    _, renderer, picture = arm("three_tendon")
-    scene = picture(LOADED)
-    slack, tight = (renderer.frame(scene._replace(tension=tension)) for tension in (np.zeros(3), np.full(3, 5.0)))
-    rows, columns = changed(slack, tight).T
-    assert len(rows) > 100
-    pale, dark = slack[rows, columns].mean(axis=0), tight[rows, columns].mean(axis=0)
-    assert pale.min() > dark.max() and dark[0] > 1.2 * dark[1]
-
-
 @pytest.mark.parametrize("acceleration", [*np.vstack([9.81 * np.eye(3), -9.81 * np.eye(3)]).tolist()], ids=str)
 def test_gravity_points_down_in_the_picture(arm, acceleration):
     model, renderer, picture = arm("three_tendon", {"effects.gravity": {"acceleration": acceleration}})
@@ -100,26 +89,6 @@ def test_gravity_points_down_in_the_picture(arm, acceleration):
     np.testing.assert_allclose(viewpoint(vertical, upright), renderer._camera.turn, atol=1e-12)  # from where recordings are seen
     for point in (np.zeros(3), [model.length, 0.0, 0.0]):
         assert (pixel(renderer, np.array(point)) > 40).all() and (pixel(renderer, np.array(point)) < [440, 560]).all()
-
-
-def test_nothing_piles_up(arm):
-    model, renderer, picture = arm("three_tendon")
-    goal = model.rest_coordinates(np.array([1.0, 0.4, 0.0]))
-    figure = renderer._canvas.figure
-    counts = set()
-    for i in range(50):
-        shown = {"target_pose": model.tip_pose(goal), "target_backbone": model.backbone(goal, 20)[:, :3, 3]} if i % 2 else {}
-        trail = 0.1 * np.random.default_rng(i).normal(size=(i, 3))
-        renderer.frame(picture(LOADED * i / 50, trail=trail, title=f"{i}", **shown))
-        counts.add((len(figure.findobj()), len(renderer._moving.artists), len(figure.axes)))
-    assert len(counts) == 1
-
-
-def test_a_strain_that_is_no_number_leaves_the_rest_of_the_picture(arm):
-    _, renderer, picture = arm("three_tendon")
-    scene = picture(LOADED)
-    frame = renderer.frame(scene._replace(strain=np.full_like(scene.strain, np.nan)))
-    assert len(changed(frame, renderer.frame(scene))) > 100
 
 
 def test_without_matplotlib_the_error_says_what_to_install(build, monkeypatch):

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.drawing.renderer import normals
 from soft_tendon_env.drawing.shapes import backbones, base_poses, surface, tendon_curves
 from soft_tendon_env.effects.contact import Contact
 from soft_tendon_env.model.simulation import Simulation
@@ -20,15 +19,6 @@ VOLUMES = [
 @pytest.fixture(params=["three_tendon", "paper", "helical"])
 def model(request, build):
     return build(request.param, {"quadrature.intervals": 4})
-
-
-def test_backbones_of_strain_fields_are_the_model_s(model, random_state):
-    q = np.stack([random_state(model, seed)[0] for seed in range(3)])
-    arc_length = np.linspace(0.0, model.length, 17)
-    found = backbones(model, np.stack([model.strain(each)[1] for each in q]), arc_length)
-    np.testing.assert_allclose(found, [model.backbone_at(each, arc_length) for each in q], atol=1e-12)
-    assert backbones(model, model.strain(q[0])[1][None], np.empty(0)).shape == (1, 0, 4, 4)
-    np.testing.assert_array_equal(base_poses(model, np.array([0.0, 1.0])), np.tile(np.eye(4), (2, 1, 1)))  # a base that stands still
 
 
 def test_tendons_run_where_the_routing_says(model, random_state):
@@ -68,12 +58,3 @@ def test_surfaces_hold_the_volume_and_lie_on_the_obstacle(obstacle, volume):
     area = 0.5 * np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     assert np.sum(area * (corners.mean(axis=1) - solid.pose[:3, 3])) / 3.0 == pytest.approx(volume, rel=0.05)
     assert np.abs(contact.distances(corners.reshape(-1, 3))).max() < 1e-12
-
-
-def test_a_plane_is_shown_where_the_view_is():
-    contact = Contact(obstacles=[{"type": "plane", "position": [5.0, 5.0, -0.2], "axis": [0.0, 0.1, 1.0]}])
-    (solid,) = contact.solids()
-    corners = surface(solid, BOX)
-    np.testing.assert_allclose((corners - solid.pose[:3, 3]) @ solid.pose[:3, 2], 0.0, atol=1e-12)
-    np.testing.assert_allclose(normals(corners) @ solid.pose[:3, 2], 1.0)
-    assert np.abs(corners.mean(axis=(0, 1))).max() < 1.0

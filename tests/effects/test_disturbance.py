@@ -3,10 +3,6 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.effects.disturbance import Load, weights
-from soft_tendon_env.model.build import build_model
-from soft_tendon_env.model.grid import discretisation
-from soft_tendon_env.model.model import model_on
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import static_equilibrium
 
@@ -24,13 +20,6 @@ def force_at(model, q=Q):
     return model.terms(q, 0 * q).external_force
 
 
-@pytest.mark.parametrize("frame", ["world", "body"])
-def test_a_load_at_the_tip_is_a_tip_load(build, frame):
-    own = build("paper", loads({"at": 1.0, "force": FORCE, "moment": MOMENT, "frame": frame}))
-    other = build("paper", {"effects.tip_load": {"force": FORCE, "moment": MOMENT, "frame": "tip" if frame == "body" else "world"}})
-    np.testing.assert_allclose(force_at(own), force_at(other), rtol=1e-12, atol=1e-15)
-
-
 @pytest.mark.no_jit
 @pytest.mark.cases("place", [0.0, 0.001, 0.12, 0.225, 0.2999, 0.3])
 @pytest.mark.cases("frame", ["world", "body"])
@@ -43,74 +32,6 @@ def test_the_work_is_that_of_a_force_where_it_acts(uniform, slope, place, frame)
     force = section[:3, :3] @ FORCE if frame == "body" else np.array(FORCE)
     work = slope(lambda at: model.backbone_at(at, [place])[0, :3, 3], q, 1e-5).T @ force
     np.testing.assert_allclose(force_at(model, q), work, rtol=0.0, atol=1e-4 * 0.024)  # of the largest, that at the tip
-
-
-@pytest.mark.parametrize("place", [0.02, 0.12, 0.2999])
-def test_work_of_stretch_is_exact(uniform, place):
-    """The place moves by its share of the stretch."""
-    model = uniform(("stretch",), 0, loads({"at": place, "force": FORCE}))
-    q = np.array([0.1])
-    moved = model.backbone_at(q + 1e-3, [place])[0, 0, 3] - model.backbone_at(q - 1e-3, [place])[0, 0, 3]
-    np.testing.assert_allclose(force_at(model, q)[0], FORCE[0] * moved / 2e-3, rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("load", "order"),
-    [
-        ({"at": 1 / 6, "force": FORCE}, 3.7),
-        ({"at": 1 / 6, "moment": MOMENT}, 3.7),
-        ({"at": 1 / 6, "force": FORCE, "moment": MOMENT, "frame": "body"}, 3.7),
-        ({"along": [0.0, 1.0], "force": FORCE}, 3.9),
-        ({"along": [0.0, 0.5], "force": FORCE, "moment": MOMENT, "frame": "body"}, 3.9),
-    ],
-)
-def test_order_in_the_distance_of_nodes(build, load, order):
-    scene = build("paper", loads(load)).scene
-    exact = force_at(model_on(scene, 256))
-    counts = np.array([8, 16, 32, 64])
-    errors = [np.abs(force_at(model_on(scene, int(count))) - exact).max() for count in counts]
-    assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] > order
-
-
-def test_shares_integrate_cubics_exactly(build):
-    rod = discretisation(build("paper").scene, build("paper").grid)
-    for start, end in ((0.0, 1.0), (0.13, 0.87), (0.4, 0.41), (0.49, 0.51), (0.97, 1.0), (0.5, 1.0)):
-        for power in (1, 2, 3):
-            expected = (end ** (power + 1) - start ** (power + 1)) / (power + 1)
-            np.testing.assert_allclose(weights(rod, Load(at=end)) @ rod.node**power, end**power, rtol=1e-11)
-            np.testing.assert_allclose(weights(rod, Load(along=(start, end))) @ rod.node**power, expected, rtol=1e-11)
-
-
-def test_shares_stay_small_where_nodes_nearly_meet(build):
-    """Two tendons that end a hair apart make an interval next to nothing."""
-    scene = build("paper").scene.replace({"tendons.5.end": 0.5 + 1e-6, "quadrature.intervals": 4})
-    rod = discretisation(scene, build_model(scene).grid)
-    whole = weights(rod, Load(along=(0.0, 1.0)))
-    assert np.abs(whole).max() < 0.3
-    np.testing.assert_allclose(whole @ rod.node, 0.5, rtol=1e-11)
-
-
-def test_deflection_under_a_distributed_force(uniform):
-    """A uniform load w bends a cantilever by w L^4 / (8 E I); on its outer half alone by 41 w L^4 / (384 E I)."""
-    for along, factor in (([0.0, LENGTH], 1 / 8), ([0.5 * LENGTH, LENGTH], 41 / 384)):
-        model = uniform(("bend_y", "bend_z"), 4, loads({"along": along, "force": [0.0, 0.0, 0.01]}))
-        tip = static_equilibrium(model, np.zeros(3)).tip_pose[:3, 3]
-        np.testing.assert_allclose(tip[2], factor * 0.01 * LENGTH**4 / (YOUNG * INERTIA), rtol=2e-3)
-
-
-def test_deflection_under_a_force_at_a_point(uniform):
-    """A force P at a from the base bends the tip by P a^2 (3 L - a) / (6 E I)."""
-    place = 0.17
-    model = uniform(("bend_y", "bend_z"), 6, {**loads({"at": place, "force": [0.0, 0.001, 0.0]}), "quadrature.intervals": 12})
-    tip = static_equilibrium(model, np.zeros(3)).tip_pose[:3, 3]
-    np.testing.assert_allclose(tip[1], 0.001 * place**2 * (3 * LENGTH - place) / (6 * YOUNG * INERTIA), rtol=2e-3)
-
-
-@pytest.mark.parametrize("load", [{"at": 0.437, "force": FORCE}, {"at": 0.03, "force": FORCE}, {"along": [0.2, 0.77], "force": FORCE}])
-def test_force_is_the_gradient_of_the_potential_energy(build, slope, load):
-    model = build("paper", loads(load))
-    gradient = slope(lambda q: model.energy(q, 0 * q).load, Q, 1e-4)
-    np.testing.assert_allclose(force_at(model), -gradient, rtol=1e-7, atol=1e-11)
 
 
 def test_a_pulse_is_there_from_its_start_to_its_end(build):

@@ -1,16 +1,11 @@
 """Moving base: inertia forces against closed forms and against gravity, and the pose of what moves along."""
 
-import json
-
-import gymnasium as gym
 import numpy as np
 import pytest
 
 import soft_tendon_env as ste
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.mechanics.workspace import make_workspace
-from soft_tendon_env.model.contact_forces import contact_forces
-from soft_tendon_env.model.simulation import Simulation
 
 STIFF = {"integrator.step": 0.01, "quadrature.intervals": 12, "integrator.columns": 4}
 
@@ -35,26 +30,6 @@ def test_constant_acceleration_is_gravity_the_other_way(build):
     np.testing.assert_allclose(accelerated.tip_pose[:, :3, :3], heavy.tip_pose[:, :3, :3], atol=1e-9)
 
 
-def test_constant_velocity_changes_nothing_but_the_place(build):
-    v, tension = np.array([0.3, -2.0, 1.0]), np.array([2.0, 0.0, 1.0])
-    found, still = motion_of(moving(build, velocity=v.tolist()), tension), motion_of(build("three_tendon", STIFF), tension)
-    np.testing.assert_allclose(found.tip_pose[:, :3, 3] - v * found.time[:, None], still.tip_pose[:, :3, 3], atol=1e-9)
-
-
-def test_a_whirling_arm_is_stretched_by_its_own_inertia(build):
-    """A uniform rod that turns at rate W about an axis across its base: u(L) = rho W^2 L^3 / (3 E) to first order."""
-    model = moving(build, name="paper_48dof", angular_velocity=6.0)
-    found = motion_of(model, seconds=3.0)
-    x = np.linspace(0.0, 1.0, 2001)
-    radius = 0.03 - 0.01 * x
-    area = np.pi * radius**2
-    force = np.array([np.trapezoid((100.0 * area * 36.0 * x)[i:], x[i:]) for i in range(x.size)])
-    stretch = np.trapezoid(force / (1e6 * area), x)
-    assert np.linalg.norm(found.tip_pose[-1, :3, 3]) - 1.0 == pytest.approx(stretch, rel=3e-2)
-    angle = np.arctan2(found.tip_pose[-1, 1, 3], found.tip_pose[-1, 0, 3])
-    assert (6.0 * 3.0 - angle + np.pi) % (2.0 * np.pi) - np.pi == pytest.approx(0.0, abs=2e-3)
-
-
 @pytest.mark.no_jit
 def test_twist_and_acceleration_are_the_derivatives_of_the_pose(build):
     """eta at the nodes, by differences of the poses in time of an arm whose coordinates stand still."""
@@ -75,44 +50,3 @@ def test_twist_and_acceleration_are_the_derivatives_of_the_pose(build):
     found = np.array([twist[2, 1], twist[0, 2], twist[1, 0], *twist[:3, 3]])
     np.testing.assert_allclose(eta, found, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(eta_bias, (eta_after - eta_before) / (2.0 * h), rtol=1e-6, atol=1e-5)
-
-
-def test_rows_of_an_environment_ride_along():
-    scene = {"scene": "three_tendon", "effects.moving_base.velocity": [0.0, 0.0, 1.0]}
-    envs = gym.make_vec("TendonRod-TipPose-v0", num_envs=3, scene=scene)
-    envs.reset(seed=0)
-    action = np.full((3, 3), -1.0, dtype=np.float32)
-    start = envs.unwrapped.episodes.arms.reading.tip_pose[:, 2, 3].copy()
-    for _ in range(5):
-        envs.step(action)
-    moved = envs.unwrapped.episodes.arms.reading.tip_pose[:, 2, 3] - start
-    np.testing.assert_allclose(moved, 0.1, atol=0.02)
-
-
-CARRIED = {
-    "contact": {
-        "effects.gravity.acceleration": [0.0, 0.0, -9.81],
-        "effects.contact": {"friction": 0.4, "obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.009]}]},
-    },
-    "disturbance": {"effects.disturbance.loads": [{"at": 0.01, "force": [0.0, 1.0, 0.5]}, {"along": [0.0, 0.1], "force": [0.0, 0.0, 1.0]}]},
-}
-
-
-@pytest.mark.parametrize("name", CARRIED)
-def test_effects_at_the_base_go_along_with_it(name, build):
-    """Galileo: a base that moves evenly, with all that is around it, is one that stands still; the floor reaches up to the base."""
-    still = build("three_tendon", {"quadrature.intervals": 6, **CARRIED[name]})
-    changes = json.loads(json.dumps(CARRIED[name]))
-    if name == "contact":
-        changes["effects.contact"]["obstacles"][0]["velocity"] = [0.0, 3.0, 0.0]
-    moving = build("three_tendon", {"quadrature.intervals": 6, **changes, "effects.moving_base.velocity": [0.0, 3.0, 0.0]})
-    here, there = Simulation(still), Simulation(moving)
-    for u in ([2.0, 0.0, 1.0], [0.0, 3.0, 0.0], [0.0, 0.0, 0.0]):
-        for simulation in (here, there):
-            simulation.step(u, 0.1)
-        away = there.tip_pose[:3, 3] - here.tip_pose[:3, 3]
-        np.testing.assert_allclose(away, [0.0, 3.0 * there.state.time, 0.0], atol=1e-7)
-    if name == "contact":
-        own, other = contact_forces(still, here.state), contact_forces(moving, there.state)
-        assert np.linalg.norm(own.force) > 0.01 and own.sample_force[0, 0].any(), "in the first interval too"
-        np.testing.assert_allclose(other.sample_force, own.sample_force, atol=1e-5)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
-from soft_tendon_env.differentiable import gradient_accuracy
 from soft_tendon_env.effects import LANES, Effect, Struct, adds_wrench, kernel, register_effect
 from soft_tendon_env.effects.base import EFFECTS
+from soft_tendon_env.mechanics.effects import _KERNELS as KERNELS
 
 RATE = 1e5  # [1/s]
 STIFFNESS = 1e5  # [N/m]
@@ -98,20 +98,19 @@ def test_a_stiff_spring_comes_to_rest(stiff):
     assert others > 50 * rejected and np.abs(plain.state.q_dot).max() > 1e3 * np.abs(simulation.state.q_dot).max()
 
 
-@pytest.mark.parametrize("own", [ImplicitDrag(RATE), ImplicitSpring((0.0, 0.0, STIFFNESS), ANCHOR)], ids=["drag", "slot"])
-def test_gradient_through_a_stiff_effect(stiff, own):
-    """A spring in all directions leaves the tip no motion above the tolerance of a step."""
-    found = [gradient_accuracy(stiff(own), 0.02, np.zeros(3), np.full(3, 10.0), np.full(3, 0.5), seed) for seed in range(2)]
-    assert min(of.cosine for of in found) > 0.99
+def own_stiffness(own, nodes):
+    for i in range(3):
+        nodes.stiffness[i] += own.stiffness[i]
 
 
-def test_blocks_of_the_implicit_step(stiff):
-    """Generalised stiffness and damping are J^T M J rate and k J_tip^T J_tip, less what a stretched spring adds."""
-    q = np.zeros(9)
-    terms = (model := stiff(ImplicitDrag(RATE))).terms(q, q)
-    np.testing.assert_allclose(terms.external_damping, RATE * terms.mass, rtol=0, atol=1e-6 * RATE * np.abs(terms.mass).max())
-    assert not terms.external_stiffness.any()
-    J = terms.tip_jacobian[3:]
-    at_rest = stiff(ImplicitSpring(3 * (STIFFNESS,), tuple(model.tip_pose(q)[:3, 3].tolist()))).terms(q, q)
-    np.testing.assert_allclose(at_rest.external_stiffness, STIFFNESS * J.T @ J, rtol=0, atol=1e-5 * STIFFNESS * np.abs(J.T @ J).max())
-    assert not at_rest.external_damping.any()
+def own_damping(own, nodes):
+    nodes.damping[0] += own.rate
+
+
+@pytest.mark.parametrize("function, kind", [(own_stiffness, Spring), (own_damping, Drag)])
+def test_derivatives_of_ones_own_beside_differences_are_refused(function, kind):
+    """They would count twice; a parameter of the same name, as that of the spring above, is none."""
+    kept = dict(KERNELS)
+    with pytest.raises(ValueError, match=rf"the kernel {function.__name__} for {kind.__name__} adds to nodes\..*, or it counts twice"):
+        adds_wrench(kind, implicit=("pose", "twist"))(kernel(function))
+    assert kept == KERNELS

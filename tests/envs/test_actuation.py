@@ -4,9 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.envs import IDS, TipPoseEnv, TipPoseVectorEnv
-from soft_tendon_env.model.simulation import Simulation
-from soft_tendon_env.model.state import State
+from soft_tendon_env.envs import IDS, TipPoseEnv
 from soft_tendon_env.model.statics import commanded_equilibrium
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -25,15 +23,6 @@ def test_tensions_go_from_limit_to_limit():
     np.testing.assert_array_equal(tension_after(env, [-7.0, 0.5, 7.0]), [0.0, 3.75, 5.0])  # clipped
     env = TipPoseEnv(**SMALL, tension_limits=[-1.0, 3.0])
     np.testing.assert_allclose(tension_after(env, [-1.0, 0.0, 1.0]), [-1.0, 1.0, 3.0])
-
-
-def test_limits_are_the_tendons_own():
-    scene = {"scene": "three_tendon", "tendons.1.tension_limits": [0.5, 1.5]}
-    env = TipPoseEnv(**{**SMALL, "scene": scene})
-    np.testing.assert_allclose(tension_after(env), [0.0, 0.5, 0.0])
-    np.testing.assert_allclose(tension_after(env, np.ones(3)), [5.0, 1.5, 5.0])
-    env = TipPoseEnv(**{**SMALL, "scene": scene}, tension_limits=[0.0, 2.0])
-    np.testing.assert_allclose(tension_after(env, np.ones(3)), 2.0)
 
 
 @pytest.mark.cases("limits, start", [([0.0, 5.0], 0.0), ([-2.0, 5.0], 0.0), ([1.0, 5.0], 1.0), ([-5.0, -1.0], -1.0)])
@@ -58,18 +47,6 @@ def test_increments_add_up_within_their_rate_and_the_limits():
     np.testing.assert_allclose(tension_after(env, *[[9.0, 0.1, 0.0]] * 7), [5.0, 0.7, 0.0])
     np.testing.assert_allclose(tension_after(env, *[[1.0] * 3] * 9, [-1.0] * 3), 4.0)
     np.testing.assert_array_equal(tension_after(env), 0.0)
-
-
-def test_tension_is_held_over_a_control_period_of_several_steps():
-    env = TipPoseEnv(scene={"scene": "three_tendon", "integrator.step": 0.01}, control_period=0.05)
-    assert env.episodes.arms.substeps == 5
-    assert env.metadata["render_fps"] == 20
-
-
-def test_the_last_action_is_observed_as_clipped():
-    env = TipPoseEnv(**SMALL, observation=["last_action"])
-    env.reset(seed=0)
-    assert env.step([2.0, -0.5, -3.0])[0].tolist() == [1.0, -0.5, -1.0]
 
 
 LIMITS = np.array([-0.002, 0.012])  # [m]
@@ -112,33 +89,3 @@ def test_an_action_that_is_held_leads_to_the_equilibrium_of_its_displacements():
     np.testing.assert_allclose(env.episodes.arms.reading.tip_pose[0], found.tip_pose, atol=1e-6)
     np.testing.assert_allclose(env.episodes.tension[0], tension, atol=1e-3)
     assert tension.max() > 0.5 and tension.min() == 0.0, "one is slack"
-
-
-@pytest.mark.parametrize("name", SCENES)
-def test_rows_are_single_environments_and_stay_finite(name, rows_alike):
-    """200 random steps, with latencies and errors of actuators besides."""
-    options = options_of(name, randomize={"latency": [0.0, 0.05], "tension_gain": [0.9, 1.1]})
-    vector, moved = TipPoseVectorEnv(3, **options), []
-    for rows, infos in rows_alike(vector, {row: TipPoseEnv(**options) for row in range(3)}, 200):
-        assert np.isfinite(rows).all() and not infos["diverged"].any()
-        moved.append(vector.episodes.arms.reading.tip_pose[:, :3, 3].copy())
-    assert np.ptp(moved, axis=0).max(axis=1).min() > 0.02, "[m]"
-
-
-def test_a_state_in_mid_delay_continues_bit_for_bit(tmp_path):
-    """What env.state has goes on in a simulation, from a file too, as it does in the environment."""
-    env = TipPoseEnv(**options_of("all of the path"))
-    env.reset(seed=0)
-    table = np.random.default_rng(0).uniform(-1.0, 1.0, (40, 3))
-    for action in table[:17]:
-        env.step(action)
-    env.state.save(tmp_path / "state.npz")
-    state = State.load(tmp_path / "state.npz")
-    arrivals = state.effects[6:].reshape(-1, 4)[:, 0]
-    assert np.any((arrivals > state.time) & (arrivals < state.time + 0.033)), "commands on their way"
-    simulation = Simulation(env.model, state)
-    for action in table[17:]:
-        env.step(action)
-        simulation.step(displacement(action), 0.02)
-        for own, expected in zip(vars(simulation.state).values(), vars(env.state).values(), strict=True):
-            np.testing.assert_array_equal(own, expected)

@@ -3,7 +3,6 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.error import ResetNeeded
 from gymnasium.wrappers import RecordVideo, RenderCollection
 
 from soft_tendon_env.registration import IDS
@@ -38,19 +37,6 @@ def test_frames_are_collected_and_change(env):
     assert (found[0] != found[-1]).any()
 
 
-def test_a_reset_begins_another_trail(env):
-    env.reset(seed=0)
-    first = env.render()
-    env.step(np.ones(3, dtype=np.float32))
-    env.reset(seed=0)
-    np.testing.assert_array_equal(env.render(), first)
-
-
-def test_there_is_nothing_to_see_before_a_reset(env):
-    with pytest.raises(ResetNeeded, match="render"):
-        env.unwrapped.render()
-
-
 def test_rows_have_a_frame_each(env):
     envs = gym.make_vec(IDS["Shape"], num_envs=2, scene="three_tendon", render_mode="rgb_array")
     envs.reset(seed=0)
@@ -58,8 +44,3 @@ def test_rows_have_a_frame_each(env):
     assert len(frames) == 2
     env.reset(seed=1)
     np.testing.assert_array_equal(frames[1], env.render())
-
-
-def test_other_render_modes_are_refused():
-    with pytest.raises(ValueError, match="rgb_array"):
-        gym.make(IDS["Shape"], scene="three_tendon", render_mode="ansi").reset()

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import logm
 
-from soft_tendon_env.control.rigid_motions import pose_error
-from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
+from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv
 from soft_tendon_env.envs.observation import GROUPS
-from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "standard"}  # 3 tendons, 12 coordinates or fewer
 KINDS = {"TipPose": TipPoseEnv, "Shape": ShapeEnv, "Reach": ReachEnv}
@@ -22,7 +20,6 @@ def test_groups_are_those_of_the_docstring_side_by_side(task):
     assert [where.start for where in slices.values()] == [0, *ends[:-1]] and env.episodes.layout.space.shape == (ends[-1],)
     space = env.observation_space
     assert space.dtype == np.float32 if task != "Reach" else set(space.spaces) == {"observation", "achieved_goal", "desired_goal"}
-
 
 
 def log(g):
@@ -85,42 +82,6 @@ def units(model):
     return np.sqrt(bending / model.length / np.diag(model.terms(np.zeros(n), np.zeros(n)).stiffness))
 
 
-@pytest.mark.parametrize("task", KINDS)
-def test_lively_arms_stay_far_from_the_clips(task):
-    """Scaled to about one: the paper's arm at a quarter of its limits, as the targets are."""
-    env = KINDS[task](fidelity="fast")
-    seen, slices = [env.reset(seed=0)[0]], env.episodes.layout.slices
-    for action in np.random.default_rng(0).uniform(-1.0, -0.5, (20, 10)):
-        seen += [env.step(action)[0] for _ in range(10)]
-    flat = np.array([part["observation"] if task == "Reach" else part for part in seen])
-    for name, where in slices.items():
-        assert (np.abs(flat[:, where]) >= 10.0).mean() <= (0.02 if name in ("target_error", "preview") else 0.0)  # a target may be far
-        assert 0.02 < np.sqrt((flat[:, where] ** 2).mean()) < 4.0
-
-
-def test_the_way_to_far_targets_is_told_as_it_is():
-    """Bounds of ten lengths of the rod, where everything else has one at most: here the way is of seven."""
-    pose = np.eye(4)
-    pose[:3, 3] = [2.0, 1.0, 0.5]
-    env = TipPoseEnv(**SMALL, target={"type": "hold", "pose": pose.tolist()})
-    observation, _ = env.reset(seed=0)
-    for name, where in env.episodes.layout.slices.items():
-        assert (env.observation_space.high[where] == 100.0).all() == (name in ("target_error", "preview"))
-    values = env.episodes.layout.values(observation[None])
-    tip = env.episodes.arms.reading.tip_pose[0]
-    np.testing.assert_allclose(values["target_error"][0], pose_error(tip, pose), rtol=1e-5, atol=1e-5)
-    assert np.linalg.norm(values["target_error"]) > 5.0 * env.episodes.model.length
-
-
-def test_bounds_are_finite_and_kept():
-    env = TipPoseEnv(**SMALL, tension_limits=[0.0, 60.0])
-    env.reset(seed=0)
-    space = env.observation_space
-    assert np.isfinite(space.low).all() and (space.high == -space.low).all() and set(space.high) == {1.0, 10.0, 100.0}
-    assert all(space.contains(env.step(np.ones(3))[0]) for _ in range(20))
-    assert (np.abs(env.step(np.ones(3))[0]) == 10.0).any()
-
-
 HISTORY = {"observation": ["tip_position", "target_error", "tendon_lengths", "last_action", "command"], "history": 3}
 NOISY = {"noise": {"position": 1e-3, "rotation": 0.01, "length": 5e-4}, "latency": 0.03, "tension_gain": [0.9, 1.1]}
 
@@ -145,58 +106,3 @@ def test_history_is_what_was_observed_before_with_its_noise_and_at_reset_as_if_a
         for time, observation in enumerate(seen):
             past = observation[slices["history"]].reshape(3, -1)
             np.testing.assert_array_equal(past, (now[np.maximum(time - np.arange(1, 4), 0)] - now[time]) / np.float32(0.1))
-
-
-def test_history_leaves_the_rest_of_the_observation_as_it_is(arm):
-    plain, deep = (TipPoseEnv(**arm, **{**HISTORY, "history": periods}, randomize=NOISY) for periods in (0, 3))
-    size = plain.observation_space.shape[0]
-    pairs = [(plain.reset(seed=3)[0], deep.reset(seed=3)[0])]
-    for _ in range(4):
-        action = plain.action_space.sample()
-        pairs.append((plain.step(action)[0], deep.step(action)[0]))
-    for without, full in pairs:
-        np.testing.assert_array_equal(without, full[:size])
-    values = deep.episodes.layout.values(pairs[-1][1][None])
-    kept = [name for name in HISTORY["observation"] if GROUPS[name].of_arm]
-    ends = [deep.episodes.layout.values(full[None]) for _, full in (pairs[-1], pairs[-2])]
-    now, before = (np.concatenate([end[name][0] for name in kept]) for end in ends)
-    np.testing.assert_allclose(values["history"][0, : now.size], before - now, rtol=1e-5, atol=1e-6)  # in SI units
-
-
-@pytest.mark.parametrize("mode", ["next_step", "same_step", "disabled"])
-def test_history_of_rows_is_that_of_single_environments_through_resets(arm, mode):
-    rows, length = 3, 4
-    envs = TipPoseVectorEnv(num_envs=rows, max_episode_steps=length, autoreset_mode=mode, **arm, **HISTORY, randomize=NOISY)
-    singles = [TipPoseEnv(**arm, **HISTORY, randomize=NOISY) for _ in range(rows)]
-    generator = np.random.default_rng(1)
-    observation, _ = envs.reset(seed=5)
-    expected = np.stack([env.reset(seed=5 + row)[0] for row, env in enumerate(singles)])
-    np.testing.assert_array_equal(observation, expected)
-    for time in range(1, 12):
-        actions = generator.uniform(-1, 1, envs.action_space.shape)
-        fresh = mode == "next_step" and time % (length + 1) == 0
-        observation, _, _, truncated, info = envs.step(actions)
-        expected = np.stack([env.reset()[0] if fresh else env.step(action)[0] for env, action in zip(singles, actions, strict=True)])
-        if mode == "same_step" and truncated.any():
-            np.testing.assert_array_equal(np.stack(info["final_obs"]), expected)
-            expected = np.stack([env.reset()[0] for env in singles])
-        np.testing.assert_array_equal(observation, expected)
-        if mode == "disabled" and truncated.any():
-            mask = np.array([True, False, True])
-            observation, _ = envs.reset(options={"reset_mask": mask})
-            expected[mask] = np.stack([env.reset()[0] for env, again in zip(singles, mask, strict=True) if again])
-            np.testing.assert_array_equal(observation, expected)
-            return
-
-
-def test_goals_have_a_history_too(arm):
-    env = ReachEnv(**arm, observation=["tip_position", "command"], history=2)
-    observation, _ = env.reset(seed=0)
-    assert observation["observation"].shape == (3 * (3 + env.episodes.model.tendon_count),)
-    assert env.observation_space.contains(observation)
-
-
-@pytest.mark.cases("options", [{"history": -1}, {"history": 100_000}, {"history": 2, "observation": ["target_error"]}])
-def test_impossible_history_is_refused(arm, options):
-    with pytest.raises(ConfigurationError, match="history"):
-        TipPoseEnv(**arm, **options)

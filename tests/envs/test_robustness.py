@@ -1,13 +1,10 @@
 """Saturated random actions for long: nothing raises, nothing is NaN, nothing grows."""
 
-import gc
-import sys
-
 import numpy as np
 import pytest
 
 from soft_tendon_env.effects import EFFECTS
-from soft_tendon_env.envs import ReachVectorEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv
+from soft_tendon_env.envs import ReachVectorEnv, ShapeVectorEnv, TipPoseVectorEnv
 
 KINDS = (TipPoseVectorEnv, ShapeVectorEnv, ReachVectorEnv)
 
@@ -35,21 +32,6 @@ def test_saturated_actions_at_the_limits_of_the_paper_s_arm(kind):
     assert saturate(kind(64, 60, fidelity="fast", tension_limits=[0.0, 60.0]), 130) == (128, 0)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_thousand_episodes_of_saturated_actions(kind):
-    """Of all tasks together, no two alike."""
-    assert saturate(kind(64, 500, fidelity="fast", tension_limits=[0.0, 60.0]), 6 * 501, KINDS.index(kind)) == (384, 0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("options", [{"fidelity": "standard"}, {"fidelity": "fast", "action": "increment"}])
-@pytest.mark.parametrize("kind", KINDS)
-def test_saturated_actions_for_long(kind, options):
-    """66 arms of all tasks together, no two alike."""
-    assert saturate(kind(22, 500, tension_limits=[0.0, 60.0], **options), 1100, KINDS.index(kind))[1] == 0
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_saturated_actions_on_random_arms(kind, arm, everything):
     options = {**arm, "randomize": everything, "observation": "measurable", "sensors": [0.1, 0.3]}
@@ -68,9 +50,8 @@ WILD = {
 
 
 @pytest.mark.parametrize("how", WILD)
-@pytest.mark.parametrize("kind", KINDS)
-def test_wild_arms_end_in_order(kind, how):
-    saturate(kind(4, 40, **{"fidelity": "fast", **WILD[how]}), 50)
+def test_wild_arms_end_in_order(how):
+    saturate(ShapeVectorEnv(4, 40, **{"fidelity": "fast", **WILD[how]}), 50)
 
 
 EVERY_EFFECT = {  # in fixed steps of 20 ms
@@ -99,18 +80,6 @@ EVERY_EFFECT = {  # in fixed steps of 20 ms
     "effects.actuators": {"time_constant": 0.02, "delay": 0.013},
     "effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": [0.0, 0.02]},
     "effects.tendon_friction": {"coefficient": 0.15},
-}
-DRAWN = {
-    "fluid.density": {"factor": [0.5, 2.0]},
-    "tip_load.force": [[-0.05, 0.05], [-0.05, 0.05], [-0.05, 0.05]],
-    "contact.obstacles.2.position": [0.2, [0.11, 0.14], [0.02, 0.04]],
-    "contact.friction": [0.1, 0.8],
-    "viscoelastic_memory.branches.0.relaxation_time": [0.05, 0.5],
-    "moving_base.frequency": [0.5, 1.5],
-    "actuators.time_constant": [0.005, 0.05],
-    "actuators.delay": [0.001, 0.013],
-    "tendon_elasticity.stiffness": [2e3, 2e4],
-    "tendon_friction.coefficient": [0.0, 0.3],
 }
 
 
@@ -142,29 +111,3 @@ def test_every_effect_at_once():
     """Nobody sinks in by half of the radius, nor flies off."""
     deepest, fastest = live_among(150, scene=EVERY_EFFECT, fidelity="scene")
     assert deepest < 0.005 and fastest < 10.0
-
-
-@pytest.mark.slow
-def test_a_minute_of_saturated_actions_with_every_effect_drawn():
-    deepest, fastest = live_among(3000, scene=EVERY_EFFECT, fidelity="scene", randomize={"effects": DRAWN})
-    assert deepest < 0.005 and fastest < 10.0
-
-
-@pytest.mark.slow
-def test_memory_does_not_grow():
-    env, vector = (kind(scene="three_tendon", fidelity="fast") for kind in (TipPoseEnv, TipPoseVectorEnv))
-
-    def live():
-        env.reset(seed=0)
-        for _ in range(10):
-            env.step(np.ones(3))
-        vector.reset(seed=0)
-        vector.step(np.ones((1, 3)))
-
-    blocks = []
-    for _ in range(10):
-        for _ in range(100):
-            live()
-        gc.collect()
-        blocks.append(sys.getallocatedblocks())
-    assert np.diff(blocks).min() < 10  # a leak would show in every hundred

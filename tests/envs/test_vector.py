@@ -1,7 +1,5 @@
 """Row i of a vector environment with seed s is the single environment with seed s + i; what reset and step refuse."""
 
-import copy
-
 import numpy as np
 import pytest
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
@@ -80,33 +78,22 @@ def test_rows_are_single_environments(task, mode, same):
     compare(lambda: single(**SMALL), vector(3, LONGEST, mode, **SMALL), 10, 3, mode, same)
 
 
-@pytest.mark.parametrize("kind", ["loaded", "explicit"])
+MORE = {
+    "elastic": {"effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": [-0.002, 0.012]}, "effects.actuators.delay": 0.033},
+    "contact": {"effects.contact.obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.04], "friction": 0.4}]},
+}
+
+
+@pytest.mark.parametrize("kind", ["loaded", "explicit", *MORE])
 def test_rows_are_single_environments_with_everything_random(kind, arms, everything, same):
     """On threads, with more rows than fill a share of them."""
-    options = {**arms[kind], "randomize": everything, "observation": "measurable", "sensors": [0.1, 0.3], "action": "increment"}
+    made = {"scene": {"scene": "three_tendon", **MORE[kind]}, "fidelity": "fast"} if kind in MORE else arms[kind]
+    seen = {"observation": ["clearance", "contact_force", "command"]} if kind == "contact" else {"observation": "measurable"}
+    options = {**made, "randomize": everything, **seen, "history": 2, "sensors": [0.1, 0.3], "action": "increment"}
     vector = TipPoseVectorEnv(24, LONGEST, "same_step", 3, **options)
     assert vector.episodes.arms.threads == 3
     compare(lambda: TipPoseEnv(**options), vector, 20, 24, "same_step", same, steps=12)
     vector.close()
-
-
-def test_rows_with_ends_of_their_own_are_single_environments(same):
-    """A row that is reset alone leaves the others as they are."""
-    vector = TipPoseVectorEnv(3, None, "disabled", **SMALL)
-    single = [TipPoseEnv(**SMALL) for _ in range(3)]
-    observation, _ = vector.reset(seed=1)
-    for row, env in enumerate(single):
-        assert same(env.reset(seed=1 + row)[0], observation[row])
-    actions = np.random.default_rng(2).uniform(-1, 1, (30, 3, 3))
-    for i, action in enumerate(actions):
-        if i in (5, 6, 20):
-            observation, info = vector.reset(options={"reset_mask": np.arange(3) == i % 3})
-            expected, expected_info = single[i % 3].reset()
-            assert same(observation[i % 3], expected)
-        observation, reward, *_ = vector.step(action)
-        for row, env in enumerate(single):
-            expected = env.step(action[row])
-            assert same(observation[row], expected[0]) and reward[row] == expected[1]
 
 
 @pytest.mark.parametrize("mode", ["same_step", "next_step"])
@@ -134,16 +121,6 @@ def test_seeds_can_be_listed(same):
     vector.reset(seed=[4, 9, 4])
     again, _ = vector.reset(seed=[4, None, 4])
     assert same(again[0], listed[0]) and not same(again[1], listed[1])
-
-
-def test_results_are_new_each_time(same):
-    vectors = TipPoseVectorEnv(2, **SMALL), ReachVectorEnv(2, autoreset_mode="same_step", max_episode_steps=2, **SMALL)
-    for env in (TipPoseEnv(**SMALL), *vectors):
-        kept = [env.reset(seed=0), env.step(np.ones(env.action_space.shape))]
-        copied = copy.deepcopy(kept)
-        for _ in range(4):
-            env.step(-np.ones(env.action_space.shape))
-        assert same(kept, copied)
 
 
 def test_ended_rows_must_be_reset_where_nothing_resets_them():
@@ -174,9 +151,9 @@ SEED, MASK = "seed should be", "reset_mask should be a bool array of shape"
         ({"options": "reset_mask"}, "options should be a dict or None, not str"),
         ({"options": {"reset_mask": [1, 0]}}, MASK),
         ({"options": {"reset_mask": [False, False]}}, MASK),
-        ({"options": {"episode_steps": [4]}}, "options: episode_steps has 1 entries: it should be one value, or one per row, 2"),
+        ({"options": {"episode_steps": [4]}}, "options: episode_steps should have one value per row, 2"),
         ({"options": {"episode_steps": [1, 2.5]}}, "options of row 1: episode_steps is 2.5: it should be a valid integer"),
-        ({"options": {"episode_steps": 0}}, "options of row 0: episode_steps is 0: it should be greater than or equal to 1"),
+        ({"options": {"episode_steps": [0, 1]}}, "options of row 0: episode_steps is 0: it should be greater than or equal to 1"),
     ],
 )
 def test_bad_arguments_of_reset_are_refused_before_anything_changes(given, message, everything, same):
@@ -187,12 +164,6 @@ def test_bad_arguments_of_reset_are_refused_before_anything_changes(given, messa
     with pytest.raises((ValueError, TypeError), match=f"^{message}"):
         vector.reset(**given)
     assert same(vector.step(np.zeros((2, 3))), twin.step(np.zeros((2, 3)))) and same(vector.reset(), twin.reset())
-
-
-@pytest.mark.cases("seed, error", [(-1, ValueError), (1.0, TypeError), (True, TypeError)])
-def test_bad_seeds_of_one_environment_are_refused(seed, error):
-    with pytest.raises(error, match="^seed should be"):
-        TipPoseEnv(**SMALL).reset(seed=seed)
 
 
 @pytest.mark.cases("rows, threads", [(None, None), (1, None), (32, 2)])
@@ -212,7 +183,6 @@ def test_nothing_goes_on_after_close(rows, threads):
     "key, value, said",
     [
         ("num_envs", 0, "num_envs"),
-        ("num_envs", 10**30, "num_envs should be at most 100000, not 10"),
         ("max_episode_steps", 0, "max_episode_steps"),
         ("threads", "all", "threads"),
         ("autoreset_mode", "samestep", "autoreset_mode is 'samestep': did you mean 'same_step'"),
@@ -221,12 +191,6 @@ def test_nothing_goes_on_after_close(rows, threads):
 def test_bad_counts_and_modes_are_refused_by_name(key, value, said):
     with pytest.raises((ValueError, TypeError), match=said):
         TipPoseVectorEnv(**{"num_envs": 1, key: value}, **SMALL)
-
-
-@pytest.mark.cases("goals", [([0.0] * 2, [0.0] * 2), (np.zeros((2, 3)), np.zeros((3, 3)))])
-def test_goals_of_other_shapes_are_refused(goals):
-    with pytest.raises(ValueError, match="achieved_goal and desired_goal should have the same shape"):
-        ReachEnv(**SMALL).compute_reward(*goals, {})
 
 
 @pytest.mark.parametrize("task", KINDS)

@@ -7,7 +7,7 @@ import pytest
 
 from soft_tendon_env.evaluation import tables
 from soft_tendon_env.evaluation.metrics import METRICS, Episode, Metric, chatter, score, settling_time
-from soft_tendon_env.evaluation.summaries import CHATTER_COST, WORST, summarise, tracking_cost
+from soft_tendon_env.evaluation.summaries import CHATTER_COST, WORST, Standing, summarise, tracking_cost
 
 PERIOD = 0.5  # [s]
 
@@ -28,26 +28,6 @@ def episode(position=(0.3, 0.3, 0.04, 0.03, 0.005), **changes):
     return Episode(**{**values, **changes})
 
 
-def test_errors_count_from_skip_on_with_the_sample_at_that_time():
-    errors = score(episode(), skip=1.0).errors
-    assert errors["position_error"].rms == pytest.approx(math.sqrt((0.04**2 + 0.03**2 + 0.005**2) / 3))
-    assert errors["angle_error"][:2] == pytest.approx((0.2, 0.2))
-    everything = score(episode(), skip=0.0).errors["position_error"]
-    assert everything.rms == pytest.approx(math.sqrt((2 * 0.3**2 + 0.04**2 + 0.03**2 + 0.005**2) / 5))
-
-
-def test_a_skip_between_samples_takes_the_next_and_one_on_a_sample_that():
-    position = (1.0, 2.0, 3.0)
-    rms = {skip: score(episode(position), skip).errors["position_error"].rms for skip in (0.5, 0.6, 1.0)}
-    assert rms == pytest.approx({0.5: math.sqrt((4 + 9) / 2), 0.6: 3.0, 1.0: 3.0})
-
-
-def test_95_of_100_samples_are_below_the_95th_percentile():
-    position = np.random.default_rng(0).permutation(np.arange(1.0, 101.0))
-    bound = score(episode(position), skip=0.0).errors["position_error"].percentile_95
-    assert (position < bound).sum() == 95
-
-
 @pytest.mark.parametrize(
     "error, settled",
     [
@@ -64,23 +44,6 @@ def test_95_of_100_samples_are_below_the_95th_percentile():
 )
 def test_settled_is_to_stay_below_to_the_end_for_a_second(error, settled):
     assert settling_time(np.array(error), PERIOD, 1.0) == settled
-
-
-def test_an_episode_settles_within_a_hundredth_of_the_rod():
-    position = (0.3, 0.009, 0.009, 0.009)
-    assert score(episode(position), skip=0.0).settling_time == PERIOD
-    assert score(episode(position, length=0.5), skip=0.0).settling_time is None
-
-
-def test_effort_is_that_of_the_tensions_applied_and_not_of_the_reset():
-    tension = np.array([[100.0, 100.0], [3.0, 4.0], [0.0, 5.0]])
-    assert score(episode((0.1, 0.1, 0.1), tension=tension), skip=0.0).effort == pytest.approx(math.sqrt(50 / 4))
-
-
-def test_tension_rate_is_that_of_a_ramp():
-    """Of 2 and 6 N/s."""
-    ramp = np.arange(5)[:, None] * PERIOD * np.array([2.0, 6.0])
-    assert score(episode(tension=ramp), skip=0.0).tension_rate == pytest.approx(math.sqrt((4 + 36) / 2))
 
 
 @pytest.mark.cases(
@@ -103,13 +66,6 @@ def test_the_steady_state_is_the_second_half_of_every_hold_between_jumps(jumps, 
     assert found.steady_state == pytest.approx(steady, nan_ok=True)
 
 
-def test_a_jump_in_the_last_sample_unsettles_nobody():
-    moved = np.array([False, False, False, False, True])
-    position = (0.3, 0.001, 0.001, 0.001, 0.4)
-    assert score(episode(position, moved=moved)).settling_time == PERIOD
-    assert score(episode(position)).settling_time is None
-
-
 @pytest.mark.cases(
     "changes, bad",
     [
@@ -122,7 +78,7 @@ def test_a_jump_in_the_last_sample_unsettles_nobody():
 )
 def test_bad_is_an_error_above_two_hundredths_of_the_rod(changes, bad):
     judged = score(episode(**changes), skip=0.0 if "moved" in changes else 1.0)
-    assert judged.is_bad() == bad and summarise([judged]).bad == bad
+    assert judged.bad == bad
 
 
 @pytest.mark.parametrize("frequency, share", [(2.0, 0.0), (8.0, 0.0), (12.0, 1.0), (20.0, 1.0), (25.0, 1.0)])
@@ -134,32 +90,6 @@ def test_chatter_is_the_part_above_ten_hertz_of_the_changes_of_tension(frequency
     change = math.sqrt(np.mean(np.diff(tension[:, 0]) ** 2) / 2)  # over both tendons
     assert chatter(tension, period) == pytest.approx(share * change, rel=0.02, abs=1e-4 * change)
     assert chatter(tension + 5.0 * time[:, None], period) == pytest.approx(chatter(tension, period), rel=1e-3, abs=1e-3)
-
-
-def test_what_is_too_short_or_too_slow_for_chatter_has_none():
-    assert math.isnan(chatter(np.zeros((8, 1)), 0.02))
-    assert chatter(np.arange(60.0)[:, None] % 2, 0.1) == chatter(np.arange(3.0)[:, None], 0.05) == 0.0
-
-
-def test_violations_are_counted_and_rewards_summed():
-    violation = np.array([True, False, True, True])
-    judged = score(episode(violation=violation))
-    assert (judged.bound_violations, judged.total_reward, judged.steps, judged.seed) == (3, 1.0, 4, 7)
-
-
-def test_the_first_call_is_not_timed():
-    seconds = np.array([99.0, 0.001, 0.002, 0.006])
-    assert score(episode(seconds=seconds)).action_time.median == 0.002
-    many = np.concatenate([[99.0], np.arange(1.0, 101.0)])
-    slowest = score(episode(np.zeros(102), seconds=many), skip=0.0).action_time.percentile_99
-    assert (many[1:] > slowest).sum() == 1
-
-
-def test_a_diverged_episode_has_not_settled_and_says_why():
-    judged = score(episode((0.3, 0.001), cause="the state is not finite"), skip=1.0)
-    assert judged.diverged == "the state is not finite"
-    assert judged.settling_time is None
-    assert math.isnan(judged.errors["position_error"].rms)
 
 
 @pytest.mark.cases(
@@ -181,17 +111,8 @@ def test_a_summary_is_over_all_samples_of_episodes_alike():
     summary = summarise([score(episode(position), skip=0.0) for position in positions])
     assert summary.errors["position_error"].rms == pytest.approx(math.sqrt(np.mean(positions**2)))
     assert summary.errors["position_error"].percentile_95 == pytest.approx(np.percentile(positions, 95, axis=1).mean())
-    assert summary.worst["position_error"] == pytest.approx(np.sqrt(np.mean(positions**2, axis=1)).max())
     assert summary.effort == pytest.approx(math.sqrt(12.5))
     assert (summary.episodes, summary.diverged, summary.flagged, summary.reached) == (3, 0, False, None)
-
-
-def test_a_summary_counts_who_settled_and_who_reached_the_goal():
-    settled, not_settled = (0.3, 0.001, 0.001, 0.001), (0.3, 0.001, 0.3, 0.001)
-    given = [(settled, True), (settled, True), (not_settled, False), (not_settled, True)]
-    summary = summarise([score(episode(position, reached=reached), skip=0.0) for position, reached in given])
-    assert (summary.settled, summary.settling_time, summary.reached) == (2, PERIOD, 0.75)
-    assert summarise([score(episode(not_settled), skip=0.0)]).settling_time is None
 
 
 def test_a_divergence_flags_the_summary_and_stays_out_of_the_errors():
@@ -217,14 +138,6 @@ def test_tuning_costs_are_of_errors_and_chatter_within_the_worst():
     assert shaken.chatter == pytest.approx(0.5, rel=1e-3) and tracking_cost([shaken]) == 2e-3 + CHATTER_COST * shaken.chatter
 
 
-def test_tuning_costs_are_shares_of_the_rod():
-    """A tenth of the size with a tenth of the error costs a tenth."""
-    tension = np.tile([[1.0], [2.0]], (75, 1))
-    cost = lambda scale, error: tracking_cost([score(episode(np.full(150, scale * error), tension=tension, period=0.02, length=scale))])  # noqa: E731
-    for error in (2e-3, 0.5):
-        assert cost(0.1, error) == pytest.approx(0.1 * cost(1.0, error))
-
-
 def test_a_metric_of_your_own_is_an_entry(monkeypatch):
     """It is in scores, summaries, tables and files."""
     own = Metric("largest tension [N]", lambda episode, first: float(episode.tension.max()))
@@ -233,6 +146,6 @@ def test_a_metric_of_your_own_is_an_entry(monkeypatch):
     summary = summarise([judged])
     assert judged.largest_tension == summary.largest_tension == 4.0 and judged.record()["largest_tension"] == 4.0
     assert "| largest tension [N] |" in tables.summary_table("policy", {"a": summary})
-    assert tables.csv_record(summary)["largest_tension"] == 4.0
+    assert tables.records({("a", "nominal"): Standing([[judged]])})[0]["largest_tension"] == 4.0
     with pytest.raises(AttributeError, match="EpisodeScore has no largest_tensoin"):
         judged.largest_tensoin  # noqa: B018

@@ -26,9 +26,7 @@ def straight_tendons():
     """straight_tendons((y, z), (y, z, end), ...): tendons parallel to the axis [m]."""
 
     def tendons(*offsets):
-        return [
-            Tendon(routing=StraightRouting(offset=(float(y), float(z))), end=float(end[0]) if end else None) for y, z, *end in offsets
-        ]
+        return [Tendon(routing=StraightRouting(offset=(float(y), float(z))), end=float(end[0]) if end else None) for y, z, *end in offsets]
 
     return tendons
 

@@ -1,14 +1,8 @@
 """Random scenes through the statics: branch, stability, honest failure, and the number of quadrature intervals that they get.
 
-python tests/hard_cases/random_scenes.py [--scenes 2000] [--first 0] [--processes 2]
-
-Scene number k is drawn with seed k, the same everywhere. Prints a line for each scene that something is wrong with, and the counts.
+Scene number k is drawn with seed k, the same everywhere.
 """
 
-import argparse
-import collections
-import multiprocessing
-import sys
 import warnings
 from typing import NamedTuple
 
@@ -185,33 +179,3 @@ def off_finer_quadrature(model, tension, tip_pose):
         finer = ste.build_model(model.scene.replace({"quadrature.intervals": min(3 * model.grid.per_piece, MOST_INTERVALS)}))
     rest = ste.static_equilibrium(finer, tension)
     return float(np.linalg.norm(rest.tip_pose[:3, 3] - tip_pose[:3, 3])) if rest.converged else np.nan
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenes", type=int, default=2000)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--processes", type=int, default=2)
-    arguments = parser.parse_args()
-    numbers = range(arguments.first, arguments.first + arguments.scenes)
-    kinds: collections.Counter[str] = collections.Counter()
-    wrong, farthest, coarsest = 0, 0.0, 0.0
-    with multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
-        for found in pool.imap(verdict, numbers, chunksize=8):
-            kinds[found.kind] += 1
-            wrong += bool(found.problems)
-            farthest = max(farthest, 0.0 if np.isnan(found.distance) or found.problems else found.distance)
-            coarsest = max(coarsest, 0.0 if np.isnan(found.quadrature) else found.quadrature)
-            for problem in found.problems:
-                print(f"scene {found.number}: {problem}", flush=True)
-    for kind, count in kinds.most_common():
-        print(f"{count:6d}  {kind}")
-    print(
-        f"{len(numbers)} scenes, {wrong} with a problem; tips at most {farthest:.2g} lengths from slow loading, "
-        f"{coarsest:.2g} tolerances from a finer quadrature"
-    )
-    return wrong > 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""Writes docs/appendix/hard_cases.md: runs the hard cases, and lists each with its docstring and with what it measured.
+"""Writes docs/appendix/hard_cases.md: runs the hard cases, and lists each with what it measured.
 
 python tests/hard_cases/table.py
 """
@@ -20,11 +20,11 @@ HEAD = """\
 {stamp}
 
 Numerical robustness: what is known to break simulators of soft arms, and what this one does. Every row is a test in
-`tests/hard_cases`; this file is written by `python tests/hard_cases/table.py`, which runs them.
+`tests/hard_cases`, whose docstring says why the case is hard and what is expected; `python tests/hard_cases/table.py` runs them.
 Where a test runs with several parameters, the smallest and the largest number are shown.
 
-| case | why it is hard | expected | measured |
-|---|---|---|---|
+| case | measured |
+|---|---|
 """
 
 
@@ -40,7 +40,7 @@ def cases() -> dict[str, str]:
 
 def listed() -> list[str]:
     """The cases in the committed table."""
-    rows = TABLE.read_text(encoding="utf-8").split("|---|---|---|---|\n")[1].splitlines()
+    rows = TABLE.read_text(encoding="utf-8").split("|---|---|\n")[1].splitlines()
     return [row.split("`")[1] for row in rows if row.startswith("| `")]
 
 
@@ -60,10 +60,6 @@ class Measurements:
             for what, value in report.user_properties:
                 self.values.setdefault(case, {}).setdefault(what, []).append(value)
 
-    def row(self, case: str, docstring: str) -> str:
-        why, expected = docstring.split(EXPECTED)
-        return f"| `{case}` | {why.strip()} | {expected.strip()} | {self.summary(case)} |\n"
-
     def summary(self, case: str) -> str:
         unhappy = sorted(self.outcomes.get(case, {"not run"}) - {"passed"})
         numbers = [f"{what}: {_span(values)}" for what, values in self.values.get(case, {}).items()]
@@ -79,8 +75,8 @@ def main() -> int:
     measurements = Measurements()
     status = pytest.main(["-q", str(HERE), f"--ignore={HERE / 'test_table.py'}"], plugins=[measurements])
     TABLE.parent.mkdir(exist_ok=True)
-    head = HEAD.format(stamp=stamp("of each test", ["tests/hard_cases"]))
-    TABLE.write_text(head + "".join(measurements.row(case, text) for case, text in cases().items()), encoding="utf-8")
+    head = HEAD.format(stamp=stamp())
+    TABLE.write_text(head + "".join(f"| `{case}` | {measurements.summary(case)} |\n" for case in cases()), encoding="utf-8")
     return int(status)
 
 

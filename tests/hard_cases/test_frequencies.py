@@ -9,8 +9,7 @@ import pytest
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.effects import LANES, Effect, Struct, adds_wrench, allow_turning, kernel, limits_step, register_effect
-from soft_tendon_env.effects.base import EFFECTS
-from soft_tendon_env.effects.kernel_checks import TimeWarning
+from soft_tendon_env.effects.base import EFFECTS, TimeWarning
 from soft_tendon_env.model.step_control import CommandWarning
 
 DURATION, SAMPLES = 0.21, 0.014  # [s]

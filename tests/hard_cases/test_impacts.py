@@ -113,8 +113,8 @@ def other_case(seed):
     return Case(str(rng.choice(SCENES)), str(rng.choice(FIDELITIES[1:])), kind, speed, size=size, shot=shot, **where, **more)
 
 
-def check_flight(case, measured, period=1e-3, most=0.01):
-    """Passes nothing, gains at most so large a part of its energy, and ends where it ends in calls of a millisecond; how far from there."""
+def check_flight(case, measured, period=1e-3):
+    """Passes nothing and gains at most 1 % of its energy, and ends where it ends in calls of a millisecond; how far from there."""
     fine, fine_energy, _ = case.fly(period)
     coarse, energy, _ = case.fly(STEP)
     deepest = case.depth(fine, period)
@@ -124,7 +124,7 @@ def check_flight(case, measured, period=1e-3, most=0.01):
     measured("largest growth / energy", gain)
     measured("distance to calls of 1 ms / length", apart / case.length)
     assert deepest <= case.core
-    assert gain < most
+    assert gain < 0.01
     return apart / case.length
 
 
@@ -170,11 +170,11 @@ def test_two_hundred_throws_and_shots(measured):
 @pytest.mark.slow
 def test_two_hundred_other_throws_and_shots(measured):
     """Every shape, at 0.5 to 20 m/s, in the presets: two obstacles at once, corners, arms between a shot and a wall, starts in touch.
-    Expected: the axis of the arm enters nothing, and no 20 ms bring energy, but in one case, pinned without any dissipation."""
+    Expected: the axis of the arm enters nothing, and no 20 ms bring energy."""
     torn = 0
     for seed in range(200):
         try:
-            check_flight(other_case(seed), measured, most=0.6 if seed == 149 else 0.01)
+            check_flight(other_case(seed), measured)
         except ste.SimulationDiverged:
             torn += 1
     measured("diverged", torn)
@@ -182,9 +182,13 @@ def test_two_hundred_other_throws_and_shots(measured):
 
 
 def test_a_few_other_throws_and_shots(measured):
-    """As the two hundred. Expected: the same."""
+    """As the two hundred, and a catheter that lands on a wall with hundreds of its samples at once. Expected: the same."""
     for seed in range(6):
         check_flight(other_case(seed), measured)
+    for faster in (38, 49):
+        case = other_case(149)
+        case.speed *= 1.0 + 1e-4 * faster
+        check_flight(case, measured)
 
 
 BOUNCES = [

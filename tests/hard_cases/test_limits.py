@@ -14,6 +14,7 @@ from soft_tendon_env.model.statics import static_equilibrium
 
 NAMES_THE_PLACE = re.compile(r"tendon \d+ at arc length [\d.]+ m, with [-\d.e+]+ N, (pulls|pushes)")
 
+
 @pytest.fixture(scope="module")
 def pull_limit(build, one_pulled):
     """Greatest tension [N] of tendon 0 of the paper's arm that has an equilibrium, to 1e-3."""

@@ -14,6 +14,7 @@ from soft_tendon_env.model.statics import static_equilibrium
 SCENES = ["paper", "paper_16dof", "paper_19dof"]
 BOUND = 1.5  # |q_a| over the tension applied
 
+
 def pulled(which, value):
     return np.where([which == "all" or i == which for i in range(10)], value, 0.0)
 

@@ -8,7 +8,7 @@ import pytest
 import tomli_w
 
 from soft_tendon_env.identification import load_markers
-from soft_tendon_env.identification.plant import Plants
+from soft_tendon_env.identification.readings import Plants
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import static_equilibrium
@@ -57,13 +57,13 @@ def record_of(folder, placed):
     def write(arm, name, truth, tensions, period=0.0, noise=NOISE, seed=0):
         scene = arm.replace(truth)
         model, tensions = build_model(scene), np.asarray(tensions, dtype=float)
-        plant = Plants(scene, model, placed, ()).at(np.zeros(0))
+        measurement = Plants(scene, model, placed, ()).measurement(np.zeros(0))
         if period:
             start = Simulation(model).reset_at_rest(tensions[0])
             q = simulate(model, tensions[:-1], period * (len(tensions) - 1), period, start).q
         else:
             q = [static_equilibrium(model, u).q for u in tensions]
-        positions = measured(plant.positions(np.array([model.backbone_at(own, placed.arc_lengths) for own in q])), noise, seed)
+        positions = measured(measurement.positions(np.array([model.backbone_at(own, placed.arc_lengths) for own in q])), noise, seed)
         times = [[i * period] for i in range(len(q))] if period else [[f"{name}{i}"] for i in range(len(q))]
         header = [
             "time" if period else "hold",

@@ -26,35 +26,29 @@ def read(tmp_path, content, markers=MARKERS, scene="three_tendon"):
 
 
 @pytest.mark.cases(
-    "content, notes",
+    "content",
     [
-        (table().encode("utf-8-sig"), []),
-        (table().encode("utf-16"), []),
-        (table(header=[*HEADER[:-1], "m_z"]).replace("\n", ",°\n").encode("latin-1"), []),
-        (table(";"), []),
-        (table(";", ","), ["numbers have decimal commas"]),
-        (table("\t", ","), ["numbers have decimal commas"]),
-        (table("\t"), []),
-        (table("   "), []),
-        (table(" | "), []),
-        ("sep=;\n" + table(";"), ["1 lines above the header or with comments were skipped: 1."]),
-        ("# rig 2, run 7\n\n% in N, m\n" + table(), ["2 lines above the header or with comments were skipped: 1, 3."]),
-        (table().replace("\nb", "\n# again\n\nb"), ["1 lines above the header or with comments were skipped: 3."]),
-        ("# " + table(" "), []),
-        ("%" + table(), []),
-        (table().replace("\n", "\n,,,,,,\n"), []),
-        (table().replace("\n", ",,\n"), []),
-        (table().replace("\n", ",anna\n").replace("anna", "operator", 1), []),
-        (table(header=[name.upper() for name in HEADER]), []),
-        (table().replace("0.5", " +5e-1 ").replace("a,", '"a",'), []),
+        table().encode("utf-8-sig"),
+        table().encode("utf-16"),
+        table(";"),
+        table(";", ","),
+        table("\t", ","),
+        table("   "),
+        table(" | "),
+        "sep=;\n" + table(";"),
+        "# rig 2, run 7\n\n% in N, m\n" + table(),
+        "# " + table(" "),
+        table().replace("\n", "\n,,,,,,\n"),
+        table().replace("\n", ",,\n"),
+        table().replace("\n", ",anna\n").replace("anna", "operator", 1),
+        table(header=[name.upper() for name in HEADER]),
+        table().replace("0.5", " +5e-1 ").replace("a,", '"a",'),
     ],
 )
-def test_dialects_give_the_same_numbers(tmp_path, content, notes):
+def test_dialects_give_the_same_numbers(tmp_path, content):
     found = read(tmp_path, content)
-    assert [own.name for own in found] == ["a", "b", "c"]
-    np.testing.assert_array_equal([[*own.command[0], *own.positions[0, 0]] for own in found], NUMBERS)
-    told = found[0].notes
-    assert len(told) == len(notes) and all(note in own for note, own in zip(notes, told, strict=True))
+    assert [one.name for one in found] == ["a", "b", "c"]
+    np.testing.assert_array_equal([[*one.command[0], *one.positions[0, 0]] for one in found], NUMBERS)
 
 
 @pytest.mark.cases(
@@ -70,12 +64,6 @@ def test_dialects_give_the_same_numbers(tmp_path, content, notes):
             [1 / 9.80665] * 3 + [100, -1, 100],
             ["hold", *(f"effort[{i}]" for i in range(3)), *(f"pose.{axis}" for axis in "xyz")],
         ),
-        (
-            {"hold": {"name": "%run"}, "*_x": {"name": "* X"}, "*_y": {"name": "* Y"}, "*_z": {"name": "* Z", "unit": "mm"}},
-            [1, 1, 1, 1, 1, 1e3],
-            ["%run", *HEADER[1:4], "M X", "m y", "m Z"],
-        ),
-        ({"hold": {"name": "trial"}, "tension_0": {"unit": "mN", "sign": -1}}, [-1e3, 1, 1, 1, 1, 1], ["trial", *HEADER[1:]]),
     ],
 )
 def test_columns_have_names_units_and_signs(tmp_path, columns, factors, header):
@@ -87,42 +75,19 @@ def test_columns_have_names_units_and_signs(tmp_path, columns, factors, header):
 
 
 @pytest.mark.cases(
-    "columns, message",
-    [
-        ({"m_x": {"unit": "inch"}}, "columns.m_x.unit is 'inch': it should be one of m, cm, mm"),
-        ({"tension_3": {}}, "columns.tension_3 is no quantity that is read here: did you mean 'tension_"),
-        ({"m_*": {}, "*_x": {}}, "columns.*_x and columns.m_* are both for m_x"),
-        ({"time": {"unit": "ms"}}, "there is no column time"),
-        ({"m_x": {"name": "pos"}}, "there is no column pos"),
-    ],
-)
-def test_columns_that_do_not_fit_are_told(tmp_path, columns, message):
-    with pytest.raises(ValueError) as raised:
-        read(tmp_path, table(), MarkerSet(markers=MARKERS.markers, columns=columns))
-    assert message in str(raised.value)
-
-
-@pytest.mark.cases(
     "content, message",
     [
         (table(";", header=[*HEADER[:-1], "z"]), "line 1 (separated by ';'): there is no column m_z"),
-        (table(header=HEADER[1:] + ["x"]), "line 1 (separated by ','): there is no column hold, time"),
-        (table(",", ","), "line 2: there are 12 cells, the header has 7"),
-        (table(";", ",").replace("0,5", "0.5"), "line 2: tension_2 is '1,25', but in"),
-        (table(";", ",").replace("0,031", "1.000,031"), "log.csv, line 2: tension_0 is '0,5', but in"),
+        (table(";", ",").replace("0,5", "0.5"), "numbers should have one decimal mark, and no others"),
+        (table(";", ",").replace("0,031", "1.000,031"), "numbers should have one decimal mark, and no others"),
         (
             table(numbers=NUMBERS * [1, 1, 1, 1e3, 1e3, 1e3]),
             '0.3 m; is it in mm? [columns] of the markers\' file says so: "m_*" = { unit = "mm" }',
         ),
         (table(numbers=NUMBERS * [1, 1, 1, 100, 100, 100]), "is it in cm or mm?"),
         (table(numbers=NUMBERS * [1, 1, 1, 1e-3, 1e-3, 1e-3]), "all markers are within"),
-        (table().rstrip()[:-12] + "\n", "line 4: there are 5 cells"),
         ("", "there is no column"),
-        (",".join(HEADER), "line 1 (separated by ','): there are no rows beneath the header"),
         (table().replace("0.5", "-0.5"), "line 2: tension_0 is -0.5 N: the scene's tension_limits are 0 to 5 N"),
-        (table() + "d," + "1" * 200_000 + ",1,1,0,0,0\n", "line 5 cannot be read: field larger than field limit"),
-        (b"\x00\xff\xfe" * 40, "there is no column"),
-        (table() + table(), "line 5: tension_0 is 'tension_0'"),
         (table().replace("0.031", "0.03l"), "line 2: m_y is '0.03l'"),
     ],
 )
@@ -141,36 +106,22 @@ def motion(times, tensions=None):
 
 
 @pytest.mark.cases(
-    "period, begin, unit, whole",
-    [
-        (0.01, 0.0, "s", False),
-        (0.01, 1.7634e9, "s", False),
-        (20.0, 1.7634e12, "ms", True),
-        (5000, 1763400000000000, "us", True),
-        (4000000, 1763400000000000000, "ns", True),
-    ],
+    "period, begin, unit",
+    [(0.01, 1.7634e9, "s"), (20.0, 1.7634e12, "ms"), (5000, 1763400000000000, "us"), (4000000, 1763400000000000000, "ns")],
 )
-def test_times_are_read_in_their_unit(tmp_path, period, begin, unit, whole):
+def test_times_are_read_in_their_unit(tmp_path, period, begin, unit):
     times = [begin + period * k for k in range(20)]
     markers = MarkerSet(markers=MARKERS.markers, columns={"time": {"unit": unit}})
     (found,) = read(tmp_path, motion(times), markers)
     assert found.period == pytest.approx(period * {"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit], rel=1e-4)
-    assert found.notes == ()
     if unit in ("us", "ns"):
         with pytest.raises(ValueError, match=f'apart in time: is it in {unit}. .columns. .* time = . unit = "{unit}"'):
             read(tmp_path, motion(times))
 
 
-def test_jitter_and_lost_samples_are_told(tmp_path):
+def test_times_may_jitter(tmp_path):
     times = 0.02 * np.arange(40) + np.random.default_rng(0).uniform(-1e-3, 1e-3, 40)
-    whole = read(tmp_path, motion(times.tolist()))[0]
-    assert whole.period == pytest.approx(0.02, rel=5e-4) and "ms off steps of " in whole.notes[0]
-    lines = motion(times.tolist()).splitlines(keepends=True)
-    (found,) = read(tmp_path, "".join(lines[:12] + lines[14:]))
-    assert "2 of 40 samples" in found.notes[0] and "the first behind" in found.notes[0] and "line 12" in found.notes[0]
-    assert np.isnan(found.positions[11:13]).all() and np.isfinite(found.positions).sum() == 3 * 38
-    np.testing.assert_array_equal(found.command[[10, 13]], whole.command[[10, 13]])
-    np.testing.assert_array_equal(found.command[11:13], whole.command[[10, 10]])
+    assert read(tmp_path, motion(times.tolist()))[0].period == pytest.approx(0.02, rel=5e-4)
 
 
 @pytest.mark.cases(
@@ -178,12 +129,13 @@ def test_jitter_and_lost_samples_are_told(tmp_path):
     [
         ([0.0, 0.01, 0.02, 0.02, 0.03], "line 5: time is 0.02 s after 0.02 s: it should be a number, and grow"),
         ([0.0, 0.01, 0.02, float("nan"), 0.03], "line 5: time is nan s after 0.02 s"),
-        ([float("nan"), 0.01, 0.02], "line 2: time is nan s"),
-        ([0.0, 0.01, 0.015, 0.025, 0.03, 0.045], "time should go on in equal steps, which are 0.01 s in the middle"),
-        ([0.0, 0.01, 0.02, 0.03, 0.1, 0.11], "line 5: 6 samples are missing behind it, and their commands with them"),
+        ([0.0, 0.01, 0.015, 0.025, 0.03, 0.045], "it should in equal steps, which are 0.01 s in the middle"),
+        (
+            [0.0, 0.01, 0.02, 0.03, 0.06, 0.07],
+            "line 6: time goes on by 0.03 s: it should in equal steps, which are 0.01 s in the middle; a row",
+        ),
         ([1.7634e12, 1.7634e12 + 20, 1.7634e12 + 40], "line 2: samples are 20 s apart in time: is it in ms?"),
         ([0.0], "line 2: a motion should have at least two samples"),
-        ([0.0, 1000.0, 2000.0], "line 2: samples are 1000 s apart in time: is it in us?"),
     ],
 )
 def test_times_in_no_equal_steps_are_refused(tmp_path, times, message):
@@ -192,24 +144,7 @@ def test_times_in_no_equal_steps_are_refused(tmp_path, times, message):
     assert message in str(raised.value)
 
 
-def test_a_marker_at_exactly_zero_was_not_seen(tmp_path):
-    numbers = NUMBERS.copy()
-    numbers[1, 3:] = 0.0
-    found = read(tmp_path, table(numbers=numbers))
-    assert np.isnan(found[1].positions).all() and "exactly 0, 0, 0 in 1 rows" in found[0].notes[0]
-
-
-@pytest.mark.cases("text", ["nan", "NaN", "", "NA", "null", "None"])
+@pytest.mark.cases("text", ["nan", "NaN", "", "NA", "null", "None", "0"])
 def test_cells_without_a_number_are_markers_that_were_not_seen(tmp_path, text):
     found = read(tmp_path, table().replace("0.251,-0.08,0.06", ",".join([text] * 3)))
     assert np.isnan(found[1].positions).all() and np.isfinite(found[2].positions).all()
-
-
-def test_units_of_sensors_are_guessed(tmp_path):
-    names = [f"strain_0_{name}" for name in ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")]
-    markers = MarkerSet(markers=MARKERS.markers, sensors={"strain": (0.1,)})
-    content = table(header=[*HEADER, *names], numbers=np.hstack([NUMBERS, 100.0 * np.arange(3)[:, None] * [0, 1, 0, 0, 0, 0]]))
-    with pytest.raises(ValueError, match="strain_0_bend_y changes by 200 1/m, on a rod of 0.3 m; is it in deg/m"):
-        read(tmp_path, content, markers)
-    told = MarkerSet(**{**dict(markers), "columns": {"strain_0_bend_y": {"unit": "deg/m"}}})
-    assert read(tmp_path, content, told)[2].sensed[0, 1] == pytest.approx(np.deg2rad(200.0))

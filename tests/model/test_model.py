@@ -1,13 +1,11 @@
 """Model: what its methods refuse and what they say, what a limit of the strain is called; nothing it is given is changed."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.file import load_scene, scene_names
+from soft_tendon_env.scene.file import load_scene
 
 TEN = np.zeros(10)
 OF_Q = {  # every public method of coordinates
@@ -52,45 +50,6 @@ def test_strain_limit_names_tendon_place_pull_and_cause(tendon, coordinate, mess
         paper.tip_pose(q)
 
 
-def test_strain_limit_with_tendons_that_have_no_coordinate(build):
-    """Tendon 4 strains nothing but what is rigid; it used to upset the search for the one to blame."""
-    changes = {"strain.strains": ["bend_y"], "tendons.4.routing": {"type": "straight", "offset": [0.01, 0.0]}}
-    model = build("helical", {**changes, "quadrature.intervals": 2})
-    assert model.coordinate_count == 2
-    with pytest.raises(StrainLimitError, match="tendon"):
-        model.tip_pose(-1e4 * model.rest_coordinates([0.0, 3.0, 0.0, 0.0, 0.0]))
-
-
-@pytest.mark.cases(
-    "points, error", [(0, ValueError), (-3, ValueError), (2.5, TypeError), ("5", TypeError), (None, TypeError), (True, TypeError)]
-)
-def test_backbone_points(points, error, paper):
-    with pytest.raises(error, match="^points should be a whole number of at least 1, not "):
-        paper.backbone(TEN, points)
-
-
-@pytest.mark.parametrize(
-    ("arc_length", "error", "message"),
-    [
-        ([-0.1, 0.5], ValueError, "^arc_length should lie between 0 and 1, not -0.1 to 0.5$"),
-        ([0.5, 1.1], ValueError, "^arc_length should lie between 0 and 1, not 0.5 to 1.1$"),
-        (0.5, ValueError, r"^arc_length should have shape \(any,\), not \(\)$"),
-        ([0.5, np.nan], ValueError, r"^arc_length should be finite, but arc_length\[1\] is nan$"),
-        (["tip"], TypeError, "^arc_length should be an array of numbers"),
-    ],
-)
-def test_bad_arc_lengths(arc_length, error, message, paper):
-    for method in (paper.backbone_at, paper.strain_at):
-        with pytest.raises(error, match=message):
-            method(TEN, arc_length)
-
-
-def test_backbone_shapes(paper):
-    assert paper.backbone(TEN).shape == (50, 4, 4)
-    assert paper.backbone(TEN, 1).shape == (1, 4, 4)
-    assert paper.backbone_at(TEN, []).shape == (0, 4, 4)
-
-
 @pytest.mark.parametrize("name", ["paper_16dof", "paper_48dof", "four_tendon"])
 def test_strains_at_places_are_those_at_the_points_and_their_derivative(name, build, random_state):
     model = build(name, {"quadrature.intervals": 4})
@@ -108,20 +67,6 @@ def test_strains_at_places_are_those_at_the_points_and_their_derivative(name, bu
     assert model.strain_at(q, [])[1].shape == (0, 6, q.size)
 
 
-@pytest.mark.parametrize("name", ["four_tendon", "catheter"])
-def test_a_coordinate_of_its_scale_costs_what_bending_by_a_radian_does(name, build):
-    model = build(name)
-    segment, n = model.scene.segments[0], model.coordinate_count
-    bending = 0.5 * segment.young_modulus * np.pi * segment.radius**4 / 4 / model.length
-    for q in 1e-3 * np.diag(model.coordinate_scale()):
-        assert 1e6 * model.energy(q, np.zeros(n)).elastic == pytest.approx(bending, rel=0.01)
-
-
-def test_an_explicit_basis_has_no_rest_coordinates(build):
-    with pytest.raises(ValueError, match="no coordinates that equal tensions; use static_equilibrium"):
-        build("paper_48dof").rest_coordinates(TEN)
-
-
 def test_a_singular_mass_matrix_is_warned_of():
     """The only node with mass is the tip, which the linear fields do not turn: they have no inertia, not even on the diagonal."""
     strain = {"type": "explicit", "modes": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 1, "span": "rod"}]}
@@ -129,24 +74,6 @@ def test_a_singular_mass_matrix_is_warned_of():
     with pytest.warns(UserWarning, match="6 coordinates are too many for 1 quadrature intervals per piece: the mass matrix is singular"):
         model = build_model(scene)
     assert np.diag(model.terms(np.zeros(6), np.zeros(6)).mass).min() == 0.0
-
-
-def test_the_shortest_tendon_of_a_scene_makes_a_model():
-    for changes in ({"tendons.0.end": 0.3 * 4.01e-9}, {"tendons.0.start": 0.3 * (1 - 4.01e-9)}):
-        assert build_model(load_scene("three_tendon").replace(changes)).tendon_count == 3
-
-
-@pytest.mark.cases("name", scene_names())
-def test_sizes_of_shipped_scenes(name, build):
-    model = build(name)
-    scene = load_scene(name)
-    n, n_a = model.coordinate_count, model.tendon_count
-    expected = {"paper_16dof": 16, "paper_19dof": 19, "paper_22dof": 22, "paper_48dof": 48, "four_tendon": 3, "catheter": 3}
-    assert n_a == len(scene.tendons) and n == expected.get(name, n_a)
-    terms = model.terms(np.zeros(n), np.zeros(n))
-    shapes = [(n, n), (n,), (n, n), (n, n), (n, n_a), (n,), (n,), (4, 4), (6, n), (6,), (n, n), (n, n)]
-    assert [value.shape for value in terms] == shapes
-    np.testing.assert_allclose(model.length, sum(segment.length for segment in scene.segments), rtol=1e-15)
 
 
 def test_methods_leave_their_arguments_alone_and_repeat_themselves(paper):
@@ -162,8 +89,3 @@ def test_methods_leave_their_arguments_alone_and_repeat_themselves(paper):
     first.mass[:] = np.nan  # results belong to the caller
     np.testing.assert_array_equal(paper.terms(q, q_dot).mass, second.mass)
     np.testing.assert_array_equal((q, q_dot), kept)
-
-
-def test_model_is_frozen(paper):
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        paper.arm = None

@@ -2,14 +2,13 @@
 
 import dataclasses
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
 import soft_tendon_env as ste
-from soft_tendon_env.model.statics import static_equilibrium, static_stiffness
+from soft_tendon_env.model.statics import static_equilibrium
 
-NAN, OK, BAD = float("nan"), np.zeros(10), np.full(10, float("nan"))
+OK, BAD = np.zeros(10), np.full(10, float("nan"))
 
 
 @pytest.fixture
@@ -34,44 +33,28 @@ def set_state(simulation, **changes):
     [
         (lambda s: s.model.terms(OK, BAD), "q_dot should be finite"),
         (lambda s: s.model.terms(OK, OK, BAD), "tension should be finite"),
-        (lambda s: s.model.energy(OK, BAD), "q_dot should be finite"),
         (lambda s: s.model.rest_coordinates(BAD), "tension should be finite"),
         (lambda s: static_equilibrium(s.model, BAD), "tension should be finite"),
-        (lambda s: static_stiffness(s.model, BAD, OK), "q should be finite"),
-        (lambda s: static_stiffness(s.model, OK, BAD), "tension should be finite"),
         (lambda s: s.reset(BAD), "q should be finite"),
-        (lambda s: s.reset(OK, BAD), "q_dot should be finite"),
         (lambda s: s.step(BAD, 0.01), "command should be finite"),
         (lambda s: s.step(OK, -0.1), "duration should be"),
-        (lambda s: s.step(OK, "0.1"), "duration should be"),
         (lambda s: s.step(OK, 1e12), "duration should be at most"),
         (lambda s: set_state(s, q=BAD), "state.q should be finite"),
-        (lambda s: set_state(s, q_dot=BAD), "state.q_dot should be finite"),
         (lambda s: set_state(s, strain=BAD), "state.strain should have shape"),
         (lambda s: set_state(s, q=s.state.q + 1.0), "state.strain"),  # the strain is that of other coordinates
-        (lambda s: set_state(s, q=s.state.q, time=NAN), "state.time"),
         (lambda s: set_state(s, step=0.0), "state.step"),
-        (lambda s: ste.simulate(s.model, BAD, 1.0, 0.1, s.state), "command should be finite"),
-        (lambda s: ste.simulate(s.model, OK, NAN, 0.1, s.state), "duration"),
         (lambda s: ste.simulate(s.model, OK, 1e12, 0.1), "duration should be at most"),
         (lambda s: ste.simulate(s.model, OK, 0.35, 0.1, s.state), "duration should be a multiple"),
         (lambda s: ste.simulate(s.model, OK, 1.0, -0.1, s.state), "sample_period"),
-        (lambda s: ste.simulate(s.model, OK, 1e12, 1e12), "duration should be at most"),
         (lambda s: ste.simulate(s.model, np.zeros((9, 10)), 1.0, 0.1), "command should have shape (10, 10)"),
         (lambda s: ste.simulate(s.model, lambda t: OK if t < 0.55 else BAD, 1.0, 0.1), "command(0.55)[0]"),
         (lambda s: ste.simulate(s.model, lambda t: None, 1.0, 0.1, s.state), "command(0.06)"),
-        (lambda s: ste.simulate(s.model, None, 1.0, 0.1), "command"),
-        (lambda s: ste.simulate(s.model.scene, OK, 1.0, 0.1), "model should be a Model"),
         (lambda s: ste.simulate(s.model, OK, 1.0, 0.1, initial=3), "state should be a State"),
         (lambda s: ste.Simulation(s.model.scene), "model should be a Model"),
-        (lambda s: ste.Simulation(s.model, 3), "state should be a State"),
-        (lambda s: static_equilibrium(s.model.scene, OK), "model should be a Model"),
         (lambda s: ste.build_model("paper"), "scene should be a Scene"),
         (lambda s: ste.build_model(s.model.scene, fidelity="exact"), "fidelity"),
-        (lambda s: ste.build_model(s.model.scene, fidelity=1e-3), "fidelity"),
         (lambda s: ste.load_scene(3), "name_or_path should be the name of a shipped scene or the path of a TOML file, not"),
         (lambda s: ste.save_scene(3, "never.toml"), "scene should be a Scene"),
-        (lambda s: s.model.scene.replace(3), "changes should be"),
         (lambda s: s.model.scene.replace({3: 1}), "changes has the key 3: keys should be strings"),
         (lambda s: s.model.scene.replace({"integrator.tolerance": 1e-16}), "integrator.tolerance is 1e-16: it should be at least"),
     ],
@@ -83,16 +66,8 @@ def test_bad_input_is_named_and_changes_nothing(moving, call, message):
     assert message in str(caught.value) and numbers(moving) == before
 
 
-def test_the_longest_duration_is_the_one_that_is_told(build):
-    model = build("paper_48dof", {"integrator.step": 1.0})
-    with pytest.raises(ValueError, match="at most") as caught:
-        ste.simulate(model, OK, 1e9, 1.0)
-    longest = float(str(caught.value).split("at most ")[1].split(" s")[0])
-    with pytest.raises(ValueError, match="command should have shape"):
-        ste.simulate(model, np.zeros((2, 10)), float(np.floor(0.999 * longest)), 1.0)
-
-
 MEMORY = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.05}]}
+SLOWER = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.5}]}
 BEND_Y, BEND_Z = ({"type": "explicit", "modes": [{"strains": [own], "order": 1, "span": "rod"}]} for own in ("bend_y", "bend_z"))
 
 
@@ -104,6 +79,7 @@ BEND_Y, BEND_Z = ({"type": "explicit", "modes": [{"strains": [own], "order": 1, 
         ({"strain": BEND_Y}, {"strain": BEND_Z}, "state.strain"),
         (MEMORY, {}, "this state is of viscoelastic_memory:96"),
         ({}, MEMORY, "this state is of no effects with states"),
+        (MEMORY, SLOWER, "relaxation times [0.5] s; this state is of viscoelastic_memory:96 + relaxation times [0.05] s"),
     ],
 )
 def test_states_of_another_arm_are_refused(build, tmp_path, theirs, own, message):
@@ -131,31 +107,3 @@ def test_files_that_hold_no_state_are_refused(moving, tmp_path):
         np.savez(path, **{**dataclasses.asdict(moving.state), **changes})
         with pytest.raises(ValueError, match="holds no state"):
             ste.State.load(path)
-    np.savez(path, q=np.zeros(10))
-    with pytest.raises(ValueError, match="time"):
-        ste.State.load(path)
-    with pytest.raises(OSError):
-        ste.State.load(tmp_path / "nowhere.npz")
-    with pytest.raises(TypeError, match="path should be a str or a path, not"):
-        ste.State.load(3)
-
-
-def test_a_changed_byte_of_a_file_is_refused_or_harmless(moving, tmp_path):
-    path, random, refused = tmp_path / "state.npz", np.random.default_rng(0), 0
-    moving.state.save(path)
-    whole, saved = path.read_bytes(), ste.State.load(path)
-    for place in random.integers(0, len(whole), 300):
-        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1 << int(random.integers(8))]) + whole[place + 1 :])
-        try:
-            found = ste.State.load(path)
-        except ValueError:
-            refused += 1
-        else:
-            assert all(np.array_equal(getattr(found, name), getattr(saved, name)) for name in vars(saved))
-    assert refused > 200
-
-
-def test_a_word_of_fidelity_makes_the_same_scene_in_a_model_and_in_an_environment():
-    for word in ("scene", "fast", "standard", "fine", None):
-        with gym.make("TendonRod-Reach-v0", scene="three_tendon", fidelity=word) as env:
-            assert env.unwrapped.model.scene == ste.build_model(ste.load_scene("three_tendon"), fidelity=word).scene

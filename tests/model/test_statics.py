@@ -1,17 +1,14 @@
 """Equilibria: balance, reference numbers of a shooting solver, every shipped scene, the limits of the strain, honest failure."""
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from soft_tendon_env.model import load_continuation
 from soft_tendon_env.model.build import build_model
-from soft_tendon_env.model.equilibrium_residual import Balance
-from soft_tendon_env.model.load_continuation import RESIDUAL, LoadPath
-from soft_tendon_env.model.statics import ChordSolver, RedundancyWarning, static_equilibrium, static_stiffness
+from soft_tendon_env.model.load_continuation import RESIDUAL
+from soft_tendon_env.model.statics import ChordSolver, static_equilibrium
 from soft_tendon_env.scene.file import load_scene, scene_names
 
 REFERENCE = Path(__file__).parents[1] / "data" / "statics.json"
@@ -44,14 +41,6 @@ def test_every_scene_balances_the_forces(name):
         np.testing.assert_array_equal(found.tip_pose, model.tip_pose(found.q))
 
 
-def test_tensions_alone_are_the_coordinates_at_once():
-    model = model_of("paper_16dof")
-    u = np.linspace(-3.0, 20.0, 10)
-    found = static_equilibrium(model, u)
-    assert found.iterations == 0
-    np.testing.assert_array_equal(found.q, [*u, *np.zeros(6)])
-
-
 WEIGHT = {"effects__gravity__acceleration": [0.0, 0.0, -9.81]}
 WRENCH = {"effects__tip_load__force": [0.02, 0.05, -0.1], "effects__tip_load__moment": [0.01, 0.0, 0.02]}
 
@@ -67,47 +56,6 @@ def test_effects_and_tensions_together(name, loads):
     assert np.abs(force).max() < 1e-8 * np.abs(elastic).max()
 
 
-def test_a_rod_stretches_under_its_weight_as_hooke_says():
-    stretch = {"type": "explicit", "modes": [{"strains": ["stretch"], "order": 1, "span": "piece"}]}
-    model = model_of("three_tendon", strain=stretch, effects__gravity__acceleration=[9.81, 0.0, 0.0], quadrature__intervals=24)
-    found = static_equilibrium(model, np.zeros(3))
-    np.testing.assert_allclose(found.tip_pose[:3, 3], [0.3 + 1070 * 9.81 * 0.3**2 / (2 * 5e5), 0, 0], atol=1e-8)
-
-
-@pytest.mark.slow
-def test_thirty_times_its_weight_is_reached_as_in_a_hundred_parts():
-    scene = load_scene("paper_16dof")
-    found = static_equilibrium(build_model(scene.replace({"effects.gravity.acceleration": [0.0, 0.0, -300.0]})), np.zeros(10))
-    assert found.converged and found.stable and found.load == 1.0
-    assert found.tip_pose[2, 3] < -0.8  # hangs down
-    q = np.zeros(16)
-    for part in np.linspace(0.01, 1.0, 100):
-        slow = static_equilibrium(build_model(scene.replace({"effects.gravity.acceleration": [0.0, 0.0, -300.0 * part]})), np.zeros(10), q)
-        assert slow.converged and slow.stable
-        q = slow.q
-    np.testing.assert_allclose(found.tip_pose, slow.tip_pose, atol=1e-8)
-
-
-def test_stiffness_is_the_derivative_of_the_unbalanced_force():
-    model = model_of("paper_16dof", effects__gravity__acceleration=[0.0, 0.0, -9.81])
-    u, q = np.linspace(0.0, 6.0, 10), np.concatenate([np.linspace(1.0, 4.0, 10), 0.05 * np.ones(6)])
-    direction = np.random.default_rng(0).normal(size=16)
-    step = 1e-4 * direction
-    expected = (unbalanced(model, q - step, u)[0] - unbalanced(model, q + step, u)[0]) / 2e-4
-    np.testing.assert_allclose(static_stiffness(model, q, u) @ direction, expected, atol=2e-6 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize("name", ["paper", "four_tendon", "paper_48dof"])
-def test_tip_follows_from_the_stiffness(name):
-    """dq/du = S^-1 B, against equilibria next to each other."""
-    model = model_of(name, effects__gravity__acceleration=[0.0, 0.0, -3.0])
-    u = np.linspace(1.0, 4.0, model.tendon_count)
-    change = np.random.default_rng(1).normal(size=u.size)
-    q, ahead, behind = (static_equilibrium(model, u + h * change).q for h in (0.0, 1e-3, -1e-3))
-    predicted = np.linalg.solve(static_stiffness(model, q, u), model.terms(q, np.zeros_like(q), u).actuation @ change)
-    np.testing.assert_allclose(predicted, (ahead - behind) / 2e-3, atol=1e-5 * np.abs(predicted).max())
-
-
 @pytest.mark.parametrize(("tension", "reached"), [(400.0, 255.8), (1e4, 255.8), (-400.0, 319.7)])
 def test_beyond_the_strain_limit_it_says_so_and_keeps_the_last_equilibrium(tension, reached):
     model = model_of("paper")
@@ -118,13 +66,6 @@ def test_beyond_the_strain_limit_it_says_so_and_keeps_the_last_equilibrium(tensi
     assert np.isfinite(found.tip_pose).all()
 
 
-def test_where_nothing_can_be_balanced_it_names_the_tendon_that_pulls():
-    """However far beyond the limit the load is, the tension that it names is that of the limit, 44 N."""
-    for tension in (60.0, 1e4, 1e12):
-        reason = static_equilibrium(model_of("three_tendon"), np.array([0.0, 0.0, tension])).reason
-        assert re.search(r"tendon 2 at arc length \S+ m, with 4[34](\.\d+)? N, pulls its own chord down to", reason)
-
-
 def test_pushes_past_the_stiffness_of_an_explicit_strain_end_the_path():
     """Torsion gives way where the pushes' moment arms outweigh its stiffness, G J = P sum y^2 + z^2."""
     model = model_of("three_tendon", strain={"type": "explicit", "modes": [{"strains": ["torsion"], "order": 0, "span": "rod"}]})
@@ -133,63 +74,6 @@ def test_pushes_past_the_stiffness_of_an_explicit_strain_end_the_path():
     found = static_equilibrium(model, np.full(3, -1.01 * limit))
     assert not found.converged and "no longer stable (bifurcation" in found.reason
     assert found.load * 1.01 == pytest.approx(1.0, abs=2e-3)
-
-
-def test_the_last_correction_counts(monkeypatch):
-    model = model_of("paper", effects__gravity__acceleration=[0.0, 0.0, -9.81])
-    u = np.linspace(0.0, 6.0, 10)
-    expected = static_equilibrium(model, u).q
-    for most in range(2, 10):
-        monkeypatch.setattr(load_continuation, "MOST_CORRECTIONS", most)
-        balance = Balance(model, u)
-        if (found := LoadPath(balance).equilibrium(model.rest_coordinates(u), 1.0)) is not None:
-            break
-        assert balance.obstacle == f"Newton's method did not balance the forces in {most} iterations"
-    assert most > 2 and found.at.residual <= RESIDUAL
-    np.testing.assert_allclose(found.at.q, expected, rtol=1e-8, atol=1e-9)
-
-
-def test_what_stopped_the_path_is_told(monkeypatch):
-    model = model_of("three_tendon", effects__gravity__acceleration=[0.0, 0.0, -9.81])
-    monkeypatch.setattr(LoadPath, "step", lambda path, point, aim: setattr(path.balance, "obstacle", "a wall"))
-    found = static_equilibrium(model, np.zeros(3))
-    assert not found.converged and found.load == 0.0 and found.reason == "beyond 0 % of the load: a wall"
-
-
-def energy_of(model, q, u):
-    return model.energy(q, np.zeros_like(q)).elastic + u @ model.tendon_lengths(q)
-
-
-def hessian_by_differences(model, q, u, step):
-    """Second derivatives of elastic energy + work of the tendons: no stiffness of ours is in it. `step` (n,)."""
-    n, E = q.size, np.diag(step)
-    shifts = {(i, s): q + s * E[i] for i in range(n) for s in (1, -1)}
-    single = {key: energy_of(model, value, u) for key, value in shifts.items()}
-    centre, out = energy_of(model, q, u), np.empty((n, n))
-    for i in range(n):
-        out[i, i] = single[i, 1] + single[i, -1] - 2 * centre
-        for j in range(i):
-            pair = energy_of(model, q + E[i] + E[j], u) + energy_of(model, q - E[i] - E[j], u)
-            out[i, j] = out[j, i] = 0.5 * (pair + 2 * centre - single[i, 1] - single[i, -1] - single[j, 1] - single[j, -1])
-    return out / np.outer(step, step)
-
-
-@pytest.mark.parametrize(("tension", "stable"), [(-250.0, True), (-315.0, True), (-400.0, False)])
-def test_a_hard_push_is_unstable_in_the_48_coordinates_too(tension, stable):
-    """The limit of the statics-based strain (319.7 N) is the rod's: the energy of a model that knows no such limit loses its minimum."""
-    model = model_of("paper_48dof")
-    u = one_tendon(model, tension)
-    q = np.zeros(48)
-    for part in np.arange(0.05, 1.01, 0.05):  # straight on, whether the arm would stay there or not
-        found = static_equilibrium(model, part * u, guess=q)
-        q = found.q
-    assert found.converged and found.stable == stable
-    scale = 1.0 / np.sqrt(np.diag(model.terms(q, np.zeros_like(q)).stiffness))
-    hessian = hessian_by_differences(model, q, u, 0.03 * scale)
-    by_energy = np.linalg.eigvalsh(hessian * np.outer(scale, scale))
-    by_stiffness = np.linalg.eigvalsh(static_stiffness(model, q, u) * np.outer(scale, scale))
-    np.testing.assert_allclose(by_energy, by_stiffness, atol=2e-3)
-    assert (by_energy[0] > 5e-3) if stable else (by_energy[0] < -5e-3)
 
 
 def test_the_paper_arm_agrees_with_shooting():
@@ -221,23 +105,9 @@ def test_what_redundant_tendons_leave_out_is_told():
         assert found.tip_error > 1e-4 and found.tip_error == pytest.approx(off, rel=0.02)
 
 
-def test_what_redundant_tendons_leave_out_is_warned_of():
-    model = build_model(load_scene("four_tendon").replace({"tendons": HELICES}))
-    with pytest.warns(RedundancyWarning, match="^redundant tendons of 'four_tendon' strain the bent arm in ways that have no coordinate"):
-        static_equilibrium(model, [30.0, 0.0, 0.0, 0.0])
-
-
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("name", ["four_tendon", "paper_16dof"])
-def test_straight_redundant_tendons_leave_nothing_out(name):
-    model = model_of(name)
-    found = static_equilibrium(model, np.linspace(0.0, 5.0, model.tendon_count))
-    assert found.converged and found.tip_error <= 1e-14 * model.length
-
-
-@pytest.mark.parametrize("changes", [{}, {"effects__gravity__acceleration": [0.0, 0.0, -9.81]}], ids=["unloaded", "heavy"])
-@pytest.mark.parametrize("name", ["paper", "paper_16dof"])
-@pytest.mark.parametrize("step", [0.01, 0.5])
+@pytest.mark.cases("changes", [{}, {"effects__gravity__acceleration": [0.0, 0.0, -9.81]}])
+@pytest.mark.cases("name", ["paper", "paper_16dof"])
+@pytest.mark.cases("step", [0.01, 0.5])
 def test_neighbours_of_an_equilibrium_are_those_that_a_search_finds(name, changes, step):
     """Whether tensions are coordinates, or Newton's method with the old stiffness does, or has to be given up."""
     model = model_of(name, **changes)

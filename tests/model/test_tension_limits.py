@@ -11,7 +11,6 @@ from soft_tendon_env.model.tension_limits import TensionLimitWarning, erring_act
 LATE = {"effects.tendon_elasticity": {"stiffness": 2000.0, "displacement_limits": [0.0, 0.02]}}
 WAYS = {
     "simulate": lambda model, u: ste.simulate(model, u, 0.04, 0.02, ste.Simulation(model).state),
-    "simulate a table": lambda model, u: ste.simulate(model, [0 * np.array(u), u], 0.04, 0.02, ste.Simulation(model).state),
     "simulate a function": lambda model, u: ste.simulate(model, lambda t: np.array(u), 0.04, 0.02, ste.Simulation(model).state),
     "step": lambda model, u: ste.Simulation(model).step(u, 0.02),
     "rollout": lambda model, u: ste.Simulation(model).rollout([u], 0.02),

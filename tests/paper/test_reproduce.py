@@ -10,7 +10,7 @@ import pytest
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.evaluation import pages
 from soft_tendon_env.paper import tip
-from soft_tendon_env.paper.motion import Tracked, track
+from soft_tendon_env.paper.motion import track
 from soft_tendon_env.paper.report import claims_table
 
 DOCS = Path(__file__).parent.parent.parent / "docs" / "appendix" / "paper.md"
@@ -68,7 +68,7 @@ def test_tip_converges_to_the_circle(reproduced, tmp_path):
 
 @pytest.mark.parametrize("scene", ["paper", "paper_16dof"])
 def test_the_sampled_controller_stays_below_a_millimetre(scene):
-    motion = track(Tracked(scene), tip.CIRCLE, 2.0)
+    motion = track(scene, True, tip.CIRCLE, 2.0)
     assert np.diff(motion.time) == pytest.approx(0.02) and motion.time[[0, -1]] == pytest.approx([0.0, 2.0])
     assert np.abs(motion.tension).max() <= 60.0 * (1.0 + 1e-6)
     angle = 2.0 * np.pi * motion.time / 4.0
@@ -76,7 +76,7 @@ def test_the_sampled_controller_stays_below_a_millimetre(scene):
     error = np.linalg.norm(motion.tip - circle, axis=1)
     assert error == pytest.approx(tip.tip_error(motion), abs=1e-12)
     assert error[0] > 0.2 and error[motion.time >= 1.0].max() < 1e-3
-    without = track(Tracked(scene, feedforward=False), tip.CIRCLE, 2.0)
+    without = track(scene, False, tip.CIRCLE, 2.0)
     assert error[-25:].mean() < tip.tip_error(without)[-25:].mean()
 
 

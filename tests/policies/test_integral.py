@@ -6,8 +6,7 @@ import pytest
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.model.statics import ChordSolver
-from soft_tendon_env.policies.integral import MOST, NEAR, IntegralPolicy
-from soft_tendon_env.policies.protocol import STATELESS_CALLS
+from soft_tendon_env.policies.integral import IntegralPolicy
 
 FAST = {"scene": "three_tendon", "fidelity": "fast"}
 TIME = 0.4  # [s], twenty control periods
@@ -55,68 +54,9 @@ def test_ways_are_seen_with_their_integral_now_and_ahead():
     assert (groups(envs, given)["target_error"] == way).all()  # as it was
 
 
-def test_it_stops_where_errors_are_large_and_at_its_bound():
-    envs, policy = rows_of("TipPose"), Seen()
-    integral, state = IntegralPolicy(policy, envs, TIME), None
-    given = observed(envs, target_error=0.5)
-    given[1, envs.unwrapped.episodes.layout.slices["target_error"]][0] = 1.01 * NEAR
-    for _ in range(100):
-        _, state = integral.predict(given, state)
-    np.testing.assert_allclose(state.integral[0], MOST)
-    assert (state.integral[1] == 0.0).all()
-
-
-def test_rows_begin_anew_and_one_is_as_many():
-    envs, policy = rows_of("TipPose"), Seen()
-    integral, given = IntegralPolicy(policy, envs, TIME), observed(envs, target_error=0.1)
-    _, state = integral.predict(given)
-    _, state = integral.predict(given, state, np.array([True, False]))
-    first, second = state.integral
-    np.testing.assert_allclose(second, 2.0 * first)
-    alone, own = integral.predict(given[0])
-    assert alone.shape == (3,) and policy.last.shape == given[0].shape
-    np.testing.assert_array_equal(own.integral[0], first)
-
-
-def test_goals_move_and_what_is_achieved_does_not():
-    envs, policy = rows_of("Reach"), Seen()
-    given, _ = envs.reset(seed=3)
-    given = {**given, "desired_goal": given["achieved_goal"] + np.float32([0.0005, 0.0, -0.001])}
-    state, integral = None, IntegralPolicy(policy, envs, TIME)
-    for _ in range(5):
-        _, state = integral.predict(given, state)
-    moved = policy.last["desired_goal"] - given["achieved_goal"]
-    np.testing.assert_allclose(moved, 1.25 * (given["desired_goal"] - given["achieved_goal"]), atol=1e-7)
-    for name in ("observation", "achieved_goal"):
-        np.testing.assert_array_equal(policy.last[name], given[name])
-
-
-def test_shapes_have_integrals_of_coordinates_and_lengths():
-    envs, policy = rows_of("Shape", observation=("coordinates", "target_coordinates", "coordinate_preview", "target_lengths")), Seen()
-    given = observed(envs, target_coordinates=0.04, coordinate_preview=0.3, target_lengths=0.02)
-    IntegralPolicy(policy, envs, 0.02).predict(given)
-    seen = groups(envs, policy.last)
-    for name, value in {"target_coordinates": 0.08, "coordinate_preview": 0.34, "target_lengths": 0.04, "coordinates": 0.0}.items():
-        np.testing.assert_allclose(seen[name], value, rtol=1e-6)
-
-
 def test_a_target_that_is_not_observed_as_a_way_is_refused():
     with pytest.raises(ValueError, match="integral_time needs an observation with one of target_error, .*; it has coordinates, rates"):
         IntegralPolicy(Seen(), rows_of("TipPose", observation=("coordinates", "rates", "target_twist")), TIME)
-
-
-@pytest.mark.parametrize("time", [0.01, 0.0, -0.4, np.nan])
-def test_an_integral_quicker_than_the_control_period_is_refused(time):
-    with pytest.raises(ValueError, match="integral_time should be at least a control period, 0.02 s, not"):
-        IntegralPolicy(Seen(), rows_of("TipPose"), time)
-
-
-def test_lost_state_is_noticed():
-    envs = rows_of("TipPose")
-    integral, given = IntegralPolicy(Seen(), envs, TIME), observed(envs, target_error=0.1)
-    with pytest.warns(UserWarning, match="without the state of the integral of the error"):
-        for _ in range(STATELESS_CALLS):
-            integral.predict(given)
 
 
 class Beside:

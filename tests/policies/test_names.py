@@ -1,18 +1,11 @@
-"""Names of policies: which of the four each is, what they need to observe, and what is refused."""
+"""Names of policies: which of the three each is, what they need to observe, and what is refused."""
 
-import json
-
-import gymnasium as gym
 import pytest
 
-from soft_tendon_env.control import CONTROLLERS
-from soft_tendon_env.envs import IDS
-from soft_tendon_env.policies import load_policy, policy_options
-from soft_tendon_env.policies.load import expand_policies, short_name
-from soft_tendon_env.policies.names import Agent, Controller, Own, PolicyName, Seeds
+from soft_tendon_env.policies.load import short_name
+from soft_tendon_env.policies.names import Agent, Controller, PolicyName, UserPolicy
 
-SMALL = {"scene": "three_tendon", "fidelity": "fast"}
-BEHIND = "what stands behind 'filtered:' should be a controller of TipPose, .*valid: .*predictive.* An agent acts without a state estimator"
+BEHIND = "what stands behind 'filtered:' should be a controller of TipPose, .*valid: .*predictive"
 
 
 @pytest.fixture
@@ -37,16 +30,13 @@ def here(tmp_path, monkeypatch):
         ("agent", Agent, {}),
         ("dagger", Agent, {}),
         ("apg", Agent, {}),
-        ("ppo", Seeds, {}),
         ("agent_1", Agent, {}),
         ("run/best", Agent, {}),
-        ("PPO:somewhere/model.zip", Agent, {}),
-        ("seeds", Seeds, {}),
-        ("not/there", Seeds, {}),
-        ("os.path:join", Own, {"module": "os.path", "name": "join"}),
+        ("somewhere/model.zip", Agent, {}),
+        ("os.path:join", UserPolicy, {"module": "os.path", "name": "join"}),
     ],
 )
-def test_every_name_is_one_of_four(here, text, kind, known):
+def test_every_name_is_one_of_three(here, text, kind, known):
     found = PolicyName.parse(text, "TipPose")
     assert type(found) is kind and found.text == text and vars(found).items() >= known.items()
 
@@ -64,7 +54,8 @@ def test_every_name_is_one_of_four(here, text, kind, known):
         ("filtered:predictive@coarse", "stands behind '@' should be 'fast', 'standard', 'fine'"),
         ("predictive@", "stands behind '@' should be 'fast'"),
         ("seeds", "policy is 'seeds', a folder"),
-        *((f"filtered:{name}", BEHIND) for name in ("apg", "run/best", "PPO:somewhere/model.zip", "seeds", "best.toml", "nobody")),
+        ("not/there", "policy is 'not/there', no policy"),
+        *((f"filtered:{name}", BEHIND) for name in ("apg", "run/best", "seeds", "nobody")),
         ("odd.toml", "parameters has 'effort', which tracking has not: valid: damping"),
     ],
 )
@@ -73,32 +64,6 @@ def test_what_is_no_policy_is_refused(here, text, said):
         PolicyName.parse(text, "TipPose").options({})
 
 
-def test_tuned_parameters_are_those_of_the_policy(here):
-    env = gym.make(IDS["TipPose"], **policy_options("best.toml", "TipPose", SMALL))
-    policy = load_policy("best.toml", env)
-    assert policy.estimator.uncertainty.force == 0.002
-
-
-def test_all_stands_for_the_controllers_of_a_task():
-    assert expand_policies("Reach", ("tracking", "all", "own.zip")) == (*dict.fromkeys(["tracking", *CONTROLLERS["Reach"]]), "own.zip")
-    assert expand_policies("TipPose", ("own.zip",)) == ("own.zip",)
-
-
 def test_short_names_are_the_ends_of_paths():
     assert [short_name(name) for name in ("agent", "dagger", "a/b/c.zip", "runs/ppo")] == ["agent", "dagger", "b/c", "ppo"]
     assert short_name("filtered:predictive@fast") == "filtered:predictive@fast"
-
-
-@pytest.mark.filterwarnings("error::UserWarning")
-def test_a_controller_of_an_arm_whose_commands_are_late_is_told_its_target_earlier():
-    arm = {"scene": {"scene": "three_tendon", "effects.actuators.delay": 0.05}, "fidelity": "fast"}
-    options = policy_options("filtered:predictive", "TipPose", arm)
-    assert len(options["preview"]) == 3 + len(policy_options("filtered:predictive", "TipPose", {"scene": "three_tendon"})["preview"])
-    load_policy("filtered:predictive", gym.make("TendonRod-TipPose-v0", **options))
-
-
-def test_groups_that_an_agent_observes_and_no_task_has_are_told_with_its_file(tmp_path):
-    (tmp_path / "weights.pt").touch()
-    (tmp_path / "config.json").write_text(json.dumps({"algorithm": "PPO", "options": {**SMALL, "observation": ["tip_postion"]}}))
-    with pytest.raises(ValueError, match="config.json: options.observation names 'tip_postion': did you mean 'tip_position'"):
-        policy_options(str(tmp_path), "TipPose", {})

@@ -50,7 +50,7 @@ def plots(blueprint):
 @pytest.mark.parametrize("number", [1, 2, 4])
 def test_every_error_has_a_plot_with_all_arms_and_every_arm_one_of_tensions(arms, number):
     found = plots(layout(arms(number), 3.0, live=False, complete=True))
-    assert {f"/{plot}/{error}" for plot in ("plot", "log10_plot") for error in SERIES["error"]} <= found.keys()
+    assert {f"/plot/{error}" for error in SERIES["error"]} <= found.keys()
     for kind in ("tension", "action"):
         assert [origin for origin in found if origin.startswith(f"/{kind}/")] == [rf"/{kind}/arm\ {k}" for k in range(number)]
     assert not [origin for origin in found if origin.startswith("/error")], "metres and radians share no axis"
@@ -68,7 +68,6 @@ def test_errors_are_in_plain_units_up_to_what_the_title_says(arms, model):
     assert vertical(found["/plot/position_error"]) == [0.0, 20.0 * model.length]
     assert titles["/plot/angle_error"] == "angle error [deg], up to 10" and vertical(found["/plot/angle_error"]) == [0.0, 10.0]
     assert titles["/plot/coordinate_error"] == "coordinate error" and vertical(found["/plot/coordinate_error"]) is None
-    assert titles["/log10_plot/position_error"] == "log10 of mm" and vertical(found["/log10_plot/position_error"]) is None
 
 
 def test_tensions_of_all_arms_have_one_range(arms, model):

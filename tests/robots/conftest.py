@@ -1,6 +1,5 @@
 """Robots for tests: an arm that answers as it is told to, and environments for it."""
 
-import signal
 import threading
 
 import gymnasium as gym
@@ -8,7 +7,8 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.robots import Measurement
-from soft_tendon_env.robots.clock import RealClock, SteppedClock
+from soft_tendon_env.robots.clock import Clock, SteppedClock
+from soft_tendon_env.tools.tables import read_table
 
 POSE = np.eye(4)
 POSE[0, 3] = 0.3
@@ -23,7 +23,7 @@ class Arm:
     command_unit, senses = "N", ("tip_pose", "tendon_length")
 
     def __init__(self, real_time=False, **faults):
-        self.clock = RealClock() if real_time else SteppedClock()
+        self.clock = Clock() if real_time else SteppedClock()
         self.faults, self.counts, self.sent, self.closed = faults, {"read": 0, "write": 0}, [], False
 
     def _fault(self, name):
@@ -54,6 +54,37 @@ def arm_of_test():
     return Arm
 
 
+@pytest.fixture(scope="session")
+def columns_of_log():
+    """columns_of_log(path): numbers of a log by the names of its columns, without the rows at rest."""
+
+    def read(path):
+        table = read_table(path)
+        names = [name for name in table.header if name != "hold"]
+        numbers = table.numbers((name, 1.0) for name in names).T
+        return dict(zip(names, numbers[:, numbers[0] >= 0.0], strict=True))
+
+    return read
+
+
+class Pulling:
+    """A policy that pulls, and does `then(count)` before it."""
+
+    def __init__(self, then=lambda count: None):
+        self.count, self.then = 0, then
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        self.count += 1
+        self.then(self.count)
+        return np.array([0.5, -0.5, 0.0], dtype=np.float32), None
+
+
+@pytest.fixture(scope="session")
+def pulling():
+    """The class Pulling."""
+    return Pulling
+
+
 @pytest.fixture
 def drawing():
     """drawing(task="TipPose", **options): an environment of three tendons that observes what `Arm` senses, unless options say otherwise.
@@ -69,16 +100,6 @@ def drawing():
         return env
 
     return make
-
-
-@pytest.fixture(autouse=True)
-def signals_of_a_terminal():
-    """Signals act as where a terminal has started the process: in the background of a shell, or under nohup, some are ignored."""
-    own = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
-    before = {number: signal.signal(number, handler) for number, handler in own.items()}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
 
 
 @pytest.fixture

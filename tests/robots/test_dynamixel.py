@@ -9,7 +9,7 @@ from soft_tendon_env.robots import RobotEnv, run_policy
 
 pytest.importorskip("dynamixel_sdk")
 bus_module = pytest.importorskip("tests.robots.dynamixel_bus")
-from soft_tendon_env.robots import DynamixelRobot  # noqa: E402
+from soft_tendon_env.robots import DynamixelRobot, MotorSettings  # noqa: E402
 
 IDS = (1, 2, 5)
 SPOOL = {"radius": [0.01, 0.01, -0.01], "torque_constant": 1.8}
@@ -24,7 +24,8 @@ def bus():
 @pytest.fixture
 def connect(bus):
     """connect(**arguments): the robot on the bus, or on another, whose motors bear longer silence than a busy machine may make."""
-    return lambda bus=bus, **arguments: DynamixelRobot(bus.port, IDS, **{**SPOOL, "watchdog": 2.5, **arguments})
+    patient = MotorSettings(watchdog=2.5)
+    return lambda bus=bus, **arguments: DynamixelRobot(bus.port, IDS, **{**SPOOL, "settings": patient, **arguments})
 
 
 def test_tensions_are_currents(bus, connect):
@@ -62,7 +63,7 @@ def test_displacements_are_turns_from_where_the_motors_were(bus, connect):
 
 
 def test_motors_watch_the_bus_and_go_on_when_it_speaks_again(bus, connect):
-    robot = connect(watchdog=0.1)
+    robot = connect(settings=MotorSettings())
     robot.write(np.full(3, 5.0))
     robot.read()
     assert bus.motors[1].table[98] == 5 and not bus.motors[1].has_stopped
@@ -73,27 +74,20 @@ def test_motors_watch_the_bus_and_go_on_when_it_speaks_again(bus, connect):
     assert bus.motors[1].goal_current == 2 and not bus.motors[1].has_stopped
 
 
-class Pulling:
-    def __init__(self, place, then):
-        self.count, self.place, self.then = 0, place, then
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        self.count += 1
-        if self.count == self.place:
-            self.then()
-        return np.ones(3), None
-
-
-def test_lost_motors_and_ports_end_a_run(bus, connect, drawing):
+def test_lost_motors_and_ports_end_a_run(bus, connect, drawing, pulling):
     robot = connect(tip_pose=lambda: np.eye(4))
-    report = run_policy(Pulling(5, lambda: bus.silent.add(2)), RobotEnv(drawing(), robot, settle=0.0, patience=50), 3.0)
+    report = run_policy(
+        pulling(lambda count: bus.silent.add(2) if count == 5 else None), RobotEnv(drawing(), robot, settle=0.0, patience=50), 3.0
+    )
     assert "no reading for" in report.stop.cause and report.stop.slack
     assert_limp(bus)
     assert [motor.goal_current for motor in bus.motors.values()] == [0, 0, 0]  # the one that cannot answer hears it still
 
     other = bus_module.Bus(dict.fromkeys(IDS, 0))
     robot = connect(other, tip_pose=lambda: np.eye(4))
-    report = run_policy(Pulling(5, other.unplug), RobotEnv(drawing(), robot, settle=0.0, patience=50), 3.0)
+    report = run_policy(
+        pulling(lambda count: other.unplug() if count == 5 else None), RobotEnv(drawing(), robot, settle=0.0, patience=50), 3.0
+    )
     assert "failed: " in report.stop.cause and not report.stop.slack and not report.finished
 
 
@@ -102,7 +96,7 @@ def test_lost_motors_and_ports_end_a_run(bus, connect, drawing):
     [
         ({"mode": "speed"}, ValueError, "mode is 'speed': it should be 'current' or 'position'"),
         ({"radius": 0.0}, ValueError, "radius should not be 0"),
-        ({"watchdog": 5.0}, ValueError, "watchdog is 5: it should be 0.02 to 2.54 s"),
+        ({"settings": {"watchdog": 5.0}}, TypeError, "settings should be a MotorSettings"),
         ({"radius": [1.0, 2.0]}, ValueError, "radius"),
     ],
 )

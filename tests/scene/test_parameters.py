@@ -3,7 +3,7 @@
 import pytest
 
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.parameters import scene_parameters
+from soft_tendon_env.scene.parameters import ranges_of, scene_parameters
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 
@@ -38,13 +38,11 @@ def test_values_that_are_alike_are_one_number_and_others_share_a_factor(scene):
             "segments.0.yong_modulus",
             "segments.0.yong_modulus is no number of the scene: did you mean 'segments.*.young_modulus'?.*valid: .*tendons",
         ),
-        ("effects.gravity.acceleration", r"did you mean 'effects.gravity.acceleration.\*'"),
         ("effects.fluid.density", "effects.fluid.density is no number of the scene.*valid: .*effects.gravity"),
         ("segments.7.density", "segments.7.density is no number of the scene"),
         ("integrator.step", "integrator.step is no number of the scene"),
         ("segments.*.length", "is no number of the scene"),
         ("segments.0.length", "segments.0.length is no parameter: it decides where the quadrature points lie"),
-        ("tendons.0.end", "tendons.0.end is no parameter: it decides where the quadrature points lie"),
         ("tendons.0.tension_limits.1", "tendons.0.tension_limits.1 is no parameter: it bounds the commands"),
         ("tendons.0.routing.type", "tendons.0.routing.type is no parameter: 'straight' is no number"),
     ],
@@ -54,7 +52,14 @@ def test_what_is_no_parameter_is_refused_by_name(scene, name, message):
         scene_parameters(scene, [name])
 
 
-@pytest.mark.cases("names", ["segments.0.density", [5], None])
-def test_names_are_several_texts(scene, names):
-    with pytest.raises(TypeError, match="dotted key"):
-        scene_parameters(scene, names)
+def test_ranges_are_of_values_factors_offsets_and_entries_of_vectors(scene):
+    wanted = {
+        "segments.*.density": {"factor": [0.5, 2.0]},
+        "effects.tip_load.mass": [0.0, 0.1],
+        "effects.gravity.acceleration": [0, 0, [-9, -8]],
+    }
+    factor, mass, *_, down = ranges_of(scene, wanted)
+    assert factor.changes(2.0) == {f"segments.{i}.density": 2.0 * scene.segments[i].density for i in (0, 1)}
+    assert mass.changes(0.05) == {"effects.tip_load.mass": 0.05} and (down.least, down.greatest) == (-9.0, -8.0)
+    with pytest.raises(ConfigurationError, match="segments.0.density draws what 'segments.\\*.density' draws already"):
+        ranges_of(scene, {"segments.*.density": 5.0, "segments.0.density": [1.0, 2.0]})

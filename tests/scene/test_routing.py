@@ -1,12 +1,14 @@
-"""Tendon routings: slopes against differences, the formulas of each, and what they refuse."""
+"""Tendon routings and radius profiles: slopes against differences, the formulas of each, and what they refuse."""
 
 import numpy as np
 import pytest
 
+from soft_tendon_env.scene.radius import LinearRadius, RadiusTable, radius_and_slope
 from soft_tendon_env.scene.routing import ConvergingRouting, HelixRouting, StraightRouting, SurfaceRouting, TableRouting
 from soft_tendon_env.tools.configuration import ConfigurationError
 
-ENDS = (0.1, 0.5)
+ENDS, LENGTH = (0.1, 0.5), 0.4
+RADII = RadiusTable(arc_length=(0.0, 0.1, 0.25, 0.4), radius=(0.02, 0.018, 0.01, 0.012))
 ROUTINGS = {
     "straight": StraightRouting(offset=(0.01, -0.02)),
     "converging": ConvergingRouting(start_offset=(0.02, 0.0), end_offset=(0.01, 0.01)),
@@ -21,32 +23,37 @@ def evaluate(routing, arc_length):
     return routing.offset_and_slope(arc_length, radius, -0.02 + 0.02 * arc_length, ENDS)
 
 
-@pytest.mark.parametrize("name", ROUTINGS)
-def test_slope_is_the_derivative_of_the_offset(name):
+@pytest.mark.cases("routing", ROUTINGS.values())
+def test_slope_is_the_derivative_of_the_offset(routing):
     x, h = np.linspace(0.11, 0.49, 41), 1e-6
-    offset, slope = evaluate(ROUTINGS[name], x)
+    offset, slope = evaluate(routing, x)
     assert offset.shape == slope.shape == (41, 2)
-    difference = (evaluate(ROUTINGS[name], x + h)[0] - evaluate(ROUTINGS[name], x - h)[0]) / (2 * h)
-    np.testing.assert_allclose(slope, difference, atol=1e-8)
+    np.testing.assert_allclose(slope, (evaluate(routing, x + h)[0] - evaluate(routing, x - h)[0]) / (2 * h), atol=1e-8)
 
 
-def test_surface_follows_the_radius():
-    offset, _ = evaluate(SurfaceRouting(angle=90.0), np.array([0.0, 0.1]))
-    np.testing.assert_allclose(offset, [(0.0, 0.03), (0.0, 0.0281)], atol=1e-16)
+@pytest.mark.cases("profile", [0.01, LinearRadius(base=0.03, tip=0.02), RADII])
+def test_slope_is_the_derivative_of_the_radius(profile):
+    s, h = np.linspace(0.011, 0.389, 50), 1e-6
+    ahead, behind = (radius_and_slope(profile, s + d, LENGTH)[0] for d in (h, -h))
+    np.testing.assert_allclose(radius_and_slope(profile, s, LENGTH)[1], (ahead - behind) / (2 * h), atol=1e-7)
 
 
-def test_helix_turns_from_y_to_z():
-    offset, _ = evaluate(HelixRouting(radius=0.01, angular_rate=np.pi), np.array([0.0, 0.5]))
-    np.testing.assert_allclose(offset, [(0.01, 0.0), (0.0, 0.01)], atol=1e-16)
+@pytest.mark.cases(
+    "routing, arc_length, wanted",
+    [
+        (SurfaceRouting(angle=90.0), 0.1, (0.0, 0.0281)),
+        (HelixRouting(radius=0.01, angular_rate=np.pi), 0.5, (0.0, 0.01)),
+        (ROUTINGS["table"], 0.3, (0.0, 0.01)),
+    ],
+)
+def test_routings_pass_where_their_formula_says(routing, arc_length, wanted):
+    np.testing.assert_allclose(evaluate(routing, np.array([arc_length]))[0][0], wanted, atol=1e-15)
 
 
-def test_table_meets_its_points_and_reproduces_a_cubic():
-    x = np.array([0.0, 0.2, 0.3, 0.4, 0.6])
-    cubic = TableRouting(arc_length=x, y=x**3, z=x - x**2)
-    fine = np.linspace(0.0, 0.6, 30)
-    offset, slope = evaluate(cubic, fine)
-    np.testing.assert_allclose(offset, np.column_stack([fine**3, fine - fine**2]), atol=1e-15)
-    np.testing.assert_allclose(slope, np.column_stack([3 * fine**2, 1 - 2 * fine]), atol=1e-14)
+def test_radii_meet_their_points_and_never_overshoot():
+    np.testing.assert_allclose(radius_and_slope(RADII, RADII.arc_length, LENGTH)[0], RADII.radius, rtol=1e-14)
+    radius, _ = radius_and_slope(RADII, np.linspace(0, LENGTH, 500), LENGTH)
+    assert radius.min() >= 0.01 and radius.max() <= 0.02
 
 
 def test_misfits_say_what_is_wrong():
@@ -55,15 +62,16 @@ def test_misfits_say_what_is_wrong():
     assert "start < end, but they are 0.5 and 0.4" in late.misfit((0.0, 0.4))
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
+@pytest.mark.cases(
+    "kind, columns, message",
     [
-        ({"arc_length": (0.0, 0.1, 0.2)}, "arc_length is .*: it should have at least 4 items, not 3"),
-        ({"arc_length": (0.0, 0.2, 0.1, 0.3)}, "arc_length is .*: it should increase"),
-        ({"z": (0.0, 0.0)}, "z is .*: it should have one entry per arc_length, 4"),
+        (RadiusTable, {"arc_length": (0.0,), "radius": (0.1,)}, r"arc_length is \[0.0\]: it should have at least 2 items, not 1"),
+        (RadiusTable, {"arc_length": (0.1, 0.2), "radius": (0.1, 0.1)}, "it should start at 0 and increase"),
+        (RadiusTable, {"arc_length": (0.0, 0.2), "radius": (0.1, 0.0)}, r"radius\[1\] is 0.0: it should be greater than 0"),
+        (TableRouting, {"arc_length": (0.0, 0.2, 0.1, 0.3), "y": (0.0,) * 4, "z": (0.0,) * 4}, "arc_length is .*: it should increase"),
+        (TableRouting, {"arc_length": (0, 0.1, 0.2, 0.3), "y": (0.0,) * 4, "z": (0.0, 0.0)}, "z is .*: it should have one entry per arc"),
     ],
 )
-def test_table_refuses(change, message):
-    good = {"arc_length": (0.0, 0.1, 0.2, 0.3), "y": (0.0,) * 4, "z": (0.0,) * 4}
+def test_tables_refuse(kind, columns, message):
     with pytest.raises(ConfigurationError, match=message):
-        TableRouting(**{**good, **change})
+        kind(**columns)

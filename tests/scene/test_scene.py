@@ -1,7 +1,5 @@
 """Scenes: strictness and its messages, overrides, and what follows from a scene (breakpoints, radius, tendon paths)."""
 
-import pickle
-
 import numpy as np
 import pytest
 
@@ -17,15 +15,10 @@ from soft_tendon_env.scene.scene import (
     breakpoints,
     extrapolation_columns,
     rod_length,
-    rod_radius,
     scene_to_dict,
-    segment_index,
-    tendon_offset,
 )
-from soft_tendon_env.scene.strain import ExplicitStrain, Modes, StaticsBased
+from soft_tendon_env.scene.strain import StaticsBased
 from soft_tendon_env.tools.configuration import ConfigurationError
-
-NAN = float("nan")
 
 
 def segment(**changes):
@@ -46,31 +39,18 @@ def scene():
 
 REFUSED = [
     # an override, the message
-    ({"segments.0.length": True}, "segments[0].length is True: it should be a valid number"),
     ({"segments.0.length": "0.2"}, "segments[0].length is '0.2': it should be a valid number"),
-    ({"segments.0.length": NAN}, "segments[0].length is nan: it should be a finite number"),
+    ({"segments.0.length": float("nan")}, "segments[0].length is nan: it should be a finite number"),
     ({"segments.0.length": 0.0}, "segments[0].length is 0.0: it should be greater than 0"),
-    ({"segments.0.poisson_ratio": 0.6}, "segments[0].poisson_ratio is 0.6: it should be less than or equal to 0.5"),
-    (
-        {"segments.0.radius": {"type": "table", "arc_length": [0.0, 0.1], "radius": [0.01, 0.01]}},
-        "should end at the segment's length, 0.2, but its arc_length ends at 0.1",
-    ),
+    ({"segments.0.radius": {"type": "table", "arc_length": [0.0, 0.1], "radius": [0.01, 0.01]}}, "should end at the segment's length, 0.2"),
     ({"segments.0.curvature": [0.0, 1.0]}, "segments[0].curvature[2] is missing: it is required"),
     ({"segments": []}, "segments is []: it should have at least 1 item, not 0"),
-    (
-        {"tendons.1.routing.type": "helx"},
-        "tendons[1].routing.type is 'helx': did you mean 'helix'? valid: converging, helix, straight, surface, table",
-    ),
+    ({"tendons.1.routing.type": "helx"}, "tendons[1].routing.type is 'helx': did you mean 'helix'? valid: converging, helix, straight"),
     ({"tendons.1.end": 0.05}, "tendons[1].end is 0.05: it should be greater than start, 0.1"),
     ({"tendons.0.end": 0.6}, "tendons[0].end is 0.6: it should be at most the rod's length, 0.5"),
     ({"tendons.0.start": 0.5}, "tendons[0].start is 0.5: it should be less than the rod's length, 0.5"),
     ({"tendons.0.tension_limits": [5, 5]}, "tendons[0].tension_limits is [5, 5]: it should be (least, greatest)"),
     ({"tendons.0.end": 1e-10}, "tendons[0] runs from 0.0 to 1e-10: it should cover more than 4e-09 of the rod's length, 0.5"),
-    ({"tendons.0.start": 0.5 - 1e-10}, "tendons[0] runs from 0.4999999999 to 0.5: it should cover more than 4e-09"),
-    (
-        {"tendons.0.routing": {"type": "table", "arc_length": [0, 0.1, 0.2, 0.3], "y": [0, 0, 0, 0], "z": [0, 0, 0, 0]}},
-        "tendons[0].routing should cover the tendon, 0 to 0.5",
-    ),
     ({"strain.borders": [0.6]}, "strain.borders[0] is 0.6: it should be less than the rod's length, 0.5"),
     ({"strain.strains": ["torsion", "twist"]}, "strain.strains[1] is 'twist': it should be 'torsion', 'bend_y'"),
     ({"strain.strains": ["torsion", "torsion"]}, "should name each strain once, but repeats torsion"),
@@ -79,12 +59,9 @@ REFUSED = [
         "should name strains that the rod has, bend_y; not stretch",
     ),
     ({"quadrature.intervals": 6.0}, "quadrature.intervals is 6.0: it should be a valid integer"),
-    ({"strain.include_loads": "x"}, "strain.include_loads is 'x': it should be true or false"),
     ({"quadratur.intervals": 6}, "quadratur is an unknown key (given {'intervals': 6}): did you mean 'quadrature'? valid: description"),
     ({"integrator": {"columns": 1, "tolerance": 1e-4}}, "integrator.tolerance is 0.0001: it needs the error estimate of at least 2"),
-    ({"name.first": "x"}, "name.first cannot be set: name is 'test', not a table"),
     ({"segments.2.length": 1.0}, "segments.2.length cannot be set: '2' is no position in segments; valid: 0 to 1"),
-    ({"strain.borders.0": 0.1}, "strain.borders.0 cannot be set: '0' is no position in strain.borders; it is empty"),
 ]
 
 
@@ -108,19 +85,6 @@ def test_all_mistakes_are_told_at_once():
     assert "at least 1 item" not in told
 
 
-def test_explicit_strain_refuses_overlapping_modes():
-    over_rod, over_pieces = (Modes(strains=["bend_y"], order=0, span=span) for span in ("rod", "piece"))
-    with pytest.raises(ConfigurationError, match="should name each strain once, but repeats bend_y"):
-        ExplicitStrain(modes=[over_rod, over_pieces])
-
-
-def test_the_error_pickles_and_keeps_its_problems(scene):
-    with pytest.raises(ConfigurationError) as caught:
-        scene.replace({"quadrature.intervals": 0})
-    copy = pickle.loads(pickle.dumps(caught.value))
-    assert str(copy) == str(caught.value) and copy.problems[0].key == ("quadrature", "intervals")
-
-
 # overrides
 
 
@@ -140,14 +104,6 @@ def test_replace_sets_dotted_keys_and_leaves_the_original(scene):
     assert changed.replace({"effects.gravity": None}).effects == scene.effects
 
 
-def test_replace_takes_whole_tables_and_objects(scene):
-    pcc = {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z"], "order": 0, "span": "piece"}]}
-    assert scene.replace({"strain": pcc}) == scene.replace({"strain": ExplicitStrain(**pcc)})
-    given = {"gravity": {"acceleration": [0, 0, 1]}}
-    scene.replace({"effects": given, "effects.gravity.acceleration": [1, 0, 0]})
-    assert given == {"gravity": {"acceleration": [0, 0, 1]}}
-
-
 def test_an_effect_from_outside_is_a_table_of_scenes(forgotten):
     class Wind(Effect):
         speed: float
@@ -162,25 +118,8 @@ def test_an_effect_from_outside_is_a_table_of_scenes(forgotten):
     assert scene.effects.wind == Wind(speed=1.0) and list(scene.effects.chosen()) == ["gravity", "wind"]
     assert scene_to_dict(scene)["effects"]["wind"] == {"speed": 1.0} and Scene(**scene_to_dict(scene)) == scene
     assert load_scene("paper").effects.wind is None
-    with pytest.raises(ConfigurationError, match="^scene: effects.wind.speed is 'high'"):
-        scene.replace({"effects.wind.speed": "high"})
-    with pytest.raises(ConfigurationError, match="effects.wind has the key 5"):
-        scene.replace({"effects.wind": {5: 1.0}})
     with pytest.raises(TypeError, match="the effect 'wind' has no kernel for its parameters: decorate one with @adds_wrench.float."):
         build_model(scene)
-
-
-@pytest.mark.cases(
-    "name, kind, error, message",
-    [
-        ("gravity", Effect, ValueError, "'gravity' is registered twice: soft_tendon_env.effects.gravity"),
-        ("wind", int, TypeError, "the effect 'wind' should be a class derived from soft_tendon_env.effects.Effect"),
-        *((name, Effect, ValueError, "an effect's name should be an identifier") for name in ("copy", "chosen", "two words", "")),
-    ],
-)
-def test_what_cannot_be_an_effect_is_refused(name, kind, error, message):
-    with pytest.raises(error, match=message):
-        register_effect(name)(kind)
 
 
 # what follows from a scene
@@ -191,39 +130,6 @@ def test_breakpoints_are_every_end_and_border_once(scene):
     close = scene.replace({"strain": StaticsBased(borders=[0.42, 0.2 + 1e-12, 0.35 - 1e-12]), "tendons.0.end": 0.5 - 1e-12})
     np.testing.assert_allclose(breakpoints(close), [0, 0.1, 0.2, 0.35, 0.42, 0.5], atol=1e-11)
     assert breakpoints(close)[0] == 0 and breakpoints(close)[-1] == rod_length(close)
-
-
-def test_places_that_follow_each_other_closely_do_not_become_one(scene):
-    """Each is closer than a billionth of the length to the one before, the last is far from the first."""
-    chain = [0.42 + 0.4e-9 * i for i in range(5)]
-    found = breakpoints(scene.replace({"strain": StaticsBased(borders=chain)}))
-    np.testing.assert_allclose(found, [0, 0.1, 0.2, 0.35, 0.42, 0.42 + 0.8e-9, 0.42 + 1.6e-9, 0.5], atol=1e-12)
-
-
-def test_round_off_in_the_length_is_no_mistake():
-    three = Scene(name="x", segments=[segment(length=0.1)] * 3, tendons=[tendon(end=0.3), tendon(end=0.1 + 0.1 + 0.1)])
-    assert rod_length(three) == pytest.approx(0.3) and len(breakpoints(three)) == 4
-
-
-def test_radius_follows_the_segments(scene):
-    radius, slope = rod_radius(scene, [0.1, 0.2, 0.35, 0.5])
-    np.testing.assert_allclose(radius, [0.01, 0.01, 0.007, 0.004], rtol=1e-12)
-    np.testing.assert_allclose(slope, [0, -0.02, -0.02, -0.02], rtol=1e-12)  # a border belongs to the segment after it
-    assert segment_index(scene, [0, 0.1999, 0.2, 0.5]).tolist() == [0, 0, 1, 1]
-
-
-def test_tendon_offset_passes_the_rods_radius_and_the_tendons_ends(scene):
-    changed = scene.replace(
-        {
-            "tendons.0.routing": {"type": "surface", "angle": 0},
-            "tendons.1.routing": {"type": "converging", "start_offset": [0.005, 0.0], "end_offset": [0.0, 0.0]},
-        }
-    )
-    offset, slope = tendon_offset(changed, changed.tendons[0], [0.1, 0.35])
-    np.testing.assert_allclose(offset, [(0.01, 0), (0.007, 0)], rtol=1e-12)
-    np.testing.assert_allclose(slope, [(0, 0), (-0.02, 0)], rtol=1e-12)
-    offset, _ = tendon_offset(changed, changed.tendons[1], [0.1, 0.35])
-    np.testing.assert_allclose(offset, [(0.005, 0), (0, 0)], atol=1e-16)
 
 
 @pytest.mark.cases(

@@ -2,7 +2,6 @@
 
 import warnings
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -16,10 +15,9 @@ WIRE = {"length": 0.2, "radius": 0.0005, "offset": 0.0045, "modulus": 6e10, "den
 MM = {"length": 1e3, "radius": 1e3, "offset": 1e3}
 
 
-def arm(length, radius, offset, modulus, density, limit, factor=None):
+def arm(base, factor):
     """A straight arm with three tendons; its numbers times factors by name."""
-    numbers = {"length": length, "radius": radius, "offset": offset, "modulus": modulus, "density": density, "limit": limit}
-    own = {name: value * (factor or {}).get(name, 1.0) for name, value in numbers.items()}
+    own = {name: value * factor.get(name, 1.0) for name, value in base.items()}
     segment = {"length": own["length"], "radius": own["radius"], "young_modulus": own["modulus"], "density": own["density"]}
     around = np.arange(3) * 2.0 * np.pi / 3.0
     offsets = own["offset"] * np.stack([np.cos(around), np.sin(around)], axis=1)
@@ -37,38 +35,21 @@ def said(scene):
 @pytest.mark.cases(
     "base, factor, words",
     [
-        (SILICONE, MM, ["the rod is 250 m long: is it mm?"]),
         (SILICONE, {"length": 1e2, "radius": 1e2, "offset": 1e2}, ["the rod is 25 m long: is it cm?"]),
-        (SILICONE, {**MM, "modulus": 1e-6}, ["250 m long: is it mm?", "young_modulus is 0.6 Pa: is it MPa?"]),
         (SILICONE, {**MM, "modulus": 1e-6, "density": 1e-12}, ["is it mm?", "is it MPa?", "density is 1.1e-09 kg/m^3: is it t/mm^3?"]),
-        (SILICONE, {"modulus": 1e-6}, ["segments[0].young_modulus is 0.6 Pa: is it MPa?"]),
         (SILICONE, {"modulus": 1e-3}, ["segments[0].young_modulus is 600 Pa: is it kPa?"]),
         (SILICONE, {"density": 1e-3}, ["segments[0].density is 1.1 kg/m^3: is it g/cm^3?"]),
         (SILICONE, {"limit": 1e3}, ["tendons[0].tension_limits are up to 8000 N, which strain the rod by ", "is it mN"]),
         (SILICONE, {"offset": 1e3}, ["tendons[0] is up to 10 m off the axis of a rod of 0.25 m: is it mm?"]),
         (SILICONE, {"radius": 1e3, "offset": 0.1}, ["the rod has a radius of 12 m on a length of 0.25 m: is it mm?"]),
-        (WIRE, {**MM, "modulus": 1e-6}, ["the rod is 200 m long: is it mm?"]),
         (WIRE, {"modulus": 1e-6}, ["young_modulus is 60000 Pa, and its density, 6450 kg/m^3, that of a metal: is it MPa?"]),
-        (WIRE, {"modulus": 1e-9}, ["young_modulus is 60 Pa: is it GPa?"]),
-        (WIRE, {"density": 1e-3}, ["density is 6.45 kg/m^3: is it g/cm^3?"]),
         (WIRE, {"limit": 1e3}, ["tension_limits are up to 20000 N", "is it mN"]),
-        ({**SILICONE, "length": 0.05}, {"length": 1e2, "radius": 1e2, "offset": 1e2, "modulus": 0.1}, ["bend the rod by at most 0.0"]),
-        (WIRE, {"length": 0.1}, ["tendons[0] is up to 0.0045 m off the axis of a rod of 0.02 m"]),
-        (
-            {**SILICONE, "length": 0.012, "radius": 4e-4, "offset": 2e-4, "limit": 0.01},
-            MM,
-            ["bend the rod by at most", "are lengths in mm?"],
-        ),
-        ({**WIRE, "length": 0.012, "offset": 4e-4}, {**MM, "modulus": 1e-6}, ["that of a metal: is it MPa?"]),
-        (
-            {**WIRE, "length": 0.012, "modulus": 3.6e9, "density": 1300.0, "offset": 4e-4},
-            {**MM, "modulus": 1e-6},
-            ["crushed by its own weight"],
-        ),
+        ({**SILICONE, "length": 0.012, "radius": 4e-4, "offset": 2e-4, "limit": 0.01}, MM, ["bend the rod by at most", "lengths in mm?"]),
+        ({**SILICONE, "length": 0.012, "radius": 4e-4, "offset": 2e-4}, {**MM, "modulus": 2e-3}, ["crushed by its own weight"]),
     ],
 )
 def test_other_units_get_a_word(base, factor, words):
-    text = said(arm(**base, factor=factor))
+    text = said(arm(base, factor))
     assert text and all(word in text for word in words), text
 
 
@@ -78,29 +59,19 @@ def test_other_units_get_a_word(base, factor, words):
         SILICONE,
         WIRE,
         {"length": 0.1, "radius": 0.01, "offset": 0.007, "modulus": 1e3, "density": 1000.0, "limit": 0.01},  # gel
-        {"length": 0.4, "radius": 0.03, "offset": 0.02, "modulus": 5e4, "density": 15.0, "limit": 10.0},  # foam
-        {"length": 0.5, "radius": 6e-4, "offset": 6e-3, "modulus": 3e11, "density": 7850.0, "limit": 20.0},  # steel
         {"length": 2.0, "radius": 3e-4, "offset": 4e-4, "modulus": 6e10, "density": 6450.0, "limit": 15.0},  # a guide wire
-        {"length": 0.3, "radius": 5e-4, "offset": 1e-3, "modulus": 4e11, "density": 19300.0, "limit": 40.0},  # tungsten
         {"length": 0.001, "radius": 4e-5, "offset": 2e-5, "modulus": 4e5, "density": 1070.0, "limit": 6e-5},
         {"length": 20.0, "radius": 0.2, "offset": 0.15, "modulus": 5e6, "density": 1000.0, "limit": 5e3},
-        {"length": 0.04, "radius": 0.015, "offset": 0.012, "modulus": 8e4, "density": 1070.0, "limit": 10.0},  # short and thick
         {"length": 0.06, "radius": 1e-3, "offset": 8e-4, "modulus": 9e5, "density": 5600.0, "limit": 0.5},  # rubber full of magnets
         {"length": 0.1, "radius": 0.003, "offset": 0.002, "modulus": 1e5, "density": 1070.0, "limit": 50.0},  # limits left as they are
     ],
 )
 def test_arms_that_there_are_get_none(numbers):
-    assert said(arm(**numbers)) == ""
+    assert said(arm(numbers, {})) == ""
 
 
-def test_scenes_that_ship_get_none():
+def test_scenes_that_ship_get_none_and_models_say_it_once():
     assert [name for name in scene_names() if said(load_scene(name))] == []
-
-
-@pytest.mark.filterwarnings("ignore:.*has no passive fields")
-def test_models_and_environments_say_it_once():
-    scene = arm(**SILICONE, factor={"modulus": 1e-6})
-    for make in (lambda: build_model(scene), lambda: gym.make("TendonRod-TipPose-v0", scene=scene, fidelity="fast")):
-        with pytest.warns(UnitsWarning, match="is it MPa") as caught:
-            make()
-        assert len([own for own in caught if own.category is UnitsWarning]) == 1
+    with pytest.warns(UnitsWarning, match="is it MPa") as caught:
+        build_model(arm(SILICONE, {"modulus": 1e-6}))
+    assert len([own for own in caught if own.category is UnitsWarning]) == 1

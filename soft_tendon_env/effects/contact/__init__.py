@@ -4,18 +4,25 @@ Samples lie evenly along the axis, each a ball of the rod's radius that stands f
 cap too. obstacles.py says what all obstacles have and which shapes there are.
 """
 
+import math
 from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, Solid, register_effect
-from soft_tendon_env.effects.contact.bodies import ContactParameters, make_samples, read_distances
-from soft_tendon_env.effects.contact.forces import read_contacts
-from soft_tendon_env.effects.contact.obstacles import AnyObstacle
+from soft_tendon_env.effects.contact.forces import ContactParameters, read_contacts
+from soft_tendon_env.effects.contact.obstacles import AnyObstacle, read_distances
 from soft_tendon_env.effects.nodes import nodes_with
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.types import NotNegative, Positive
+
+MOST_SAMPLES = 10_000
+SMOOTHING = 0.01
+"""Depth over which the stiffness grows to its full size, in radii of the rod."""
+WALL_SPEED, WALL_MASS = 30.0, 8.0
+"""Impact that the wall of a sample stops by itself within twice its width or so: this speed [m/s] of so many times the mass of its
+share."""
 
 
 @register_effect("contact")
@@ -36,9 +43,10 @@ class Contact(Effect):
 
     def parameters(self, rod: Discretisation) -> ContactParameters:
         intervals, samples, _ = make_samples(rod, self.stiffness)
-        return ContactParameters(intervals, samples, self._rows(), self.stiction_speed)
+        return ContactParameters(intervals, samples, self.rows(), self.stiction_speed)
 
-    def _rows(self) -> Array:
+    def rows(self) -> Array:
+        """Rows of `ContactParameters.obstacles`."""
         return np.array([obstacle.row(self.friction, self.dissipation) for obstacle in self.obstacles])
 
     def sample_places(self, rod: Discretisation) -> Array:
@@ -46,6 +54,7 @@ class Contact(Effect):
         return make_samples(rod, self.stiffness)[2]
 
     def bodies(self) -> tuple[tuple[str, bool], ...]:
+        """Obstacles as messages name them, and whether they move."""
         return tuple((f"obstacles[{i}], a {obstacle.type}", obstacle.moves) for i, obstacle in enumerate(self.obstacles))
 
     def potential_energy(self, arm: Configured) -> float:
@@ -63,5 +72,25 @@ class Contact(Effect):
     def distances(self, positions: Array, time: float = 0.0) -> Array:
         """Signed distances (obstacles, m) [m] from the obstacles' surfaces to positions (m, 3) [m] at a time [s], negative inside."""
         out = np.empty((len(self.obstacles), len(positions)))
-        read_distances(self._rows(), positions, time, out)
+        read_distances(self.rows(), positions, time, out)
         return out
+
+
+def make_samples(rod: Discretisation, stiffness: float | None) -> tuple[Array, Array, Array]:
+    """Rows of `ContactParameters.intervals` and `.samples`, and the samples' arc lengths (samples,) [m], a radius apart at most."""
+    start = np.concatenate([[0.0], rod.node[:-1]])
+    h = rod.node - start
+    counts = np.ceil(h / np.maximum(rod.radius(0.5 * (start + rod.node)), rod.length / MOST_SAMPLES)).astype(int)
+    last = np.cumsum(counts)
+    t = np.concatenate([np.arange(1, count + 1) / count for count in counts if count])
+    own, share = np.repeat(h, counts), np.repeat(h / np.maximum(counts, 1), counts)
+    place = np.repeat(start, counts) + t * own
+    radius = rod.radius(place)
+    share[-1] = 0.5 * share[-1] + radius[-1]  # the tip's round cap
+    per_length = rod.elasticity(place)[:, 3] / (2.0 * radius) ** 2 if stiffness is None else np.full(place.size, stiffness)  # [N/m^2]
+    wall = WALL_MASS * WALL_SPEED**2 * rod.line_mass(place) * share
+    solid = radius if stiffness is None else np.full(place.size, math.inf)
+    bases = (1 + 2 * t) * (1 - t) ** 2, own * t * (1 - t) ** 2, t**2 * (3 - 2 * t), own * t**2 * (t - 1)
+    samples = np.stack([*bases, t, radius, per_length * share, SMOOTHING * radius, wall, solid], axis=1)  # in the order of Sample
+    largest = [radius[end - count : end].max(initial=0.0) for end, count in zip(last, counts, strict=True)]
+    return np.stack([h, last - counts, last, largest], axis=1), samples, place

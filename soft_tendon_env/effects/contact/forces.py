@@ -1,5 +1,7 @@
-"""Forces of contact: normal force by a smooth penalty with damping, and regularised Coulomb friction, as wrenches on the nodes. And the
-continuous collision check of steps.
+"""Contact as kernels compute it: samples along the arm, obstacles at a time, forces between them, and the continuous collision check.
+
+Samples are balls along the axis, see nodes.py, each for its share of the length. By virtual work a force f on a sample is the force H00 f
+and the moment H10 h R_a e_x x f on the node before it, and likewise on the one behind.
 
 With d = radius - signed distance of a sample's middle, k = stiffness ds and a smoothing depth e, N = p(d) max(0, 1 + c d_dot),
 p = k d^2 / 2 e up to d = e, k (d - e / 2) beyond: Hunt and Crossley (1975), here of a force that begins smoothly. It never pulls, and what
@@ -8,24 +10,20 @@ it takes out of the motion, p c d_dot^2, is never negative.
 Friction opposes the slip velocity v of the surfaces with mu N |v| / sqrt(|v|^2 + v_s^2), v_s the stiction speed. So what friction holds
 creeps: with a share s of mu N, at v_s s / sqrt(1 - s^2). The implicit step gets the secant mu N / sqrt(|v|^2 + v_s^2) as damping.
 
-By virtual work a force f on a sample is the force H00 f and the moment H10 h R_a e_x x f on the node before it, and likewise on the one
-behind: without friction contact has a potential of the nodes' poses.
-
 Steps end where a contact begins; those that went through something, or too deep into it, are tried again at half of their length.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.contact import bodies as at
-from soft_tendon_env.effects.contact.bodies import Body, ContactParameters, Ends, body_at, ends_of, in_frame, sample_at, size
-from soft_tendon_env.effects.contact.obstacles import distance
-from soft_tendon_env.effects.nodes import motion_before, motion_of, pose_of
+from soft_tendon_env.effects.contact.obstacles import SHAPES, body_at, distance, place_in, triple
+from soft_tendon_env.effects.nodes import Sample, ends_of, motion_at, motion_of, pose_of, position_of
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, rotate, rotate_back, times
+from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import adds_wrench, allow_turning, limits_step
-from soft_tendon_env.tools.types import Triple
+from soft_tendon_env.tools.types import Array, Triple
 
 FREE, WALL = 0.2, 0.45
 """Depths in radii of the rod between which the wall stops what would go through: a wire between two samples a radius apart is half a radius
@@ -34,10 +32,31 @@ WALL_DISSIPATION = 1.0
 """The least c [s/m] of the wall: what begins within an obstacle leaves it at 1 m/s at most."""
 OVERRUN, THROUGH = 0.1, 0.15
 """Shares of the radius: how much deeper a step in contact may lead, and what turns out to be so deep that it is tried again shorter."""
-LANDED, IDLE = 0.01, 0.05
-"""Share of the arm's kinetic energy, the most that a sample may store where a step ends in what it comes upon, and the speed, in lengths of
-the arm per second, that counts as such besides: at rest steps need not end where a contact begins."""
+LANDED, MOST_LANDED, IDLE = 0.01, 8.0, 0.05
+"""Share of the arm's kinetic energy that a sample is to store where a step ends in what it comes upon; how many such shares all samples may
+store; and the speed of the arm, in its lengths per second, that counts besides, or that of the fastest obstacle: at rest steps need not end
+where a contact begins."""
+CUTS, SAME = 64, 1e-3
+"""Most places at which the way of a sample is looked at, and the share of that within which it comes up to what is allowed."""
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+class ContactParameters(Struct):
+    """The numbers of samples and obstacles; intervals in order from base to tip, the empty ones at the end without samples."""
+
+    intervals: Array  # (nodes, 4): length h [m], first sample, one past the last, largest radius [m]
+    samples: Array  # (samples, 10): see Sample
+    obstacles: Array  # (obstacles, 28): see Obstacle.row
+    stiction_speed: float  # [m/s]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """With the classes of the shapes: where their kernels are is known in each process alone."""
+        shapes = [next(shape for shape in SHAPES.values() if shape.number == number) for number in self.obstacles[:, 0]]
+        return {**self.fields(), "shapes": shapes}
+
+    def __setstate__(self, fields: dict[str, Any]) -> None:
+        fields["obstacles"][:, 0] = [shape.number for shape in fields.pop("shapes")]
+        super().__setstate__(fields)
 
 
 class Touch(NamedTuple):
@@ -51,6 +70,25 @@ class Touch(NamedTuple):
     damping: float  # [N s/m] along the normal
     drag: float  # [N s/m] of friction, across the normal
     energy: float  # [J] that the normal force has stored
+
+
+@kernel(inline=True)
+def size(x):
+    """Euclidean norm."""
+    return math.sqrt(dot(x, x))
+
+
+@kernel(inline=True)
+def sample_at(contact, m):
+    """The sample of a row."""
+    s = contact.samples
+    return Sample(s[m, 0], s[m, 1], s[m, 2], s[m, 3], s[m, 4], s[m, 5], s[m, 6], s[m, 7], s[m, 8], s[m, 9])
+
+
+@kernel(inline=True)
+def reach_of(intervals, ends):
+    """No point of an interval's samples is farther [m] from its end: the polygon of the curve's Bezier points holds it."""
+    return size(minus(ends.r_b, ends.r_a)) + intervals[ends.interval, 0] / 3.0 + intervals[ends.interval, 3]
 
 
 @kernel(inline=True)
@@ -77,10 +115,10 @@ def normal_law(body, sample, depth, approach):
 @kernel(inline=True)
 def touch_of(contact, body, sample, ends, nodes):
     """The contact of a sample between two nodes with an obstacle, without forces where they do not touch."""
-    x = at.position_of(sample, ends)
-    away, out = distance(body, in_frame(body, x))
+    x = position_of(sample, ends)
+    _, away, out = place_in(body, x)
     gap, normal = away - sample.radius, rotate(body.R, out)
-    velocity, turning = at.motion_at(sample, ends, nodes)
+    velocity, turning = motion_at(sample, ends, nodes)
     slip = minus(plus(velocity, cross(turning, times(-sample.radius, normal))), body.velocity)
     approach = -dot(slip, normal)
     slip = plus(slip, times(approach, normal))
@@ -130,21 +168,15 @@ def contact_wrench(contact, nodes):
         body = body_at(contact.obstacles, j, nodes.time)
         for i in range(intervals.shape[0]):
             ends = ends_of(nodes, i)
-            if distance(body, in_frame(body, ends.r_b))[0] < at.reach_of(intervals, i, ends):
+            if place_in(body, ends.r_b)[1] < reach_of(intervals, ends):
                 for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
                     sample = sample_at(contact, m)
-                    touch = touch_of(contact, body, sample, ends, nodes)
+                    touch, t = touch_of(contact, body, sample, ends, nodes), sample.t
                     if touch.gap < 0.0:
-                        add_touch(nodes, i, ends, sample, touch)
-
-
-@kernel(inline=True)
-def add_touch(nodes, i, ends, sample, touch):
-    """Adds the wrenches of a contact to both nodes of its interval."""
-    nodes.contact.touched[0], t = 1.0, sample.t
-    add_to_node(nodes, i, ends.R_b, (sample.h_b, sample.reach_b, t, t if i > 0 else 1.0), sample.radius, touch)
-    if i > 0 and t < 1.0:
-        add_to_node(nodes, i - 1, ends.R_a, (sample.h_a, sample.reach_a, 1.0 - t, 1.0 - t), sample.radius, touch)
+                        nodes.contact.touched[0] = 1.0
+                        add_to_node(nodes, i, ends.R_b, (sample.h_b, sample.reach_b, t, t if i > 0 else 1.0), sample.radius, touch)
+                        if i > 0 and t < 1.0:
+                            add_to_node(nodes, i - 1, ends.R_a, (sample.h_a, sample.reach_a, 1.0 - t, 1.0 - t), sample.radius, touch)
 
 
 @kernel
@@ -164,78 +196,86 @@ def read_contacts(contact, nodes, gap, position, force):
     return energy
 
 
-class Swept(NamedTuple):
-    """An obstacle, and the nodes of an interval, before and after a step."""
-
-    body_before: Body
-    body: Body
-    ends_before: Ends
-    ends: Ends
+@limits_step(ContactParameters)
+@kernel
+def limit_contact(contact, nodes, longest):
+    """Steps are short beside the periods of obstacles that swing, and the next one ends where something is met. The last one was too long
+    if a sample went through something on its way, or if all that met something in it came to store more than a share of the arm's
+    energy, which the step took from nothing."""
+    intervals, landed, fastest = contact.intervals, 0.0, 0.0
+    for j in range(contact.obstacles.shape[0]):
+        fastest = max(fastest, size(body_at(contact.obstacles, j, nodes.time).velocity))
+        if size(triple(contact.obstacles, j, 25)) > 0.0:
+            allow_turning(contact.obstacles[j, 4], longest)
+    energy = landing_energy(nodes, intervals, fastest)
+    for j in range(contact.obstacles.shape[0]):
+        bodies = body_at(contact.obstacles, j, nodes.before_step.time[0]), body_at(contact.obstacles, j, nodes.time)
+        for i in range(intervals.shape[0]):
+            ends = ends_of(nodes.before_step, i), ends_of(nodes, i)
+            if not is_far(bodies, ends, intervals, nodes, longest):
+                for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
+                    landed += check_sample(sample_at(contact, m), bodies, ends, nodes, energy, longest)
+    if landed > MOST_LANDED * energy:
+        nodes.contact.tunnelled[0] = 1.0
 
 
 @kernel
-def landing_energy(nodes, intervals):
-    """Energy [J] that a sample may store where a step ends in what it comes upon."""
+def landing_energy(nodes, intervals, fastest):
+    """Energy [J] that a sample may store where a step ends in what it comes upon; obstacles move at most at a speed [m/s]."""
     energy, mass, length = 0.0, 0.0, 0.0
     for i in range(intervals.shape[0]):
-        _, v = motion_of(nodes, i, pose_of(nodes, i)[0])
+        R, r = pose_of(nodes, i)
+        _, v = motion_of(nodes, i, R, r)
         energy, mass, length = energy + 0.5 * nodes.mass[i] * dot(v, v), mass + nodes.mass[i], length + intervals[i, 0]
-    return LANDED * (energy + 0.5 * mass * (IDLE * length) ** 2)
+    return LANDED * (energy + 0.5 * mass * max(IDLE * length, fastest) ** 2)
 
 
 @kernel(inline=True)
-def is_far(swept, intervals, nodes, longest):
-    """Whether no sample of the interval can have met the obstacle, nor does within a step: the Hermite polynomials of tangents stay below
-    4/27, and the signed distance changes no faster than a point moves."""
-    body, ends, i = swept.body, swept.ends, swept.ends.interval
-    place = in_frame(body, ends.r_b)
-    w, v = motion_of(nodes, i, ends.R_b)
-    w_a, v_a = motion_before(nodes, i, ends.R_a, ends.r_a)
-    speed = max(size(v), size(v_a)) + 4.0 / 27.0 * intervals[i, 0] * (size(w) + size(w_a)) + size(body.velocity)
-    moved = size(minus(in_frame(swept.body_before, swept.ends_before.r_b), place))
-    was, will = at.reach_of(intervals, i, swept.ends_before) + moved, at.reach_of(intervals, i, ends) + speed * longest[0]
-    return distance(body, place)[0] >= max(was, will)
+def is_far(bodies, ends, intervals, nodes, longest):
+    """Whether no sample of an interval can have met an obstacle in the last step, nor does in the next one: the Hermite polynomials of
+    tangents stay below 4/27, and the signed distance changes no faster than a point moves. Bodies and ends: before the step and now."""
+    body, now, before = bodies[1], ends[1], ends[0]
+    w, v = motion_of(nodes, now.interval, now.R_b, now.r_b)
+    w_a, v_a = motion_of(nodes, now.interval - 1, now.R_a, now.r_a)
+    speed = max(size(v), size(v_a)) + 4.0 / 27.0 * intervals[now.interval, 0] * (size(w) + size(w_a)) + size(body.velocity)
+    place, away, _ = place_in(body, now.r_b)
+    moved = size(minus(rotate_back(bodies[0].R, minus(before.r_b, bodies[0].r)), place))
+    return away >= max(reach_of(intervals, before) + moved, reach_of(intervals, now) + speed * longest[0])
 
 
 @kernel(inline=True)
-def check_sample(sample, swept, nodes, energy, longest, flags):
-    """`check_collisions` for a sample and an obstacle, straight ahead as seen by the obstacle."""
-    body, radius = swept.body, sample.radius
+def check_sample(sample, bodies, ends, nodes, energy, longest):
+    """`limit_contact` for a sample and an obstacle, straight ahead as seen by the obstacle; bodies and ends: before the step and now. The
+    energy [J] that it has come to store in the step, if it met the obstacle there."""
+    body, radius, flags = bodies[1], sample.radius, nodes.contact
     landing = min(sample.smoothing, (6.0 * sample.smoothing * energy / sample.stiffness) ** (1.0 / 3.0))
-    start, end = in_frame(swept.body_before, at.position_of(sample, swept.ends_before)), in_frame(body, at.position_of(sample, swept.ends))
-    was = distance(swept.body_before, start)[0] - radius
-    away, out = distance(body, end)
-    velocity, _ = at.motion_at(sample, swept.ends, nodes)
+    start, was, _ = place_in(bodies[0], position_of(sample, ends[0]))
+    end, away, out = place_in(body, position_of(sample, ends[1]))
+    velocity, _ = motion_at(sample, ends[1], nodes)
     gap, approach = away - radius, -dot(minus(velocity, body.velocity), rotate(body.R, out))
-    too_deep = was > 0.0 and gap < -2.0 * landing and approach > 0.0
-    if too_deep or at.goes_through(body, start, end, min(was, 0.0) + (1.0 - THROUGH) * radius):
+    if goes_through(body, start, end, min(was - radius, 0.0) + (1.0 - THROUGH) * radius):
         flags.tunnelled[0] = 1.0
     room = gap + landing if gap > 0.0 else OVERRUN * radius
     if gap < 0.0 or approach * longest[0] > room:
         flags.active[0] = 1.0
     if approach * longest[0] > room:
         longest[0] = room / approach
-
-
-@limits_step(ContactParameters)
-@kernel
-def limit_contact(contact, nodes, longest):
-    """Steps are short beside the periods of obstacles that swing, and end where something is met."""
-    for j in range(contact.obstacles.shape[0]):
-        allow_turning(at.swing_rate(contact.obstacles, j), longest)
-    check_collisions(contact, nodes, longest)
+    return normal_law(body, sample, -gap, 0.0)[3] if was > radius and gap < 0.0 and approach > 0.0 else 0.0
 
 
 @kernel
-def check_collisions(contact, nodes, longest):
-    """The next step ends where something is met; the last one was too long if a sample went through something on its way, or came to be
-    so deep in it at once that it stores more than a share of the arm's energy."""
-    intervals, energy = contact.intervals, landing_energy(nodes, contact.intervals)
-    before, flags = nodes.before_step, nodes.contact
-    for j in range(contact.obstacles.shape[0]):
-        body_before, body = body_at(contact.obstacles, j, before.time[0]), body_at(contact.obstacles, j, nodes.time)
-        for i in range(intervals.shape[0]):
-            swept = Swept(body_before, body, ends_of(before, i), ends_of(nodes, i))
-            if not is_far(swept, intervals, nodes, longest):
-                for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
-                    check_sample(sample_at(contact, m), swept, nodes, energy, longest, flags)
+def goes_through(body, start, end, allowed):
+    """Whether the distance from a body falls below `allowed` [m] on the straight way between two points in its frame: it falls no faster
+    than the way goes on."""
+    way, s = minus(end, start), 0.0
+    length = size(way)
+    if distance(body, end)[0] < allowed:
+        return True
+    for _ in range(CUTS):
+        room = distance(body, plus(start, times(s, way)))[0] - allowed
+        if room > length * (1.0 - s):
+            return False
+        if room < SAME * length:
+            return True
+        s += room / length
+    return True

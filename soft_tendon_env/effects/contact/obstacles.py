@@ -6,26 +6,22 @@ at their addresses, so that nothing else is compiled for them.
 """
 
 import math
-import zlib
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeVar, get_args
 
 import numpy as np
 from llvmlite import ir
 from numba import config, types
-from numba.core import cgutils
-from numba.extending import intrinsic
+from numba.extending import intrinsic, overload
 from pydantic import BeforeValidator, Field, SerializeAsAny, field_validator
 
 from soft_tendon_env.compiler.compilation import OPTIONS, Kernel, address_of, emit_call_at, kernel
 from soft_tendon_env.effects.base import Array, Solid
-from soft_tendon_env.mechanics.algebra.lie import coefficients, dot, exp_se3, times
+from soft_tendon_env.mechanics.algebra.lie import coefficients, dot, exp_se3, minus, plus, rotate_back, times
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, shown
 from soft_tendon_env.tools.types import LEAST, Frequency, Length, NotNegative, Number, Triple
 
 MOST_SIZES = 4
-NUMBERS = 2**20
-"""Numbers of shapes: the first are those of `OF_PACKAGE`, the others come from names."""
 
 
 class Geometry(NamedTuple):
@@ -43,64 +39,51 @@ def above_plane(sizes, x):
 
 
 @kernel(inline=True)
-def from_sides(a, b, c):
-    """Signed distance of a point that is a, b, c beyond three sides at right angles, from the solid within them; its gradient."""
-    if a > 0.0 or b > 0.0 or c > 0.0:
-        out = max(a, 0.0), max(b, 0.0), max(c, 0.0)
-        size = math.sqrt(dot(out, out))
-        return size, times(1.0 / size, out)
-    if a >= b and a >= c:
-        return a, (1.0, 0.0, 0.0)
-    return (b, (0.0, 1.0, 0.0)) if b >= c else (c, (0.0, 0.0, 1.0))
-
-
-@kernel(inline=True)
 def from_box(sizes, x):
     """Distance from the box of half sizes (a, b, c) with edges rounded outwards by a radius, `sizes`: from spheres and capsules too."""
-    away, n = from_sides(abs(x[0]) - sizes[0], abs(x[1]) - sizes[1], abs(x[2]) - sizes[2])
+    a, b, c = abs(x[0]) - sizes[0], abs(x[1]) - sizes[1], abs(x[2]) - sizes[2]
+    away = max(a, b, c)
+    n = (1.0, 0.0, 0.0) if a == away else (0.0, 1.0, 0.0) if b == away else (0.0, 0.0, 1.0)
+    if away > 0.0:
+        out = max(a, 0.0), max(b, 0.0), max(c, 0.0)
+        away = math.sqrt(dot(out, out))
+        n = times(1.0 / away, out)
     return away - sizes[3], (math.copysign(n[0], x[0]), math.copysign(n[1], x[1]), math.copysign(n[2], x[2]))
 
 
 @kernel(inline=True)
 def from_cylinder(sizes, x):
-    """Distance from the mantle of a radius and the ends at a half length, `sizes`."""
+    """Distance from the cylinder about z that is, along its radius, the box of half sizes (radius, infinity, half length)."""
     size = math.sqrt(x[0] * x[0] + x[1] * x[1])
     out_x, out_y = (x[0] / size, x[1] / size) if size > 0.0 else (1.0, 0.0)
-    away, n = from_sides(size - sizes[0], abs(x[2]) - sizes[1], -math.inf)
-    return away, (out_x * n[0], out_y * n[0], math.copysign(n[1], x[2]))
+    away, n = from_box(sizes, (size, 0.0, x[2]))
+    return away, (out_x * n[0], out_y * n[0], n[2])
 
 
 OF_PACKAGE = above_plane, from_box, from_cylinder
-_OTHERS: dict[int, Any] = {}  # entries of other kernels by number, which keep their machine code
-_ADDRESSES = np.zeros(NUMBERS, dtype=np.int64)  # of those entries, by number
+_OTHERS: list[Any] = []  # kernels of other shapes
 _KINDS = types.UniTuple(types.float64, MOST_SIZES), types.UniTuple(types.float64, 3)
 
 
 @intrinsic
 def _call_at(typingctx, number, sizes, x):
-    returned, word = types.Tuple((types.float64, _KINDS[1])), ir.IntType(64)
+    returned = types.Tuple((types.float64, _KINDS[1]))
 
     def emit(context, builder, signature, given):
-        addresses = builder.inttoptr(word(_ADDRESSES.ctypes.data), word.as_pointer())
-        address = builder.load(builder.gep(addresses, [builder.fptosi(given[0], word)]))
-        with cgutils.if_unlikely(builder, cgutils.is_null(builder, address)):
-            context.call_conv.return_user_exc(builder, RuntimeError, ("the module with the shape of an obstacle has not been imported",))
+        address = builder.fptosi(given[0], ir.IntType(64))
         return emit_call_at(context, builder, address, returned, _KINDS, given[1:])
 
     return returned(number, sizes, x), emit
 
 
 def other_distance(number, sizes, x):
-    """Distance and gradient by the kernel of a shape that is not among the package's."""
-    return _call_at(number, sizes, x)
+    """Distance and gradient by the kernel of a shape that is not among the package's: its number is the kernel's address."""
+    return _OTHERS[int(number) - len(OF_PACKAGE)](sizes, x)
 
 
-def _interpreted(number, sizes, x):
-    return _OTHERS[int(number)](sizes, x)
-
-
-# its machine code is not kept: it knows where this process has the addresses
-other_distance = _interpreted if config.DISABLE_JIT else Kernel(other_distance, OPTIONS, keep=False).call
+@overload(other_distance)
+def _other_distance_overload(number, sizes, x):
+    return lambda number, sizes, x: _call_at(number, sizes, x)
 
 
 @kernel(inline=True)
@@ -113,6 +96,53 @@ def distance(body, x):
     return from_cylinder(body.sizes, x) if body.shape == 2.0 else other_distance(body.shape, body.sizes, x)
 
 
+class Body(NamedTuple):
+    """An obstacle at a time; vectors in the world frame."""
+
+    shape: float  # number of its shape
+    thickness: float  # [m]
+    friction: float  # mu [-]
+    dissipation: float  # c [s/m]
+    sizes: tuple[float, ...]  # [m]
+    R: tuple[float, ...]
+    r: Triple
+    velocity: Triple
+
+
+@kernel(inline=True)
+def triple(rows, i, first):
+    """Three numbers of a row as a vector."""
+    return rows[i, first], rows[i, first + 1], rows[i, first + 2]
+
+
+@kernel
+def body_at(obstacles, j, time):
+    """The obstacle of a row at a time [s]."""
+    o, rate = obstacles[j], obstacles[j, 4]
+    angle, v, amplitude = rate * time + o[5], triple(obstacles, j, 22), triple(obstacles, j, 25)
+    r = plus(plus(triple(obstacles, j, 10), times(time, v)), times(math.sin(angle), amplitude))
+    v = plus(v, times(rate * math.cos(angle), amplitude))
+    R = o[13], o[14], o[15], o[16], o[17], o[18], o[19], o[20], o[21]
+    return Body(o[0], o[1], o[2], o[3], (o[6], o[7], o[8], o[9]), R, r, v)
+
+
+@kernel(inline=True)
+def place_in(body, x):
+    """A position [m] in the frame of a body, the signed distance [m] from it, and the gradient of that."""
+    place = rotate_back(body.R, minus(x, body.r))
+    away, out = distance(body, place)
+    return place, away, out
+
+
+@kernel
+def read_distances(obstacles, positions, time, out):
+    """Signed distance out (obstacles, m) of positions (m, 3) at a time."""
+    for j in range(obstacles.shape[0]):
+        body = body_at(obstacles, j, time)
+        for m in range(positions.shape[0]):
+            out[j, m] = place_in(body, triple(positions, m, 0))[1]
+
+
 class Obstacle(Configuration):
     """Base of the shapes: a rigid solid, fixed or moving without turning.
 
@@ -122,7 +152,7 @@ class Obstacle(Configuration):
     """
 
     distance: ClassVar[Any]
-    number: ClassVar[int]
+    number: ClassVar[float]
 
     type: str
     position: Triple = Field(description="place at time 0 [m], but for the amplitude, world frame")
@@ -158,7 +188,7 @@ class Obstacle(Configuration):
         own, shape = friction if self.friction is None else self.friction, self.geometry()
         sizes = [*shape.sizes, *[0.0] * (MOST_SIZES - len(shape.sizes))]
         swing = 2.0 * math.pi * self.frequency, math.radians(self.phase)
-        numbers = [float(self.number), shape.thickness, own, dissipation, *swing, *sizes]
+        numbers = [self.number, shape.thickness, own, dissipation, *swing, *sizes]
         return [*numbers, *self.position, *self.orientation.ravel().tolist(), *self.velocity, *self.amplitude]
 
 
@@ -174,33 +204,23 @@ def register_shape(shape: Class) -> Class:
     Registering a class of the same module and name again replaces it. Raises ValueError for a name that is taken.
     """
     (name,) = get_args(shape.__pydantic_fields__["type"].annotation)
-    present = next((other for known, other in SHAPES.items() if _number(known) == _number(name)), shape)
+    present = SHAPES.get(name, shape)
     if (present.__module__, present.__qualname__) != (shape.__module__, shape.__qualname__):
         raise ValueError(f"the shape {name!r} is registered twice: {present.__module__}, {shape.__module__}")
-    if shape.distance in OF_PACKAGE:
-        shape.number = OF_PACKAGE.index(shape.distance)
-    else:
-        shape.number = _number(name)
-        _place(shape.distance, shape.number)
+    shape.number = float(OF_PACKAGE.index(shape.distance) if shape.distance in OF_PACKAGE else _place(shape.distance))
     SHAPES[name] = shape
     return shape
 
 
-def _number(name: str) -> int:
-    """Number of a shape: the same in every process."""
-    return len(OF_PACKAGE) + zlib.crc32(name.encode()) % (NUMBERS - len(OF_PACKAGE))
-
-
-def _place(function: Any, number: int) -> None:
-    """Have `other_distance` call a kernel for this number."""
+def _place(function: Any) -> int:
+    """Number by which `other_distance` finds a kernel in this process: its address."""
 
     def enter(sizes, x):
         away, n = function(sizes, x)
         return float(away), (float(n[0]), float(n[1]), float(n[2]))
 
-    _OTHERS[number] = enter if config.DISABLE_JIT else Kernel(enter, OPTIONS, keep=False)
-    if not config.DISABLE_JIT:
-        _ADDRESSES[number] = address_of(_OTHERS[number].compiled(_KINDS))
+    _OTHERS.append(enter if config.DISABLE_JIT else Kernel(enter, OPTIONS, keep=False))
+    return len(OF_PACKAGE) + len(_OTHERS) - 1 if config.DISABLE_JIT else address_of(_OTHERS[-1].compiled(_KINDS))
 
 
 def _obstacle(value: object) -> object:
@@ -278,18 +298,13 @@ class Box(Obstacle):
         return Geometry(sizes, min(sizes), (("box", self.size),))
 
 
-class Round(Directed):
-    """Base of the solids of revolution about `position`."""
-
-    radius: Length = Field(description="radius [m]")
-    length: Length = Field(description="length along the axis [m], that of a capsule without its caps")
-
-
 @register_shape
-class Capsule(Round):
+class Capsule(Directed):
     """Capsule about `position`: points up to `radius` [m] from a line of this `length` [m] along `axis`."""
 
     type: Literal["capsule"] = "capsule"
+    radius: Length = Field(description="radius [m]")
+    length: Length = Field(description="length along the axis without the caps [m]")
     distance = from_box
 
     def geometry(self) -> Geometry:
@@ -297,11 +312,14 @@ class Capsule(Round):
 
 
 @register_shape
-class Cylinder(Round):
+class Cylinder(Directed):
     """Cylinder about `position` with flat ends, of a `radius` and a `length` [m] along `axis`."""
 
     type: Literal["cylinder"] = "cylinder"
+    radius: Length = Field(description="radius [m]")
+    length: Length = Field(description="length along the axis [m]")
     distance = from_cylinder
 
     def geometry(self) -> Geometry:
-        return Geometry((self.radius, 0.5 * self.length), min(self.radius, 0.5 * self.length), (("cylinder", (self.radius, self.length)),))
+        sizes = self.radius, math.inf, 0.5 * self.length, 0.0
+        return Geometry(sizes, min(sizes[0], sizes[2]), (("cylinder", (self.radius, self.length)),))

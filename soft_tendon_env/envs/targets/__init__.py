@@ -1,8 +1,7 @@
 """Target trajectories: a configuration class per kind, its drawn course as a function of time, and the table by which options name them.
 
-A target is one file, in this package or a user's own: a configuration class under `@register_target` whose `draw` settles what is random
-and returns a `Course`, the motion as a function of time, bit for bit the same whatever other times are asked for with it.
-`examples/own_target.py` is one from outside.
+A target is one file, in this package or a user's own: a configuration class under `@register_target` whose `draw` returns the motion as
+a function of time, the same whatever other times are asked for with it. `examples/own_target.py` is one from outside.
 """
 
 import importlib
@@ -82,7 +81,7 @@ Course = PoseCourse | ShapeCourse
 class Target(Configuration):
     """Base of the targets' configurations. A class has a field `type: Literal["name"] = "name"`, the name that options use.
 
-    Attributes that a class may have otherwise:
+    Properties that a class may have otherwise:
         is_random: whether episodes differ in it; one that does not is drawn once for all of them.
         gives_shapes: whether its course is a ShapeCourse, which tasks that compare shapes need.
         repeats: time [s] after which a drawn course repeats; None: it does not.
@@ -100,12 +99,12 @@ class Target(Configuration):
         return False
 
     @property
-    def repeats(self) -> float | None:
-        return None
-
-    @property
     def begins_at_rest(self) -> bool:
         return False
+
+    @property
+    def repeats(self) -> float | None:
+        return None
 
     def check(self, scene: Scene) -> None:
         """Raises ConfigurationError with keys from `target` on, where the target does not fit the scene."""
@@ -122,14 +121,11 @@ def _fraction(value: Any) -> Any:
     return value
 
 
-Fraction = Annotated[float | tuple[float, float], BeforeValidator(_fraction)]
-"""Part of the limits of tensions within which they are drawn, or a range (least, greatest) from which every episode draws it."""
-
-
 class DrawnShapes(Target):
-    """Base of targets that are shapes at rest, under a given `tension` (n_a) [N] or random ones within `fraction` of their limits."""
+    """Base of targets that are shapes at rest, under a given `tension` (n_a) [N] or random ones within `fraction` of their limits, which
+    may be a range (least, greatest) from which every episode draws it."""
 
-    fraction: Fraction = 0.25
+    fraction: Annotated[float | tuple[float, float], BeforeValidator(_fraction)] = 0.25
 
     @property
     def given_tension(self) -> tuple[float, ...] | None:
@@ -166,14 +162,13 @@ def register_target(target: Class) -> Class:
     """
     is_target = isinstance(target, type) and issubclass(target, Target)
     kind = target.__pydantic_fields__["type"] if is_target else Target.model_fields["type"]
-    names = get_args(kind.annotation)
-    if len(names) != 1 or kind.default != names[0]:
+    if get_args(kind.annotation) != (kind.default,):
         allowed = 'a class derived from soft_tendon_env.envs.targets.Target with a field such as `type: Literal["spiral"] = "spiral"`'
         raise TypeError(f"a target should be {allowed}, not {shown(target)}")
-    present = TARGETS.get(names[0], target)
+    present = TARGETS.setdefault(kind.default, target)
     if (present.__module__, present.__qualname__) != (target.__module__, target.__qualname__):
-        raise ValueError(f"the target {names[0]!r} is registered twice: {present.__module__}, {target.__module__}")
-    TARGETS[names[0]] = target
+        raise ValueError(f"the target {kind.default!r} is registered twice: {present.__module__}, {target.__module__}")
+    TARGETS[kind.default] = target
     return target
 
 

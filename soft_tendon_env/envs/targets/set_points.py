@@ -17,7 +17,7 @@ from soft_tendon_env.envs.targets import (
     pose_samples,
     register_target,
 )
-from soft_tendon_env.envs.targets.statics import set_point
+from soft_tendon_env.envs.targets.statics import shape_course
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.types import Array, Positive
 
@@ -69,8 +69,7 @@ class Hold(DrawnShapes):
         return self.pose is None and self.position is None
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        """The motion of one episode. Raises ConfigurationError where the arm cannot hold the tensions."""
-        return set_point(self, generator, setting) if self.given is None else FixedPose(self.given)
+        return shape_course(self, generator, setting) if self.given is None else FixedPose(self.given)
 
 
 class FixedPose(PoseCourse):
@@ -96,13 +95,9 @@ class OutOfReach(DrawnShapes):
         return False  # no shape has its pose
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        """The pose of one episode. Raises ConfigurationError where the arm can hold none of the shapes."""
-        pose = setting.model.tip_pose(set_point(self, generator, setting).coordinates(np.zeros(1))[0][0])
+        pose = setting.model.tip_pose(shape_course(self, generator, setting).coordinates(np.zeros(1))[0][0])
         pose[:3, 3] *= self.beyond * setting.model.length / np.linalg.norm(pose[:3, 3])
         return FixedPose(pose)
-
-
-MOST_STEPS = 1_000
 
 
 @register_target
@@ -112,10 +107,10 @@ class Steps(DrawnShapes):
 
     type: Literal["steps"] = "steps"
     duration: Positive = 2.0
-    count: int = Field(default=5, ge=2, le=MOST_STEPS)
+    count: int = Field(default=5, ge=2, le=1_000)
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        held = [set_point(self, generator, setting).coordinates(np.zeros(1))[0][0] for _ in range(self.count)]
+        held = [shape_course(self, generator, setting).coordinates(np.zeros(1))[0][0] for _ in range(self.count)]
         return Stepped(np.array(held), self.duration)
 
 

@@ -1,10 +1,5 @@
-"""Quasi-static trajectories: the shapes in which tensions that change with time hold the arm at rest.
+"""Quasi-static trajectories: the shapes in which tensions that change with time hold the arm at rest."""
 
-Tensions are pushed through the statics, so that the arm can hold every one of the shapes: given tensions that it cannot hold are refused,
-drawn ones are halved.
-"""
-
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
 
@@ -13,9 +8,10 @@ import numpy as np
 from soft_tendon_env.envs.targets import DrawnShapes, Setting, ShapeCourse
 from soft_tendon_env.mechanics.workspace import Workspace
 from soft_tendon_env.model.equilibrium_residual import Balance
+from soft_tendon_env.model.load_continuation import LoadPath
 from soft_tendon_env.model.statics import rests_at_tensions, static_equilibrium
 from soft_tendon_env.model.tension_limits import warn_beyond_limits
-from soft_tendon_env.tools.checks import checked_array, shown_numbers
+from soft_tendon_env.tools.checks import shown_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.types import Array
 
@@ -30,14 +26,11 @@ PER_KNOT = 4
 1e-4 of its length off those between, through two by up to 2e-3."""
 NEAR, CLOSE = 0.2, 0.01
 """Angles [rad] from where an equilibrium is expected: within which it is taken, else tensions change by half as much at a time; and within
-which the stiffness there says whether it is stable."""
-RESIDUAL = 1e-9
-"""Residual [rad], see Equilibrium, up to which forces count as balanced."""
+which one that is not stable is the end."""
 SAME = 1e-6
 """Angle [rad] between shapes that count as one."""
 SHORTER = 8
 """How often changes of tensions are halved before the arm is said to jump."""
-MOST_CORRECTIONS = 20
 EXTRAPOLATIONS: dict[int, list[float]] = {1: [1.0], 2: [-1.0, 2.0], 3: [1.0, -3.0, 3.0]}
 """Weights of the last values in the next one: of order 0, 1 and 2."""
 JUMPS = "the arm jumps from one shape to another near there"
@@ -50,33 +43,27 @@ class NoEquilibrium(ArithmeticError):
         super().__init__(f"{shown_numbers(tension)} N: {reason}")
 
 
-class Tensions(ABC):
-    """Tensions as a function of time.
+class Tensions:
+    """Tensions as a function of time; by itself, tensions that stay: the first of points (1, n_a).
 
     knots: times (k,) [s] between which the motion is smooth, from its beginning at 0 to its end or, if `is_closed`, to where it repeats.
     """
 
-    knots: Array
+    knots = np.zeros(1)
     is_closed = False
+
+    def __init__(self, points: Array) -> None:
+        self.points = points
 
     def within(self, times: Array) -> Array:
         """The times (m,) between the first and the last knot at which the motion is what it is at `times`."""
         end = self.knots[-1]
         return np.mod(times, end) if self.is_closed else np.clip(times, 0.0, end)
 
-    @abstractmethod
     def __call__(self, times: Array) -> tuple[Array, Array]:
         """Tensions [N] and their rates [N/s] at times (m,) [s], (m, n_a) each."""
-
-
-class Constant(Tensions):
-    """Tensions that stay: the first of points (1, n_a)."""
-
-    def __init__(self, points: Array) -> None:
-        self.value, self.knots = points[0], np.zeros(1)
-
-    def __call__(self, times: Array) -> tuple[Array, Array]:
-        return np.tile(self.value, (times.size, 1)), np.zeros((times.size, self.value.size))
+        tension = self.points[:1].repeat(times.size, axis=0)
+        return tension, np.zeros_like(tension)
 
 
 def nearest_to_zero(limits: Array) -> Array:
@@ -85,26 +72,26 @@ def nearest_to_zero(limits: Array) -> Array:
 
 
 def shape_course(
-    target: DrawnShapes, generator: np.random.Generator, setting: Setting, motion: Callable[[Array], Tensions], count: int = 1
+    target: DrawnShapes, generator: np.random.Generator, setting: Setting, motion: Callable[[Array], Tensions] = Tensions, count: int = 1
 ) -> "StaticCourse":
-    """The course of a motion that tensions (count, n_a) make, given ones or drawn ones clear of obstacles.
+    """The course of a motion that tensions (count, n_a) make, given ones or drawn ones clear of obstacles; of one shape by default.
 
     Given ones are taken as they are, beyond their limits with a TensionLimitWarning. Drawn ones are uniform within a fraction of their
     limits around those nearest to zero, drawn from a range if it is one, and halved towards these until the arm holds them: one draw, so
     that whatever is drawn next is the same for every arm. Raises ConfigurationError where the arm holds none.
     """
     if target.given_tension is not None:
-        return _given_course(target.given_tension, setting, motion)
-    middle, fraction = setting.tension, target.fraction
+        return _given_course(np.array([target.given_tension]), setting, motion)
+    middle, fraction, free = setting.tension, target.fraction, setting.free
     share = generator.uniform(*fraction) if isinstance(fraction, tuple) else fraction
     reach = share * (setting.limits - middle[:, None])
     offset = generator.uniform(reach[:, 0], reach[:, 1], (count, middle.size))
-    if setting.free is not None:
-        setting = setting._replace(model=setting.free.model)
+    if free is not None:
+        setting = setting._replace(model=free.model)
     for halvings in range(HALVINGS + 1):
         try:
             course = StaticCourse(setting, motion(middle + 0.5**halvings * offset), MARGIN)
-            if setting.free is None or setting.free.holds(course.coordinates(course.places)[0]).all():
+            if free is None or free.holds(course.coordinates(course.places)[0]).all():
                 return course
             reason = "the arm would touch an obstacle"
         except NoEquilibrium as error:
@@ -113,21 +100,15 @@ def shape_course(
     raise ConfigurationError([Problem(("target", "fraction"), text)], "environment")
 
 
-def _given_course(tension: tuple[float, ...], setting: Setting, motion: Callable[[Array], Tensions]) -> "StaticCourse":
-    end = checked_array("target.tension", tension, (setting.arms.model.tendon_count,))
-    warn_beyond_limits(setting.limits.tolist(), end)
+def _given_course(points: Array, setting: Setting, motion: Callable[[Array], Tensions]) -> "StaticCourse":
+    warn_beyond_limits(setting.limits.tolist(), points[0])
     try:
-        return StaticCourse(setting, motion(end[None]))
+        return StaticCourse(setting, motion(points))
     except NoEquilibrium as error:
-        reason = static_equilibrium(setting.model, end).reason
-        why = f"{shown_numbers(end)} N: {reason}" if reason else str(error)
-        text = f"is {shown(tension)}: it should be tensions that the arm can hold, not {why}"
+        reason = static_equilibrium(setting.model, points[0]).reason
+        why = f"{shown_numbers(points[0])} N: {reason}" if reason else str(error)
+        text = f"is {shown(points[0].tolist())}: it should be tensions that the arm can hold, not {why}"
         raise ConfigurationError([Problem(("target", "tension"), text)], "environment") from error
-
-
-def set_point(target: DrawnShapes, generator: np.random.Generator, setting: Setting) -> "StaticCourse":
-    """The course of one shape at rest under given or drawn tensions. Raises ConfigurationError."""
-    return shape_course(target, generator, setting, Constant)
 
 
 def _still(value: Array, times: Array, order: int = 0) -> Array:
@@ -232,21 +213,12 @@ class EquilibriumPath:
             raise NoEquilibrium(tension, self._balance.obstacle or JUMPS)
 
     def _corrected(self, tension: Array, guess: Array) -> Array | None:
-        """The equilibrium (n,) near a guess (n,) to which Newton's method leads with the stiffness there. Raises NoEquilibrium where the
-        arm would not stay."""
+        """The equilibrium (n,) near a guess (n,), None without one. Raises NoEquilibrium where the arm would not stay."""
         balance = self._balance
         balance.tension, balance.obstacle = tension, ""
-        here = balance.linearised(guess, 1.0)
-        at = None if here is None else here.at
-        for _ in range(MOST_CORRECTIONS):
-            if here is None or at is None or not (off := balance.angle(at.q - guess)) <= NEAR:
-                return None
-            if at.residual > RESIDUAL:
-                at = balance.at(at.q + here.compliance @ at.force, 1.0)
-            elif balance.stability(here).stable:
-                return at.q
-            elif off > CLOSE:
-                return None
-            else:
-                raise NoEquilibrium(tension, "the arm is no longer stable there")
-        return None
+        found = LoadPath(balance).equilibrium(guess, 1.0)
+        if found is None or not (off := balance.angle(found.at.q - guess)) <= NEAR:
+            return None
+        if not found.stability.stable and off <= CLOSE:
+            raise NoEquilibrium(tension, "the arm is no longer stable there")
+        return found.at.q if found.stability.stable else None

@@ -31,8 +31,8 @@ The reward is a weighted mean of terms between 0 and 1, and 0 where the simulati
 - `smoothness` (0.05) is 1 minus a quarter of the mean square change of the action.
 
 ## Starting State
-The arm rests under the tensions nearest to zero, or with `start="random"` under drawn ones. The target is drawn at every reset. By
-default it is a closed smooth random motion through poses that the arm can hold. `reset(options=...)` sets both.
+The arm rests under the tensions nearest to zero. The target is drawn at every reset. By default it is a closed smooth random motion
+through poses that the arm can hold. `reset(options=...)` sets both.
 
 ## Episode End
 An episode is truncated after 500 steps, 10 s at the default control period, unless `gym.make` is given `max_episode_steps`. It

@@ -21,12 +21,6 @@ NODE_SHARE = 1e-7  # of a radian, of the length, and of those a second: differen
 
 
 @kernel(refcount=True)
-def state_of(effects, state, i):
-    """Internal state of the i-th effect, in those of all."""
-    return state[effects.first_state[i] : effects.first_state[i + 1]]
-
-
-@kernel(refcount=True)
 def nodes_of(arm, work):
     """View of the nodes that effects get."""
     return nodes_beside(arm, work, work.pose, work.eta, work.wrench)
@@ -44,27 +38,21 @@ def nodes_beside(arm, work, pose, twist, wrench):
 
 @kernel(refcount=True)
 def points_of(arm, work, i):
-    """View of the quadrature points that the i-th effect gets."""
-    rod = arm.rod
+    """View of the quadrature points that the i-th effect gets, with its own internal state."""
+    rod, first = arm.rod, arm.effects.first_state
     return Points(
-        rod.packs, work.clock[0], work.since[0], state_of(arm.effects, work.state, i), work.before, work.xi, work.xi_dot,
+        rod.packs, work.clock[0], work.since[0], work.state[first[i] : first[i + 1]], work.before, work.xi, work.xi_dot,
         rod.reference_strain, rod.root_stiffness, work.stress, work.point_stiffness, work.point_damping,
     )  # fmt: skip
 
 
-@kernel
+@phase
 def place_base(arm, work):
     """Pose, twist and acceleration of the base at the time of work.clock, as effects move it."""
-    for i in range(arm.effects.count):
-        if arm.effects.base[i] != 0:
-            move_base(arm, i, work)
-
-
-@phase
-def move_base(arm, i, work):
-    """Pose, twist and acceleration of the base as the i-th effect moves it."""
     effects, base = arm.effects, work.base
-    call(effects.base[i], effects.parameters[i], (Base(work.clock[0], base[:12], base[12:18], base[18:24]),))
+    for i in range(effects.count):
+        if effects.base[i] != 0:
+            call(effects.base[i], effects.parameters[i], (Base(work.clock[0], base[:12], base[12:18], base[18:24]),))
 
 
 @phase
@@ -76,31 +64,32 @@ def external_force(arm, work):
     if stresses:
         project(work.Phi, work.stress, point_rows(rod), strain.first, strain.last, work.load)
     if wrenches:
-        add_projected(work.J, work.wrench, strain, work, work.load)
+        force = work.extra[0]
+        project(work.J, work.wrench, node_rows(), strain.first, strain.tip, force)
+        for j in range(strain.size):
+            work.load[j] += force[j]
 
 
 @kernel
 def effect_loads(arm, work):
     """Wrenches of all effects into work.wrench and stresses times the weights into work.stress, with their derivatives; whether there are
     any of each. Those without any are left as they are."""
-    effects, wrenches, stresses = arm.effects, False, False
+    effects, rubs = arm.effects, find_shares(arm, work)
+    wrenches, stresses = any_of(effects.wrench), any_of(effects.stress) or rubs
+    if wrenches:
+        work.wrench[:] = 0.0
+        work.node_stiffness[:] = 0.0
+        work.node_damping[:] = 0.0
+    if stresses:
+        work.stress[:] = 0.0
+        work.point_stiffness[:] = 0.0
+        work.point_damping[:] = 0.0
     for i in range(effects.count):
         if effects.wrench[i] != 0:
-            if not wrenches:
-                work.wrench[:] = 0.0
-                work.node_stiffness[:] = 0.0
-                work.node_damping[:] = 0.0
-                wrenches = True
             call(effects.wrench[i], effects.parameters[i], (nodes_of(arm, work),))
         if effects.stress[i] != 0:
-            if not stresses:
-                clear_stress(work)
-                stresses = True
             call(effects.stress[i], effects.parameters[i], (points_of(arm, work, i),))
-    if find_shares(arm, work):
-        if not stresses:
-            clear_stress(work)
-            stresses = True
+    if rubs:
         add_lost_stress(arm, work)
     if stresses:
         weigh(arm.rod, work)
@@ -108,11 +97,12 @@ def effect_loads(arm, work):
 
 
 @kernel
-def clear_stress(work):
-    """Zeroes the stresses of the effects and their derivatives."""
-    work.stress[:] = 0.0
-    work.point_stiffness[:] = 0.0
-    work.point_damping[:] = 0.0
+def any_of(addresses):
+    """Whether any effect has a kernel, by the addresses of all."""
+    for i in range(addresses.size):
+        if addresses[i] != 0:
+            return True
+    return False
 
 
 @kernel
@@ -125,27 +115,15 @@ def weigh(rod, work):
         store6(work.point_damping, at, twist_scaled(weight, load6(work.point_damping, at)))
 
 
-@kernel
-def add_projected(columns, wrench, strain, work, out):
-    """Adds the generalised force of wrenches at the nodes to out (n)."""
-    force = work.extra[0]
-    project(columns, wrench, node_rows(), strain.first, strain.tip, force)
-    for j in range(strain.size):
-        out[j] += force[j]
-
-
 @phase
 def add_implicit(arm, work):
     """Add the effects' share of stiffness and damping, J^T K J and Phi^T K Phi to first order, to work.G and work.D; after evaluate()."""
-    effects, rod, strain = arm.effects, arm.rod, arm.strain
-    wrenches, stresses = False, False
-    for i in range(effects.count):
-        wrenches, stresses = wrenches or effects.wrench[i] != 0, stresses or effects.stress[i] != 0
-    if wrenches:
+    rod, strain = arm.rod, arm.strain
+    if any_of(arm.effects.wrench):
         differ_wrenches(arm, work)
         add_node_gram(rod, strain, work.node_stiffness, work, work.G)
         add_node_gram(rod, strain, work.node_damping, work, work.D)
-    if stresses:
+    if any_of(arm.effects.stress):
         add_point_gram(rod, strain, work.point_stiffness, work, work.G)
         add_point_gram(rod, strain, work.point_damping, work, work.D)
     find_columns(arm, work)
@@ -195,10 +173,15 @@ def wrench_beside(arm, i, work, wrench):
 def turn_back(wrench, k, way):
     """Wrenches (nodes x 6) in frames that are turned by a small angle about the k-th axis, in those before: a dead load is not stiff."""
     for at in range(0, wrench.size, 3 * LANES):
-        y, z = at + (k + 1) % 3 * LANES, at + (k + 2) % 3 * LANES
-        before = load(wrench, y)
-        store(wrench, y, before - way * load(wrench, z))
-        store(wrench, z, load(wrench, z) + way * before)
+        turn(wrench, at + (k + 1) % 3 * LANES, at + (k + 2) % 3 * LANES, -way)
+
+
+@kernel
+def turn(field, y, z, way):
+    """Turn two components of a vector by a small angle."""
+    before = load(field, y)
+    store(field, y, before + way * load(field, z))
+    store(field, z, load(field, z) - way * before)
 
 
 @kernel
@@ -219,10 +202,7 @@ def displace(pose, k, way):
         for i in range(3):
             row = at + 3 * i * LANES
             if k < 3:
-                y, z = row + (k + 1) % 3 * LANES, row + (k + 2) % 3 * LANES
-                before = load(pose, y)
-                store(pose, y, before + way * load(pose, z))
-                store(pose, z, load(pose, z) - way * before)
+                turn(pose, row + (k + 1) % 3 * LANES, row + (k + 2) % 3 * LANES, way)
             else:
                 place = at + (9 + i) * LANES
                 store(pose, place, load(pose, place) + way * load(pose, row + (k - 3) * LANES))
@@ -248,14 +228,13 @@ def filled_packs(field, per_pack):
 def add_node_gram(rod, strain, blocks, work, out):
     """Adds J^T K J to out, K symmetric 6x6 blocks (nodes x 21), only over the packs where there are any."""
     packs = filled_packs(blocks, 21 * LANES)
-    if packs[1] == 0:
-        return
-    for j in range(strain.size):
-        for pack in range(packs[0], packs[1]):
-            at = (j * rod.packs + pack) * 6 * LANES
-            store6(work.loaded, at, apply21(blocks, pack * 21 * LANES, load6(work.J, at)))
-    gram_within(work.J, work.loaded, work.unit, node_rows(), strain.first, strain.tip, packs, work.extra)
-    add_matrix(work.extra, out)
+    if packs[1] > 0:
+        for j in range(strain.size):
+            for pack in range(packs[0], packs[1]):
+                at = (j * rod.packs + pack) * 6 * LANES
+                store6(work.loaded, at, apply21(blocks, pack * 21 * LANES, load6(work.J, at)))
+        gram_within(work.J, work.loaded, work.unit, node_rows(), strain.first, strain.tip, packs, work.extra)
+        add_matrix(work.extra, out)
 
 
 @kernel
@@ -286,10 +265,7 @@ def remember(arm, work):
 @kernel
 def limits_steps(effects):
     """True if any effect limits the length of integrator steps."""
-    for i in range(effects.count):
-        if effects.limit[i] != 0:
-            return True
-    return False
+    return any_of(effects.limit)
 
 
 @kernel

@@ -4,14 +4,12 @@ All arms are recorded side by side, first along the circle, then along one of th
 on. Times per action are those of the recorded episodes, which run in one process with nothing beside it.
 """
 
-import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from pydantic import Field
 
-from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.evaluation.comparison import alone, make_cell, record_side_by_side, shared_arms
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, NOMINAL
 from soft_tendon_env.evaluation.entrants import model_in_the_loop
@@ -19,19 +17,15 @@ from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.settings import EpisodeSettings, TableSettings, Workers
 from soft_tendon_env.evaluation.summaries import summarise
 from soft_tendon_env.evaluation.tables import summary_table
-from soft_tendon_env.policies.agent_files import AGENT, AgentName, find_agent, is_agent, shipped_for
+from soft_tendon_env.policies.agent_files import AGENT, AgentName, shipped_for
 from soft_tendon_env.policies.names import Agent, PolicyName
-from soft_tendon_env.policies.trained_by import trained_by
 from soft_tendon_env.recording import Rollout
 from soft_tendon_env.tools.types import Positive
 
 TASK = "TipPose"
 SHOWN = {"paper": "paper (printed law)", "tracking": "tracking (sampled law)", "predictive": "predictive (MPC)"}
 """Controllers that are shown, with their names there."""
-LEARNED = "ppo"
-"""Agent that is shown, if it ships, besides the best."""
 ARM = {"scene": "paper", "fidelity": "standard"}
-SKIPPED = 0.1  # of an episode
 NOTES = """The tendons of this arm pull, with 0 to 60 N, and cannot push. The poses that they hold at rest lie a few millimetres off
 those of the circle, which is no lower limit of the error of a moving arm. Random targets are poses that the arm can hold. The law (39)
 of the paper is continuous in time and takes tendons that push as well: as printed, held for 20 ms and cut off at 0 N, it is unstable.
@@ -54,14 +48,13 @@ class Demonstration(Workers, TableSettings):
     @property
     def policies(self) -> dict[str, str]:
         """Policies that are shown, and their names there, which say what they are. Raises ValueError, OSError."""
-        learned = [LEARNED] if LEARNED in shipped_for(TASK) else []
-        files = {Agent(name, TASK).files.path: name for name in (*learned, self.agent)}  # once, where one is both
-        trained = {name: Agent(name, TASK).algorithm for name in files.values()}
+        names = {Agent(name, TASK).files.path: name for name in (*(["ppo"] if "ppo" in shipped_for(TASK) else []), self.agent)}
+        trained = {name: Agent(name, TASK).training.partition(",")[0] for name in names.values()}
         return SHOWN | {name: f"agent ({own})" if name == self.agent else own for name, own in trained.items()}
 
     def cells(self, target: str) -> dict[str, Cell]:
         """Every policy on a target, by its name in tables. Raises ValueError, OSError for what is none."""
-        settings = EpisodeSettings(seconds=self.seconds, skip=SKIPPED * self.seconds, options={**ARM, "target": target})
+        settings = EpisodeSettings(seconds=self.seconds, skip=0.1 * self.seconds, options={**ARM, "target": target})
         names, seeds = self.policies, EVALUATION_SEEDS[: self.episodes]
         arms = shared_arms(settings, TASK, names)
         return {names[policy]: make_cell(settings, seeds, TASK, policy, options, NOMINAL) for policy, options in arms.items()}
@@ -82,41 +75,27 @@ class FirstEpisodes:
         return getattr(self._file, name)
 
 
-class DemoExperiment:
-    """Experiment of the demo, in which each episode on a random target is a cell; and the policies, loaded, of the two that are recorded.
+def run_demo(settings: Demonstration, file: Any, out: Path) -> str:
+    """Tables of both targets; writes the recording into an open RerunFile, and demo.png and the episodes into a folder.
 
-    Raises ValueError, OSError for policies that cannot act.
+    Raises ValueError, OSError.
     """
+    from soft_tendon_env.evaluation.pictures import draw_demo
 
-    def __init__(self, settings: Demonstration, folder: Path) -> None:
-        self._settings, self._random = settings, settings.cells("random")
-        self._circle_players = [alone(cell).open() for cell in settings.cells("circle").values()]
-        self._random_players = [alone(cell).open() for cell in self._random.values()]
-        pieces = {(name, seed): cell._replace(seeds=(seed,)) for name, cell in self._random.items() for seed in cell.seeds}
-        self._experiment = Experiment(pieces, folder)
-
-    def run(self, file: Any, picture: Path) -> str:
-        """Tables of both targets; writes the recording into an open RerunFile, and the picture. Raises OSError."""
-        from soft_tendon_env.demo.picture import draw
-
-        seeds, skip, names = EVALUATION_SEEDS[:1], SKIPPED * self._settings.seconds, [*self._random]
-        with file:
-            kept = FirstEpisodes(file)
-            on_circle = record_side_by_side(self._circle_players, kept, names, seeds, skip)
-            first = record_side_by_side(self._random_players, kept, names, seeds, skip, new=False)
-        self._experiment.play("random targets: policies x episodes", self._settings.workers, self._settings.cluster)
-        on_random = {name: [self._experiment.scores((name, seed))[0] for seed in cell.seeds] for name, cell in self._random.items()}
-        draw(kept.rollouts, on_random, picture)
-        circle = {name: summarise(scores) for name, scores in zip(names, on_circle, strict=True)}
-        times = {name: summarise(scores).action_time for name, scores in zip(names, first, strict=True)}
-        random = {name: replace(summarise(scores), action_time=times[name]) for name, scores in on_random.items()}
-        tables = {"circle": circle, f"{self._settings.episodes} random targets": random}
-        models = {name: model_in_the_loop(PolicyName.parse(policy, TASK)) for policy, name in self._settings.policies.items()}
-        return "\n\n".join(summary_table(label, summaries, self._settings.all, models) for label, summaries in tables.items())
-
-
-def describe_policy(policy: str) -> str:
-    """Sentence on a controller, or on the training of an agent and where it is."""
-    if not is_agent(policy):
-        return CONTROLLERS[TASK][policy].description
-    return f"{trained_by(policy, TASK)}: {os.path.relpath(find_agent(policy, TASK).path)}"
+    circle, random = settings.cells("circle"), settings.cells("random")
+    pieces = {(name, seed): cell._replace(seeds=(seed,)) for name, cell in random.items() for seed in cell.seeds}
+    experiment, players = Experiment(pieces, out / "cells"), [[alone(cell).open() for cell in of.values()] for of in (circle, random)]
+    names, seeds, skip = [*random], EVALUATION_SEEDS[:1], 0.1 * settings.seconds
+    with file:
+        kept = FirstEpisodes(file)
+        on_circle, first = (record_side_by_side(own, kept, names, seeds, skip, new=k == 0) for k, own in enumerate(players))
+    experiment.play("random targets: policies x episodes", settings.workers, settings.cluster)
+    on_random = {name: [experiment.scores((name, seed))[0] for seed in cell.seeds] for name, cell in random.items()}
+    draw_demo(kept.rollouts, on_random, out / "demo.png")
+    times = {name: summarise(scores).action_time for name, scores in zip(names, first, strict=True)}
+    tables = {
+        "circle": {name: summarise(scores) for name, scores in zip(names, on_circle, strict=True)},
+        f"{settings.episodes} random targets": {name: replace(summarise(on_random[name]), action_time=times[name]) for name in names},
+    }
+    models = {name: model_in_the_loop(PolicyName.parse(policy, TASK)) for policy, name in settings.policies.items()}
+    return "\n\n".join(summary_table(label, summaries, settings.all, models) for label, summaries in tables.items())

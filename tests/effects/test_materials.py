@@ -1,0 +1,83 @@
+"""Stiffening and remembering materials, against the laws themselves."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.mechanics.terms.external_forces import add_implicit, external_force, remember
+from soft_tendon_env.model.statics import static_equilibrium
+
+RADIUS, YOUNG, SHEAR = 0.01, 5e5, 5e5 / 3
+AREA, INERTIA = np.pi * RADIUS**2, np.pi * RADIUS**4 / 4
+ALL = ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")
+LAW = {"effects.nonlinear_elasticity": {"torsion": 6.0, "bending": 4.0, "stretch": 0.1, "shear": 0.2}}
+
+
+def loaded(stiffness, strain, scale):
+    """The load at which the law has this strain."""
+    return stiffness * strain * (1.0 + (strain / scale) ** 2)
+
+
+@pytest.mark.no_jit
+@pytest.mark.parametrize("curvature", [0.5, 4.0, 12.0])
+def test_uniform_bending(uniform, curvature):
+    """M = E I k (1 + (k / k0)^2), under a moment that follows the tip."""
+    moment = loaded(YOUNG * INERTIA, curvature, 4.0)
+    load = {"effects.tip_load": {"moment": [0.0, 0.0, moment], "frame": "tip"}, "quadrature.intervals": 4}
+    found = static_equilibrium(uniform(("bend_z", "stretch", "shear_y"), 0, {**LAW, **load}), np.zeros(3))
+    assert found.converged
+    np.testing.assert_allclose(found.q, [curvature, 0.0, 0.0], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.no_jit
+def test_force_is_the_gradient_of_the_energy_and_stiffness_its_derivative(uniform, workspace_at, slope):
+    model, q = uniform(ALL, 1, {**LAW, "quadrature.intervals": 4}), 0.3 * np.array([5, 3, 4, -2, 3, 1, 0.1, 0.05, -0.1, 0.1, 0.1, 0.05])
+    force = model.terms(q, 0 * q).external_force
+    gradient = slope(lambda at: model.energy(at, 0 * at).load, q, 1e-5)
+    np.testing.assert_allclose(force, -gradient, rtol=1e-6, atol=1e-8 * np.abs(force).max())
+    work = workspace_at(model, q)
+    G = work.G.copy()
+    add_implicit(model.arm, work)
+    expected = -slope(lambda at: model.terms(at, 0 * at).external_force, q, 1e-5)
+    np.testing.assert_allclose(work.G - G, expected, rtol=1e-5, atol=1e-7 * np.abs(expected).max())
+
+
+ONE = {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}]}
+TWO = {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}, {"modulus": 2.0, "relaxation_time": 0.01}]}
+
+
+@pytest.mark.no_jit
+@pytest.mark.parametrize("step", [0.001, 0.02, 0.5])
+def test_stress_relaxes_under_a_strain_that_is_held(uniform, workspace_at, step):
+    """sum_k m_k exp(-t / tau_k) of the elastic force at once, whatever the steps."""
+    model, q = uniform(changes={**TWO, "quadrature.intervals": 4}), np.array([3.0, -1.0])
+    work = workspace_at(model, q)
+    elastic = model.terms(q, 0 * q).elastic_force
+    work.before[:], work.since[0] = work.xi, step
+    for i in range(1, 4):
+        external_force(model.arm, work)
+        left = 0.5 * np.exp(-i * step / 0.1) + 2.0 * np.exp(-i * step / 0.01)
+        np.testing.assert_allclose(work.load, -left * elastic, rtol=1e-9, atol=1e-14)
+
+
+@pytest.mark.no_jit
+def test_state_follows_a_strain_that_is_a_quadratic_of_time_exactly(uniform, workspace_at):
+    """s = a (t - tau (1 - exp(-t / tau))) + b (t^2 - 2 tau t + 2 tau^2 (1 - exp(-t / tau))) for e = a t + b t^2, in one step or in many."""
+    model, unit = uniform(changes={**ONE, "quadrature.intervals": 4}), np.array([2.0, 0.0])
+    a, b, tau, end = 1.0, 3.0, 0.1, 0.3
+    for steps in (1, 7):
+        before, state = workspace_at(model, 0.0 * unit).xi, np.zeros(model.arm.effects.state.size)
+        for i in range(steps):
+            time = end * (i + 1) / steps
+            work = workspace_at(model, (a * time + b * time**2) * unit, (a + 2.0 * b * time) * unit)
+            work.state[:], work.before[:], work.since[0] = state, before, end / steps
+            remember(model.arm, work)
+            before, state = work.xi, work.state.copy()
+        settled = 1.0 - np.exp(-end / tau)
+        expected = a * (end - tau * settled) + b * (end**2 - 2.0 * tau * end + 2.0 * tau**2 * settled)
+        np.testing.assert_allclose(state.max(), 2.0 * expected, rtol=1e-11)
+
+
+def test_a_state_of_another_size_is_refused(uniform):
+    model = uniform(changes=ONE)
+    with pytest.raises(ValueError, match=r"effects should have shape"):
+        model.energy([0.0, 0.0], [0.0, 0.0], np.zeros(3))

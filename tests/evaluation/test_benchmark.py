@@ -1,0 +1,182 @@
+"""`soft-tendon arena`: conditions, who may play in them, results that are kept, tables."""
+
+import csv
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.cli import arena
+from soft_tendon_env.cli.main import main
+from soft_tendon_env.envs.episodes import episodes_of
+from soft_tendon_env.evaluation.benchmark import Benchmark, misfit
+from soft_tendon_env.evaluation.conditions import SEEDS, SETTINGS
+from soft_tendon_env.policies.names import PolicyName
+from soft_tendon_env.policies.regimes import REGIMES
+
+ROOT = Path(__file__).parents[2]
+SHORT = {"scene": "three_tendon", "episodes": 2, "seconds": 0.4, "skip": 0.1, "workers": 1}
+STILL = "arena_policies:Still"
+
+
+class Still:
+    """Pulls at nothing."""
+
+    options = {"observation": ["tip_position", "target_error"], "action": "increment"}
+
+    def __init__(self, env):
+        self.tendons = env.action_space.shape[-1]
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return np.zeros((*observation.shape[:-1], self.tendons), dtype=np.float32), state
+
+
+@pytest.fixture(autouse=True)
+def own_policies(monkeypatch):
+    """A module of a user's, by the name that its policies have."""
+    module = type(sys)("arena_policies")
+    module.Still, module.__file__ = Still, __file__
+    monkeypatch.setitem(sys.modules, "arena_policies", module)
+
+
+def benchmark(*policies, **more):
+    return Benchmark(**{"entrants": tuple({"policy": policy} for policy in policies), **SHORT, **more})
+
+
+def seeds_of_training(folder, count):
+    """Folder of agents of several seeds, which observe what every regime has; their weights are not read."""
+    config = {"task": "TipPose", "algorithm": "PPO", "options": {"scene": "three_tendon", "observation": ["tip_position", "target_error"]}}
+    for seed in range(count):
+        best = folder / "seeds" / f"seed_{seed}" / "best"
+        best.mkdir(parents=True)
+        for path in (best.parent / "config.json", best / "config.json"):
+            path.write_text(json.dumps(config))
+        (best / "weights.pt").touch()
+    return str(folder / "seeds")
+
+
+def named(policy):
+    return PolicyName.parse(policy, "TipPose")
+
+
+def test_everybody_plays_all_settings_on_the_same_episodes():
+    found = benchmark(STILL, "filtered:tracking", regimes=("tip",)).cells()
+    assert {(label.regime, label.setting) for label in found if label.policy == STILL} == {("tip", setting) for setting in SETTINGS}
+    assert len({cell.key("code") for cell in found.values()}) == len(found)
+    assert {cell.seeds for cell in found.values()} == {tuple(SEEDS["arena"][:2])}
+    assert {json.dumps(cell.options["target"]) for cell in found.values()} == {json.dumps(benchmark(STILL).target)}
+
+
+@pytest.mark.cases(
+    "observed, regime, reason",
+    [
+        *(({"observation": ["tip_position", "coordinates"]}, regime, "it observes coordinates") for regime in REGIMES),
+        ({"observation": ["strain"], "sensors": 4}, "sensors", "it has 4 strain sensors"),
+        ({"observation": ["strain"], "sensors": 4}, "state", ""),
+    ],
+)
+def test_policies_observe_what_a_regime_has(observed, regime, reason):
+    """Coordinates are in none: they mean other shapes on a finer arm."""
+    assert misfit(named(STILL), {"scene": "three_tendon", **observed}, regime) == reason
+
+
+@pytest.mark.cases(
+    "given, text",
+    [
+        (
+            {"entrants": ({"policy": "predictive"},)},
+            "predictive can play in no regime .*coordinates.*does not depend on the discretisation",
+        ),
+        ({"entrants": ({"policy": "nobody"},)}, "policy is 'nobody', no policy"),
+        ({"entrants": ({"policy": "arena_policies:Moving"},)}, "should be module:name of what makes a policy"),
+        ({"settings": ("nominal", "space")}, r"settings\[1\] is 'space': it should be a setting: .*nominal"),
+        ({"entrants": ({"policy": STILL}, {"policy": STILL})}, "several times"),
+        ({"entrants": ({"policy": STILL, "regimes": ("all",)},)}, r"entrants\[0\].regimes\[0\] is 'all': it should be an information"),
+        ({"seconds": 0.2, "skip": 0.3}, "at least one control period"),
+    ],
+)
+def test_mistakes_name_what_is_allowed(given, text):
+    with pytest.raises(ValueError, match=text):
+        Benchmark(**{**SHORT, "entrants": ({"policy": STILL},), **given}).cells()
+
+
+@pytest.mark.parametrize("setting, effect", [("water", "fluid"), ("nominal", None)])
+def test_controllers_believe_in_the_effects_of_a_setting_only_where_they_are_told(setting, effect):
+    """At the fidelity that they name; and are another policy only where there are such effects."""
+    entrants = tuple({"policy": "filtered:tracking@fast", "name": name, "told": name == "told"} for name in ("told", "untold"))
+    told, untold = Benchmark(**{**SHORT, "entrants": entrants, "settings": (setting,), "regimes": ("tip",)}).cells().values()
+    effects = [] if effect is None else [effect]
+    for cell, believes in ((told, effects), (untold, [])):
+        policy, envs = cell.open()
+        believed, there = policy.estimator.model, episodes_of(envs).model
+        assert [*believed.scene.effects.chosen()] == believes and [*there.scene.effects.chosen()] == effects
+        assert believed.coordinate_count < there.coordinate_count
+    assert (told.key("code") == untold.key("code")) == (effect is None)
+
+
+def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
+    config, docs = tmp_path / "small.toml", tmp_path / "page.md"
+    table = "".join(f"{key} = {json.dumps(value)}\n" for key, value in {**SHORT, "settings": ["nominal", "latency"]}.items())
+    specialist = '[[entrants]]\npolicy = "filtered:tracking@fast"\nsettings = ["latency"]\n'
+    config.write_text(f'{table}regimes = ["tip"]\n{specialist}[[entrants]]\npolicy = "{STILL}"\n')
+    docs.write_text("before\n<!-- arena TipPose -->\n<!-- /arena TipPose -->\nafter\n")
+    command = ["arena", "--config", str(config), "--out", str(tmp_path / "out")]
+    main([*command, "--settings", "nominal"])
+    assert "1 cells, 1 of them to be played" in capsys.readouterr().out
+    main([*command, "--write-docs", str(docs)])
+    said = capsys.readouterr().out
+    assert "3 cells, 2 of them to be played" in said
+    assert re.search(r"\| filtered:tracking@fast \| - +\| [0-9.]+ \(", said), "it does not play in the nominal setting"
+    (verdict,) = [line for line in said.splitlines() if line.startswith("| tip ")]
+    assert verdict.split("|")[2].strip() == "latency" and verdict.split("|")[-2].strip() in ("ahead", "behind", "not separated")
+    main(command)
+    assert "3 cells, 0 of them to be played" in capsys.readouterr().out
+    assert docs.with_suffix(".png").stat().st_size > 10_000 and "(page.png)" in docs.read_text()
+    assert docs.read_text().startswith("before") and docs.read_text().endswith("after\n")
+    rows = list(csv.DictReader((tmp_path / "out" / "arena.csv").open()))
+    assert {row["policy"] for row in rows} == {"filtered:tracking@fast", STILL}
+    assert all(float(row["position_error_rms"]) > 0 for row in rows)
+
+
+def test_seeds_of_training_share_the_episodes(tmp_path):
+    """Each plays its part in turn, and at least so many that all are played; or all."""
+    folders = seeds_of_training(tmp_path, 3)
+
+    def played(**more):
+        one = benchmark(folders, settings=("nominal",), regimes=("tip",), episodes=6, **more)
+        return [[seed - SEEDS["arena"][0] for seed in cell.seeds] for cell in one.cells().values()]
+
+    assert played() == [[*range(6)]] * 3
+    assert played(episodes_per_seed=1) == played(episodes_per_seed=2) == [[0, 1], [2, 3], [4, 5]]
+    assert played(episodes_per_seed=4) == [[0, 1, 2, 3], [4, 5, 0, 1], [2, 3, 4, 5]]
+
+
+def test_optional_policies_are_left_out_where_they_cannot_play(tmp_path):
+    missing, seeds = str(tmp_path / "none"), seeds_of_training(tmp_path, 2)
+    entrants = [
+        {"policy": STILL},
+        {"policy": STILL, "seeds": missing, "name": "single"},
+        {"policy": missing, "seeds": seeds, "name": "seeds"},
+        {"policy": missing, "name": "gone", "optional": True},
+        {"policy": "predictive", "optional": True},
+        {"policy": "filtered:tracking", "regimes": ("state",)},
+    ]
+    found, notes = Benchmark(**SHORT, entrants=entrants, regimes=("tip",)).present()
+    assert [(entrant.label, entrant.policy_name) for entrant in found.entrants] == [(STILL, STILL), ("single", STILL), ("seeds", seeds)]
+    single, gone, misfits = notes
+    assert single == f"single is a single training, {STILL}: there is no folder {missing} of several"
+    assert gone.startswith("gone is left out: ") and missing in gone and misfits.startswith("predictive is left out: predictive can")
+    with pytest.raises(ValueError, match="nobody can play: gone is left out"):
+        Benchmark(**SHORT, entrants=entrants[3:4]).present()
+
+
+def test_the_published_comparison_can_be_played(monkeypatch):
+    """Also without seeds of training, where the agents that ship play alone; who is left out has no files, or observes too much."""
+    monkeypatch.chdir(ROOT)
+    published, notes = arena.Arena(**arena.read_benchmark({})).present()
+    assert {"printed law", "MPC, filter for exact sensors", "MPC, told", "DAgger"} <= {entrant.label for entrant in published.entrants}
+    assert published.episodes == 100 and {cell.seconds for cell in published.cells().values()} == {4.0}
+    assert all(re.search("is a single training|left out: .*(no policy|does not ship|in no regime)", note) for note in notes)
