@@ -1,4 +1,4 @@
-"""`soft-tendon run`: a policy on a robot, real, simulated or replayed, with a log and a report of its timing."""
+"""`soft-tendon run`: a policy on a robot, real or simulated, with a log of it."""
 
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,10 +16,9 @@ from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName, episode_steps
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.recording import RecordRollout
-from soft_tendon_env.robots.environment import PATIENCE, SETTLE, RobotEnv, robot_of
+from soft_tendon_env.robots.environment import PATIENCE, REST_SPEED, SETTLE, RobotEnv, robot_of
 from soft_tendon_env.robots.log import check_log
-from soft_tendon_env.robots.measured_arm import REST, Rest
-from soft_tendon_env.robots.protocol import DryRobot, Robot, load_robot
+from soft_tendon_env.robots.protocol import load_robot
 from soft_tendon_env.robots.run import rehearse, run_policy
 from soft_tendon_env.robots.simulated import OF_ARM
 from soft_tendon_env.tools.configuration import parsed_changes
@@ -31,7 +30,7 @@ POLICY = "a controller's name behind filtered: or adaptive:; an agent's folder o
 
 
 class Run(EpisodeSettings):
-    """Run a policy on a robot in real time, print its errors as measured and the jitter of the loop, and write a log and a report."""
+    """Run a policy on a robot in real time, print its errors as measured and the jitter of the loop, and write a log."""
 
     policy: str = Field(description=POLICY)
     robot: str = Field(default=SIMULATED, description="class of the robot, MODULE:CLASS; by default a simulated arm in real time")
@@ -40,12 +39,10 @@ class Run(EpisodeSettings):
     seed: Seed = Field(default=0, description="of the target")
     rate: Positive | None = Field(default=None, description="greatest change of a command in a second [N/s], or [m/s]; any by default")
     settle: NotNegative = Field(default=SETTLE, description="time [s] to bring the arm to the pretension; 0 where it is there")
-    rest_speed: Positive = Field(default=REST.speed, description="greatest speed of the tip at rest, in lengths of the arm per second")
-    rest_wait: NotNegative = Field(default=REST.wait, description="longest time [s] for which rest is waited for")
+    rest_speed: Positive = Field(default=REST_SPEED, description="greatest speed of the tip at rest, in lengths of the arm per second")
     patience: int = Field(default=PATIENCE, ge=1, description="periods without a reading, or late, after which the tendons go slack")
-    dry_run: bool = Field(default=False, description="send nothing to the robot, and read alone")
     record: str | None = Field(default=None, description="file for the Rerun viewer: the measured tip over the simulated arm")
-    out: str = Field(default="out/run.csv", description="log, a new .csv file; the report is the .json file beside it")
+    out: str = Field(default="out/run.csv", description="log, a new .csv file")
 
 
 def run(settings: Run) -> None:
@@ -61,12 +58,10 @@ def run(settings: Run) -> None:
         policy = named.load(env)
         rehearse(policy, env, settings.seed)
         of_arm = {name: options[name] for name in OF_ARM if name in options and settings.robot == SIMULATED}
-        loaded = load_robot(settings.robot, {**of_arm, **parsed_changes(settings.robot_options)})
-        on_error.callback(loaded.close)
-        robot: Robot = DryRobot(loaded) if settings.dry_run else loaded
-        rest = Rest(speed=settings.rest_speed, wait=settings.rest_wait)
-        limits = {"rate": settings.rate, "settle": settings.settle, "patience": settings.patience}
-        real: gym.Env[Any, Any] = RobotEnv(env, robot, rest=rest, log=settings.out, **limits)  # type: ignore[arg-type] # each is of its type
+        robot = load_robot(settings.robot, {**of_arm, **parsed_changes(settings.robot_options)})
+        on_error.callback(robot.close)
+        limits = {name: getattr(settings, name) for name in ("rate", "settle", "rest_speed", "patience")}
+        real: gym.Env[Any, Any] = RobotEnv(env, robot, log=settings.out, **limits)
         on_error.pop_all()
         on_error.callback(real.close)
         if settings.record:
@@ -74,7 +69,7 @@ def run(settings: Run) -> None:
         on_error.pop_all()
     print(f"{settings.policy} on {settings.robot}, {settings.seconds:g} s; {machine()}\n")
     try:
-        report = run_policy(policy, real, settings.seconds, settings.seed, out.with_suffix(".json"))
+        report = run_policy(policy, real, settings.seconds, settings.seed)
     finally:  # also after Ctrl-C
         if out.exists():
             print(f"written: {out}")

@@ -1,27 +1,24 @@
-"""Robots: real arms, and simulated or recorded ones in their place, behind one interface, and the loop that runs policies on them."""
+"""Robots: real arms, and a simulated one in their place, behind one interface, and the loop that runs policies on them."""
 
 from typing import TYPE_CHECKING, Any
 
 from soft_tendon_env.robots.clock import Timing
 from soft_tendon_env.robots.environment import RobotEnv
-from soft_tendon_env.robots.log import ReplayRobot
-from soft_tendon_env.robots.measured_arm import Rest
 from soft_tendon_env.robots.protocol import Measurement, Robot, load_robot
 from soft_tendon_env.robots.run import Report, rehearse, run_policy
 from soft_tendon_env.robots.safety import RobotStopped, Stop
 from soft_tendon_env.robots.simulated import SimulatedRobot
 
 if TYPE_CHECKING:
-    from soft_tendon_env.robots.dynamixel import DynamixelRobot, MotorSettings
+    from soft_tendon_env.robots.dynamixel import DynamixelRobot
 
-LAZY = ("DynamixelRobot", "MotorSettings")
-__all__ = ["Measurement", "ReplayRobot", "Report", "Rest", "Robot", "RobotEnv", "RobotStopped", "SimulatedRobot", "Stop", "Timing"]
-__all__ += ["DynamixelRobot", "MotorSettings", "load_robot", "rehearse", "run_policy"]
+__all__ = ["DynamixelRobot", "Measurement", "Report", "Robot", "RobotEnv", "RobotStopped", "SimulatedRobot", "Stop", "Timing"]
+__all__ += ["load_robot", "rehearse", "run_policy"]
 
 
 def __getattr__(name: str) -> Any:
-    if name not in LAZY:
+    if name != "DynamixelRobot":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from soft_tendon_env.robots import dynamixel  # here: its SDK is an extra
+    from soft_tendon_env.robots.dynamixel import DynamixelRobot  # here: its SDK is an extra
 
-    return getattr(dynamixel, name)
+    return DynamixelRobot

@@ -49,16 +49,14 @@ class Timing(NamedTuple):
     p50: float  # [s] of lateness
     p99: float  # [s]
     worst: float  # [s]
-    busy_p99: float  # [s] of work in a period, waiting left out
 
     def __str__(self) -> str:
         late = f"late by {1e3 * self.p50:.3f} ms (p50), {1e3 * self.p99:.3f} ms (p99), {1e3 * self.worst:.3f} ms (worst)"
-        return f"{self.periods} periods, {self.overruns} overruns, {late}; {1e3 * self.busy_p99:.2f} ms of work (p99)"
+        return f"{self.periods} periods, {self.overruns} overruns, {late}"
 
 
 class Pacer:
-    """Absolute deadlines every `period` [s]. A period that is late does not move the next ones, so that errors do not add up: late ones
-    are short, one after another, until the loop is on time again."""
+    """Absolute deadlines every `period` [s]. A late period does not move the next ones: the loop catches up by short ones."""
 
     def __init__(self, clock: Clock, period: float) -> None:
         self.clock, self.period = clock, period
@@ -66,22 +64,21 @@ class Pacer:
 
     def start(self) -> None:
         """The first period begins now."""
-        self._first = self._began = self.clock.now()
-        self.count, self._lateness, self._busy = 0, list[float](), list[float]()
+        self._first = self.clock.now()
+        self.count, self._overruns, self._lateness = 0, 0, list[float]()
 
     def wait(self) -> float:
         """Waits for the next deadline; returns by how much [s] it is missed."""
         self.count += 1
-        self._busy.append(self.clock.now() - self._began)
-        self.clock.wait_until(self._first + self.period * self.count)
-        self._began = self.clock.now()
-        self._lateness.append(self._began - self._first - self.period * self.count)
+        deadline = self._first + self.period * self.count
+        self._overruns += self.clock.now() > deadline
+        self.clock.wait_until(deadline)
+        self._lateness.append(self.clock.now() - deadline)
         return self._lateness[-1]
 
     @property
     def timing(self) -> Timing:
         """Statistics since `start`; zeros before the first period is over."""
-        late, busy = (np.array(values or [0.0]) for values in (self._lateness, self._busy))
-        overruns = int((np.concatenate([[0.0], late[:-1]]) + busy > self.period).sum())
+        late = np.array(self._lateness or [0.0])
         p50, p99 = np.percentile(late, [50, 99])
-        return Timing(self.count, overruns, float(p50), float(p99), float(late.max()), float(np.percentile(busy, 99)))
+        return Timing(self.count, self._overruns, float(p50), float(p99), float(late.max()))

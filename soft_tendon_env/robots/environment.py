@@ -17,7 +17,7 @@ from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.single import TendonRodEnv
 from soft_tendon_env.robots.clock import Timing
 from soft_tendon_env.robots.log import RobotLog
-from soft_tendon_env.robots.measured_arm import REST, MeasuredArm, Rest, misfit
+from soft_tendon_env.robots.measured_arm import MeasuredArm, misfit
 from soft_tendon_env.robots.protocol import Robot, check_robot
 from soft_tendon_env.robots.safety import RobotStopped, SafeRobot, Stop
 from soft_tendon_env.tools.checks import checked_count, checked_number, checked_type
@@ -26,13 +26,14 @@ from soft_tendon_env.tools.types import Array
 
 SETTLE = 1.0  # [s] in which an arm is brought to where episodes begin
 PATIENCE = 3  # control periods without a new reading, or behind the deadlines, after which an arm is let go
+REST_SPEED = 0.005  # of the tip at rest, in lengths of the arm per second
 
 
 class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
     """A robot in place of the simulated arm of an environment with one arm, made by `gym.make`.
 
-    `reset` brings the robot from slack tendons to the first command, the pretension, within `settle` [s], waits until it is at rest, see
-    Rest, and makes what it then measures the zero of tendon lengths and strains. Commands stay within the environment's limits, and change
+    `reset` brings the robot from slack tendons to the first command, the pretension, within `settle` [s], waits until it is at rest, and
+    makes what it then measures the zero of tendon lengths and strains. Commands stay within the environment's limits, and change
     by at most `rate` [N/s, or m/s] where that is given. After `patience` periods without a new reading or behind the deadlines, a tip where
     the arm cannot be, or an error of the robot, the tendons are slack within RAMP and the episode is truncated, `info["stopped"]` says why;
     `reset` begins again. `close` lets the tendons go and closes the robot.
@@ -41,7 +42,7 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         env: what it observes and how actions are read; its options say the scene, `control_period` and `tension_limits`.
         robot: see Robot.
         settle: 0 for one that is at rest where episodes begin when the first one does, and whose sensors have their zeros.
-        rest: speed of an arm at rest, and how long it is waited for; a ReplayRobot begins at once.
+        rest_speed: greatest speed of the tip at rest, root mean square, in lengths of the arm per second.
         log: new CSV file of the periods, see log.py; None: none. A file that is there is not overwritten.
 
     Raises ConfigurationError where the robot does not fit the environment, TypeError, ValueError, OSError.
@@ -54,7 +55,7 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         *,
         rate: float | None = None,
         settle: float = SETTLE,
-        rest: Rest = REST,
+        rest_speed: float = REST_SPEED,
         patience: int = PATIENCE,
         log: str | Path | None = None,
     ) -> None:
@@ -64,18 +65,16 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         self.robot, episodes = robot, inner.episodes
         if reason := misfit(robot, episodes):
             raise ConfigurationError([Problem(("robot",), f"is {type(robot).__name__}, {reason}")], "environment")
-        if inner.render_mode is not None:
-            raise ValueError(f"render_mode is {inner.render_mode!r}: it should be None for a robot; RecordRollout records one")
         limits = np.stack([episodes.actions.least, episodes.actions.greatest], axis=1)
-        fastest = None if rate is None else checked_number("rate", rate, 1e-9, "a positive number, or None")
+        fastest = np.inf if rate is None else checked_number("rate", rate, 1e-9, "a positive number, or None")
         rise = checked_number("settle", settle, 0.0, "a number of seconds, at least 0")
-        checked_type("rest", rest, Rest, "such as Rest(speed=0.005, wait=60.0)")
+        still = checked_number("rest_speed", rest_speed, 1e-9, "a positive number of lengths per second") * episodes.model.length
         sensors, length = episodes.sensors.size, np.inf if episodes.model.scene.effects.moving_base is not None else episodes.model.length
         self._safe = SafeRobot(robot, limits, sensors, length, episodes.period, fastest, checked_count("patience", patience, 1))
         self._log = None if log is None else RobotLog(Path(log), robot.command_unit, self._safe.senses, len(limits), sensors)
-        if fastest is not None:  # the pretension is not there before the rate has led to it
-            rise = max(rise, float(np.abs(episodes.start_command - self._safe.slack).max()) / fastest)
-        self._arm = MeasuredArm(episodes, self._safe, settle == 0.0, rise, rest, self._log)
+        # the pretension is not there before the rate has led to it
+        rise = max(rise, float(np.abs(episodes.start_command - self._safe.slack).max()) / fastest)
+        self._arm = MeasuredArm(episodes, self._safe, settle == 0.0, rise, still, self._log)
         self._last: Any = None
         episodes.attach(self._arm)
 
@@ -128,7 +127,6 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
 
 def robot_of(env: gym.Env[Any, Any]) -> RobotEnv:
     """The RobotEnv within wrappers. Raises TypeError."""
-    episodes_of(env)
     while isinstance(env, gym.Wrapper):
         if isinstance(env, RobotEnv):
             return env

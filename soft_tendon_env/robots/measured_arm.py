@@ -20,47 +20,30 @@ from soft_tendon_env.model.step_control import slowest_vibration
 from soft_tendon_env.policies.estimators import PARAMETERS
 from soft_tendon_env.policies.regimes import TARGET_GROUPS
 from soft_tendon_env.robots.clock import Pacer
-from soft_tendon_env.robots.log import ReplayRobot, RobotLog
-from soft_tendon_env.robots.protocol import COMMANDS, Measurement, Robot
+from soft_tendon_env.robots.log import RobotLog
+from soft_tendon_env.robots.protocol import Measurement, Robot
 from soft_tendon_env.robots.safety import SafeRobot
-from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.messages import describe
-from soft_tendon_env.tools.types import Array, NotNegative, Positive
+from soft_tendon_env.tools.types import Array
 
 FIELDS: Mapping[str, str] = {**dict.fromkeys(TIP, "tip_pose"), **PARAMETERS}
 """Fields of a Measurement by the observation groups that are made of them."""
 READINGS, LOOKS = 20, 10  # of which a speed is measured at least, and looks in its window; an arm rests when it did twice on end
 WINDOW = 2.0  # [s] at least over which the speed is measured: at 50 Hz and with noise of 2 mm, it shows a drift of 1.5 mm/s
-WOBBLE = 0.15  # [s] whose way at the greatest speed of rest is the greatest spread of rest: of fast small motion, as of filtered sensors
+WAIT = 60.0  # [s] under the first command, for which rest is waited for
 STANDS_OUT = 33.0  # power of a mode over the median of all that is motion: one of 10,000 modes of white noise has as much
-
-
-class Rest(Configuration):
-    """Greatest speed of an arm at rest, and the longest time for which it is waited for.
-
-    Attributes:
-        speed: of the tip, root mean square over the window, as a share of the arm's length per second.
-        wait: time [s] under the first command.
-    """
-
-    speed: Positive = 0.005
-    wait: NotNegative = 60.0
-
-
-REST = Rest()
-"""Rest unless a user says otherwise."""
 
 
 class MeasuredArm(Arms):
     """One row, the robot. `place` brings it to rest where episodes begin, and makes that the zero of lengths and strains.
 
     is_there: the first episode finds it at rest under the first command, and its sensors have their zeros. rise: time [s] in which the
-    command rises from slack.
+    command rises from slack. still: greatest speed [m/s] of the tip at rest.
     """
 
-    def __init__(self, episodes: Episodes, robot: SafeRobot, is_there: bool, rise: float, rest: Rest, log: RobotLog | None) -> None:
+    def __init__(self, episodes: Episodes, robot: SafeRobot, is_there: bool, rise: float, still: float, log: RobotLog | None) -> None:
         super().__init__(episodes.model, 1, episodes.period, np.empty(0), episodes.sensors)
-        self.robot, self.pacer, self._log, self._rise, self._rest = robot, Pacer(robot.clock, episodes.period), log, rise, rest
+        self.robot, self.pacer, self._log, self._rise, self._still = robot, Pacer(robot.clock, episodes.period), log, rise, still
         self._window = max(WINDOW, np.pi / slowest_vibration(episodes.model))  # [s], half a swing, which stands still where it turns
         self._is_there = self._has_zeros = is_there
         self._command, self._actuation = episodes.start_command, episodes.actuation
@@ -73,9 +56,6 @@ class MeasuredArm(Arms):
         self.robot.begin()
         self.pacer.start()
         self.zero = {}
-        if isinstance(self.robot.robot, ReplayRobot):
-            self.robot.robot.begin()
-            self._is_there = True
         if self._is_there:
             self.robot.write(self._command)
             held = [self.robot.read()]
@@ -107,31 +87,27 @@ class MeasuredArm(Arms):
 
     def _at_rest(self) -> list[Measurement]:
         """The last readings of the arm at rest under the first command, which rises evenly from slack. Raises RobotStopped."""
-        period, slack, bound = self.pacer.period, self.robot.slack, self._rest.speed * self.model.length
+        period, slack = self.pacer.period, self.robot.slack
         rise, window = max(round(self._rise / period), 1), max(round(self._window / period), READINGS)
         held, was_still = deque[tuple[int, Measurement]](), False  # new ones, by their period
         for k in itertools.count(1 - rise):
             self.robot.write(slack + min((k + rise) / rise, 1.0) * (self._command - slack))
             self.pacer.wait()
             measured = self.robot.read()
-            if k <= 0:
-                continue
-            if not held or measured.time != held[-1][1].time:
+            if k > 0 and (not held or measured.time != held[-1][1].time):
                 held.append((k, measured))
             while len(held) > READINGS and held[0][0] <= k - window:
                 held.popleft()
             if k < window or k % max(window // LOOKS, 1) or len(held) < READINGS:
                 continue
             positions = np.array([at.tip_pose[:3, 3] for _, at in held if at.tip_pose is not None])
-            speed, spread = motion_of(positions, period * (held[-1][0] - held[0][0]) / (len(held) - 1))
-            is_still = speed <= bound or spread <= WOBBLE * bound
-            if is_still and was_still:
+            speed = speed_of(positions, period * (held[-1][0] - held[0][0]) / (len(held) - 1))
+            if speed <= self._still and was_still:
                 break
-            if period * k >= self._rest.wait and not is_still:
+            was_still = speed <= self._still
+            if period * k >= WAIT and not was_still:
                 text = f"the arm does not come to rest: its tip moves at {speed:.3g} m/s, {period * k:g} s after the first command"
-                todo = "Wait longer or allow more, by Rest(wait=.., speed=..) or --rest-wait and --rest-speed, or damp the arm"
-                self.robot.fail(f"{text}; at rest it is at most {self._rest.speed:g} lengths a second, {bound:.3g} m/s. {todo}")
-            was_still = is_still
+                self.robot.fail(f"{text}; at rest it is at most {self._still:.3g} m/s. Allow more, by rest_speed, or damp the arm")
         return [at for _, at in held]
 
     def _zeroed(self, measured: Measurement) -> Measurement:
@@ -148,25 +124,22 @@ class MeasuredArm(Arms):
 
 def misfit(robot: Robot, episodes: Episodes) -> str:
     """Reason why a robot cannot play an environment's episodes; "": it can."""
-    unit, senses, options, groups = episodes.model.command_unit, {*robot.senses}, episodes.options, episodes.layout.slices
-    if robot.command_unit != unit:
-        driven = f"{COMMANDS[robot.command_unit]}-driven, and the scene's arm is driven by {COMMANDS[unit]}s"  # type: ignore[index] # N or m
-        return f"{driven}: give the scene [effects.tendon_elasticity], or take it away"
+    senses, options, groups = {*robot.senses}, episodes.options, episodes.layout.slices
+    if robot.command_unit != (unit := episodes.model.command_unit):
+        return f"which takes {robot.command_unit!r}, and the scene's arm takes {unit!r}: see [effects.tendon_elasticity]"
     if options.randomize.of_arm or options.randomize.of_actuators or options.randomize.latency != (0.0, 0.0):
         return "as it is: the option randomize should have no more than the noise of its sensors, for policies that know of it"
-    if episodes.task.shapes or episodes.model.scene.effects.contact is not None:
-        return "measured at its tip and by its sensors alone: take a task of the tip, and a scene without effects.contact"
     needed = {**{FIELDS[name]: name for name in groups if name in FIELDS}, "tip_pose": "the errors of the task"}
     needed |= {"tip_twist": "the option tip_speed_limit"} if options.tip_speed_limit is not None else {}
     if missing := [f"{name} ({why})" for name, why in needed.items() if name not in senses]:
-        hint = " Controllers behind a state estimator: filtered:NAME" if {"q", "q_dot", "tip_twist"} & (needed.keys() - senses) else ""
-        return f"without {', '.join(missing)}, which is observed.{hint}"
-    odd = [name for name in groups if name not in {*FIELDS, *TARGET_GROUPS, HISTORY}]
-    return f"unable to measure the observation groups {', '.join(odd)}" if odd else ""
+        return f"without {', '.join(missing)}, which is observed. Controllers behind a state estimator: filtered:NAME"
+    if episodes.task.shapes or (odd := [name for name in groups if name not in {*FIELDS, *TARGET_GROUPS, HISTORY}]):
+        return f"measured at its tip and by its sensors alone{'' if episodes.task.shapes else ': not ' + ', '.join(odd)}"
+    return ""
 
 
-def motion_of(position: Array, period: float) -> tuple[float, float]:
-    """Speed [m/s], and distance from the mean [m], root mean square, of a point measured at positions (m, 3) [m] one period [s] apart.
+def speed_of(position: Array, period: float) -> float:
+    """Speed [m/s], root mean square, of a point measured at positions (m, 3) [m] one period [s] apart.
 
     Differences of noisy samples are mostly noise: 1 mm at 50 Hz makes 70 mm/s. So the motion is that of the cosine modes that stand out of
     the noise, whose power is about the same in all modes.
@@ -174,4 +147,4 @@ def motion_of(position: Array, period: float) -> tuple[float, float]:
     power = scipy.fft.dct(position, axis=0, norm="ortho")[1:] ** 2 / len(position)
     power = np.sum(power, axis=1, where=power > STANDS_OUT * np.median(power, axis=0))
     rate = np.pi * np.arange(1, len(position)) / (len(position) * period)
-    return float(np.sqrt(np.sum(rate**2 * power))), float(np.sqrt(np.sum(power)))
+    return float(np.sqrt(np.sum(rate**2 * power)))

@@ -1,15 +1,12 @@
 """Runs of policies on robots: rehearsal in simulation, control loop in real time, and report."""
 
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 
 from soft_tendon_env.envs.episodes import episodes_of
-from soft_tendon_env.evaluation.metrics import root_mean_square
 from soft_tendon_env.evaluation.play import play_steps
-from soft_tendon_env.evaluation.provenance import origin, write_json
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.robots.clock import Timing
 from soft_tendon_env.robots.environment import robot_of
@@ -46,18 +43,26 @@ def rehearse(policy: Policy, env: gym.Env[Any, Any], seed: int = 0) -> None:
             return
 
 
-def run_policy(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int = 0, report: Path | None = None) -> Report:
+def run_policy(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int = 0) -> Report:
     """Runs a policy on a robot for so long [s]; lets the tendons go and closes the robot whatever happens.
 
-    env: a RobotEnv, alone or wrapped. report: JSON file that is written whatever happens; None: none. A robot that is stopped ends the run,
-    `Report.stop` says why, as for an episode that ends early; what the policy raises, and KeyboardInterrupt, as which SIGTERM acts too,
-    go on to the caller with slack tendons. Raises TypeError for other environments, ValueError for
-    episodes that are shorter than the run, OSError.
+    env: a RobotEnv, alone or wrapped. A robot that is stopped ends the run, `Report.stop` says why, as for an episode that ends early; what
+    the policy raises, and KeyboardInterrupt, as which SIGTERM acts too, go on to the caller with slack tendons. Raises TypeError for other
+    environments, ValueError for episodes that are shorter than the run.
     """
     robot, episodes = robot_of(env), episodes_of(env)
-    found = list[list[float]]()
+    steps, found = round(seconds / episodes.period), list[list[float]]()
+    longest = None if env.spec is None else env.spec.max_episode_steps
     try:
-        _play(policy, env, seconds, seed, found)
+        if longest is not None and longest < steps:
+            text = f"{seconds:g} s are {steps} control periods, and episodes end after {longest}: gym.make(..., max_episode_steps={steps})"
+            raise ValueError(f"seconds: {text}")
+        for k, step in enumerate(play_steps(policy, env, [seed])):
+            if robot.stopped is None:
+                found.append([float(values[0]) for values in episodes.errors.values()])
+            if k == steps or step.ended[0]:
+                robot.stop(FINISHED if k == steps else f"the episode ended after {k} of {steps} control periods")
+                break
     except RobotStopped as stopped:  # before it came to where episodes begin
         robot.stop(str(stopped))
     except BaseException as error:
@@ -65,29 +70,6 @@ def run_policy(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int
         raise
     finally:
         timing = robot.timing
-        try:
-            env.close()
-        finally:
-            errors = np.array(found).reshape(-1, len(episodes.errors)).T
-            done = Report(dict(zip(episodes.errors, errors, strict=True)), timing, robot.stop(FINISHED))
-            if report is not None:
-                rms = {name: root_mean_square(values) for name, values in done.errors.items()}
-                zeros = {name: value.tolist() for name, value in robot.zero.items()}
-                write_json(report, {**origin(), "timing": timing._asdict(), "stop": vars(done.stop), "rms": rms, "zero": zeros})
-    return done
-
-
-def _play(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int, found: list[list[float]]) -> None:
-    """Control loop, which keeps the errors of every period in `found`. Raises RobotStopped, ValueError, and as the policy."""
-    robot, episodes = robot_of(env), episodes_of(env)
-    steps = round(seconds / episodes.period)
-    longest = None if env.spec is None else env.spec.max_episode_steps
-    if longest is not None and longest < steps:
-        text = f"{seconds:g} s are {steps} control periods, and episodes end after {longest}: gym.make(..., max_episode_steps={steps})"
-        raise ValueError(f"seconds: {text}")
-    for k, step in enumerate(play_steps(policy, env, [seed])):
-        if robot.stopped is None:
-            found.append([float(values[0]) for values in episodes.errors.values()])
-        if k == steps or step.ended[0]:
-            break
-    robot.stop(FINISHED if k == steps else f"the episode ended after {k} of {steps} control periods")
+        env.close()
+    errors = np.array(found).reshape(-1, len(episodes.errors)).T
+    return Report(dict(zip(episodes.errors, errors, strict=True)), timing, robot.stop(FINISHED))

@@ -1,15 +1,13 @@
 """Safe commands: limits of size and rate, checks of what is measured, and a watchdog by which the tendons go slack, whatever ends a run.
 
-docs/how_to/robots.md says who notices what. All ends in the hands of the watchdog, a thread of its own that no signal reaches: the command
-goes to slack evenly within RAMP, also while another call of the robot hangs. Where writing fails it is tried again for TRYING, and once
-more by every later `stop`; motors should have a watchdog of their own for a port that is lost, see dynamixel.py.
+All ends in the hands of the watchdog, a thread of its own that no signal reaches: the command goes to slack evenly within RAMP, also while
+another call of the robot hangs. Where writing fails it is tried again for TRYING, and once more by every later `stop`.
 """
 
 import atexit
 import signal
 import threading
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
 from queue import Empty, SimpleQueue
 from time import perf_counter
@@ -29,7 +27,6 @@ HANGING = 0.1  # [s] for which slack waits for another call of the robot; one th
 LOOK = 1e-3  # [s] at least between two looks of the watchdog, which looks four times in a period
 ROUNDING = 0.1  # share of the range of commands by which motors may round beyond its ends
 STRETCH = 1.25  # greatest distance of the tip from the base, in lengths of the arm: rubber stretches, trackers err by millimetres
-UNITS = {"cm": 100.0, "mm": 1000.0}  # in which trackers send positions, by how many there are in a metre
 ENDS = ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")  # of `kill`, a closed terminal, Ctrl-\ and Ctrl-Z, which act as Ctrl-C does
 
 
@@ -48,25 +45,16 @@ class Stop:
 
 
 class SafeRobot:
-    """Robot behind limits and a watchdog.
+    """Robot behind limits (n_a, 2) of commands and a watchdog. length: of the arm [m], infinite where its base moves; rate: greatest change of
+    a command in a second; patience: control periods [s] without a new reading, or behind the deadlines, after which the arm is let go."""
 
-    Args:
-        robot: see Robot.
-        limits: (n_a, 2) of commands.
-        sensors: number of strain sensors; where there are none, strains that the robot senses are left out.
-        length: of the arm [m], infinite where its base moves.
-        period: of control [s].
-        rate: greatest change of a command in a second; None: any.
-        patience: periods without a new reading, or behind the deadlines, after which the arm is let go.
-    """
-
-    def __init__(self, robot: Robot, limits: Array, sensors: int, length: float, period: float, rate: float | None, patience: int) -> None:
+    def __init__(self, robot: Robot, limits: Array, sensors: int, length: float, period: float, rate: float, patience: int) -> None:
         self.robot = robot
         self.slack = np.zeros(len(limits)) if robot.command_unit == "N" else limits[:, 0].copy()  # no tension, or all that can be let out
         self.senses = tuple(name for name in robot.senses if sensors or not name.startswith("strain"))
         self.clock: Clock = getattr(robot, "clock", None) or Clock()
         self._limits, self._sensors, self._reach, self._period = limits, sensors, STRETCH * length, period
-        self._most, self._patience = np.inf if rate is None else rate * period, patience * period
+        self._most, self._patience = rate * period, patience * period
         self._allowed = f": patience is {patience} control periods of {1e3 * period:g} ms"
         self.stopped: Stop | None = Stop("it has not begun", slack=True)
         self._sent, self._fresh, self._closed = self.slack.copy(), 0.0, False
@@ -87,14 +75,14 @@ class SafeRobot:
         self._newest, self._fresh, self.stopped = None, self.clock.now(), None
 
     def read(self) -> Measurement:
-        """The newest measurement. Raises RobotStopped, also after a reading that fails, that cannot be, or is as old as the watchdog's
-        patience."""
+        """The newest measurement. Raises RobotStopped, also after one that fails, that cannot be, or that is too old."""
         self._refuse()
         try:
             found = checked_measurement(self._alone(self.robot.read, TRYING), self.senses, self.slack.size, self._sensors)
             if self._newest is None or found.time > self._newest.time:
-                if found.tip_pose is not None:
-                    self._check_tip(found.tip_pose[:3, 3])
+                if found.tip_pose is not None and (far := float(np.linalg.norm(found.tip_pose[:3, 3]))) > self._reach:
+                    text = f"the tip {far:.3g} m from the base, and the arm reaches {self._reach:.3g} m"
+                    raise ValueError(f"measurement.tip_pose puts {text}: is it in m, in the scene's world frame?")
                 self._newest, self._fresh = found, self.clock.now()
         except Exception as error:
             self.fail(f"reading failed: {first_line(error)}", error)
@@ -116,13 +104,11 @@ class SafeRobot:
             if found is not None:
                 found, slop = checked_array("what write returns", found, self.slack.shape), ROUNDING * (greatest - least)
                 if not ((found >= np.minimum(least, self.slack) - slop) & (found <= greatest + slop)).all():
-                    text = f"it should return what was sent, in {self.robot.command_unit}, or nothing"
-                    raise ValueError(f"it returned {found.tolist()}: {text}")
+                    raise ValueError(f"it returned {found.tolist()}: it should be what was sent, in {self.robot.command_unit}, or nothing")
         except Exception as error:
             self.fail(f"writing failed: {first_line(error)}", error)
         if self.stopped is not None:  # while the call hung
-            with suppress(Exception):
-                self._send(self.slack, slackens=True)
+            self._try(self.stopped, self.slack)
         self._refuse()
         return self._sent.copy() if found is None else found
 
@@ -214,15 +200,6 @@ class SafeRobot:
         finally:
             if is_free:
                 self._lock.release()
-
-    def _check_tip(self, tip: Array) -> None:
-        """Raises ValueError for a measured tip (3,) beyond reach."""
-        if (far := float(np.linalg.norm(tip))) > self._reach:
-            units = [name for name, factor in UNITS.items() if 0.1 * self._reach < far / factor <= self._reach]
-            hint = f"it seems to be in {' or '.join(units)}" if units else "is it in the scene's world frame?"
-            raise ValueError(
-                f"measurement.tip_pose puts the tip {far:.3g} m from the base, and the arm reaches {self._reach:.3g} m: {hint}"
-            )
 
     def _too_old(self) -> str:
         """Cause of a stop where the newest measurement is too old; "": it is not."""

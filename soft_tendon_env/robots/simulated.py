@@ -39,9 +39,7 @@ class SimulatedRobot:
         model_error: names of soft_tendon_env.evaluation.MODEL_ERRORS, with commas between.
         seed: of what is drawn, and of noise.
         real_time: whether time goes on by itself; else it stands still but while a loop waits.
-        options: of environments, those in OF_ARM: `scene`, `fidelity`, `sensors` (8 by default), `randomize` (with `noise` and `latency`),
-            `tension_limits`, `control_period` [s], the longest time between two commands that is simulated as one. Rate limits and lag are
-            those of the scene's [effects.actuators].
+        options: of environments, those in OF_ARM. Rate limits and lag are those of the scene's [effects.actuators].
 
     Raises ConfigurationError, ValueError, TypeError.
     """

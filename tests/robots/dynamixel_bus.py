@@ -12,8 +12,8 @@ import time
 import tty
 
 HEADER = b"\xff\xff\xfd\x00"
-PING, READ, WRITE, STATUS, SYNC_READ, SYNC_WRITE, EVERYBODY = 0x01, 0x02, 0x03, 0x55, 0x82, 0x83, 0xFE
-TORQUE, WATCHDOG, GOALS = 64, 98, range(100, 120)
+READ, WRITE, STATUS, SYNC_READ, SYNC_WRITE, EVERYBODY = 0x02, 0x03, 0x55, 0x82, 0x83, 0xFE
+TORQUE, WATCHDOG, GOALS = 64, 98, range(100, 104)
 
 
 def crc(data):
@@ -43,8 +43,6 @@ class Motor:
         self.table[address : address + len(data)] = data
         if address == 102:
             self.table[126:128] = data  # the present current
-        if address == 116:
-            self.table[132:136] = data
 
     @property
     def has_stopped(self):
@@ -61,7 +59,7 @@ class Bus:
 
     def __init__(self, positions):
         self.motors = {own: Motor(position) for own, position in positions.items()}
-        self.silent, self.frames = set(), []
+        self.silent = set()
         self._master, slave = pty.openpty()
         tty.setraw(self._master)
         tty.setraw(slave)
@@ -91,13 +89,12 @@ class Bus:
     def _take(self, frame):
         assert crc(frame[:-2]) == struct.unpack("<H", frame[-2:])[0]
         own, instruction, body = frame[4], frame[7], frame[8:-2]
-        self.frames.append((own, instruction, body))
         for motor in self.motors.values():
             motor.heard = time.perf_counter() if not motor.has_stopped else motor.heard
+        if own not in (*self.motors, EVERYBODY):
+            return
         address, size = struct.unpack_from("<HH", body) if len(body) >= 4 else (0, 0)
-        if instruction == PING:
-            self._answer(own, b"\x06\x04\x2d")
-        elif instruction == READ:
+        if instruction == READ:
             self._answer(own, self.motors[own].read(address, size))
         elif instruction == WRITE:
             for motor in self.motors.values() if own == EVERYBODY else [self.motors[own]]:
