@@ -1,6 +1,6 @@
 """Coverage of the intervals of an identification: how often they hold the truth in simulated experiments with noise.
 
-    python benchmarks/identification.py [--experiments 100] [--fidelity standard fine] [--quick] [--out out]
+    python benchmarks/identification.py [--experiments 100] [--fidelity fine] [--quick] [--out out]
 
 Each experiment draws another hanging arm with three tendons (stiffness and density within 30 %), whose model is "fine", and 20 holds with
 noise of 0.5 mm in every marker coordinate. Young's modulus, density and Poisson's ratio are asked for; bending does not show the last.
@@ -17,7 +17,7 @@ import numpy as np
 from _results import machine, markdown_table, write_csv, write_picture
 
 from soft_tendon_env.accuracy.fidelity import at_fidelity
-from soft_tendon_env.identification.fit import fit, intervals, shift
+from soft_tendon_env.identification.fit import fit, intervals
 from soft_tendon_env.identification.markers import Marker, MarkerSet
 from soft_tendon_env.identification.parameters import read_parameters
 from soft_tendon_env.identification.readings import Plants, Readings
@@ -44,11 +44,11 @@ class Tried(NamedTuple):
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--experiments", type=int, default=100)
-    parser.add_argument("--fidelity", nargs="+", default=["standard", "fine"])
+    parser.add_argument("--fidelity", nargs="+", default=["fine"])
     parser.add_argument("--quick", action="store_true", help="two experiments, one fidelity")
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
-    count, fidelities = (2, ["standard"]) if arguments.quick else (arguments.experiments, arguments.fidelity)
+    count, fidelities = (2, ["fine"]) if arguments.quick else (arguments.experiments, arguments.fidelity)
     print(f"{machine()}; {count} experiments\n")
     tried = {fidelity: [experiment(fidelity, seed) for seed in range(count)] for fidelity in fidelities}
     rows = [row for fidelity, found in tried.items() for row in table(fidelity, found)]
@@ -84,8 +84,7 @@ def experiment(fidelity: str, seed: int) -> Tried:
     model, start = plants(fidelity), time.process_time()
     readings = Readings(model, holds)
     found = fit(readings)
-    finer = Readings(robot, holds)
-    spread = intervals(found, readings, None if model is robot else shift(found, finer))
+    spread = intervals(found, readings)
     truth = np.array([own.at(at) for own, at in zip(model.parameters, x, strict=True)])
     hit = (spread.low <= truth) & (truth <= spread.high)
     return Tried(hit, (spread.high - spread.low) / truth, ~spread.identified, time.process_time() - start)

@@ -12,8 +12,8 @@ from soft_tendon_env.identification.recordings import SHARE
 from soft_tendon_env.tools.types import GivenLength
 
 DATA = "CSV files: a row a hold (hold, tension_i or displacement_i, MARKER_x, MARKER_y, MARKER_z) or, with time, a sample of a motion"
-KEYS = "keys such as segments.*.young_modulus or markers.*.offset; KEY=LOW..HIGH with bounds, KEY~SIGMA with a prior's standard deviation"
-HELD_OUT = "held-out recordings that judge the fit: a share or a number, stratified by tension; a column that marks them, or 0"
+KEYS = "keys such as segments.*.young_modulus or markers.*.offset; KEY=LOW..HIGH with bounds"
+HELD_OUT = "held-out recordings that judge the fit: a share, 0 for none, or a column that marks them"
 
 
 class Identify(ArmSettings):

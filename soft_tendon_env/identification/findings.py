@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from soft_tendon_env.identification.fit import UNSEEN, Direction, Fit, fit
+from soft_tendon_env.identification.fit import UNSEEN, Fit, fit
 from soft_tendon_env.identification.markers import UNITS
 from soft_tendon_env.identification.parameters import Parameter
 from soft_tendon_env.identification.readings import Plants, Readings, mean_of_finite
@@ -14,7 +14,7 @@ from soft_tendon_env.identification.recordings import COMMANDS, Recording, check
 from soft_tendon_env.tools.types import Array
 
 AT_BOUND = 1e-3  # distance from a bound, of that of both, at which a parameter is at it
-EXACT = 1e-6  # root mean square residual, as a share of the rod's length, of data without noise: cameras see 1e-5 at best
+EXACT = 1e-6  # distance of markers, as a share of the rod's length, of data without noise: cameras see 1e-5 at best
 CORRELATED, FEWEST = 0.3, 100  # correlation of successive residuals that are no noise, and pairs below which it may be chance
 CHANCE, PERMUTATIONS = 0.005, 999  # probability below which residuals follow the commands, and the permutations it is estimated from
 UNLIKELY = 5.0  # factor of a Young's modulus from which a unit may be wrong
@@ -35,11 +35,9 @@ EXPERIMENTS = {
     "mount": "measure the mount's frame, or record the arm at rest",
 }
 """Experiments that show a parameter, by a part of its name; the first that fits."""
-FORCES = ("gain", "young_modulus", "density", "mass", "force")
-"""Parts of names of parameters in proportion to force: a common factor of all of them moves nothing at rest."""
 
 
-def findings(found: Fit, unseen: Sequence[Direction], fitted: Readings, noise: float | None) -> list[str]:
+def findings(found: Fit, unseen: Sequence[Array], fitted: Readings, noise: float | None) -> list[str]:
     """Findings about an estimate: that the data are misread, or what they do not contain and the model lacks. noise [m]: if it is known."""
     length, parameters = fitted.plants.model.length, fitted.plants.parameters
     spread = float(np.sqrt(np.ma.masked_invalid(fitted.measured).var(axis=0).sum(axis=-1).mean()))
@@ -57,21 +55,15 @@ def findings(found: Fit, unseen: Sequence[Direction], fitted: Readings, noise: f
     return texts + _misfit_texts(found, fitted, noise)
 
 
-def _unseen_text(direction: Direction, parameters: Sequence[Parameter]) -> str:
+def _unseen_text(direction: Array, parameters: Sequence[Parameter]) -> str:
     """A direction that the data do not contain, with the experiment that would show it."""
-    order = np.argsort(-np.abs(direction.coordinates))
-    names = [parameters[i].name for i in order if abs(direction.coordinates[i]) >= UNSEEN]
-    if len(names) > 1 and all(any(part in name for part in FORCES) for name in names) and any("gain" in name for name in names):
-        text = f"The data do not contain the common factor of {', '.join(names)}: all forces at rest scale together"
-        return f"{text}; a known weight hung from the tip, weighing the arm, or a load cell shows it."
-    far = f"{direction.deviation:.2g} times a factor of e, or its prior's standard deviation or half its range"
-    size = f"uncertain by {far}" if np.isfinite(direction.deviation) else "which moves nothing"
+    names = [parameters[i].name for i in np.argsort(-np.abs(direction)) if abs(direction[i]) >= UNSEEN]
     what = names[0] if len(names) == 1 else f"a combination of {', '.join(names)}"
-    return f"The data do not contain {what}, {size}: {_experiment(names[0])}."
+    return f"The data do not contain {what}: {_experiment(' '.join(names))}."
 
 
 def _experiment(name: str) -> str:
-    """Experiment that shows a parameter."""
+    """Experiment that shows a parameter, or a combination of some."""
     return next((text for part, text in EXPERIMENTS.items() if part in name), "holds that move it more show it, or measure it")
 
 
@@ -80,16 +72,11 @@ def _misfit_texts(found: Fit, readings: Readings, noise: float | None) -> list[s
     residual, length, texts = np.full(readings.measured.shape, np.nan), readings.plants.model.length, list[str]()
     residual[readings.seen] = found.residual[: int(readings.seen.sum())]
     root = float(np.sqrt(np.nanmean(residual**2)))
-    if root < EXACT * length:
-        text = f"The fit explains the data to the solver's tolerance, by {1e3 * root:.1g} mm: they have no noise, as simulated data"
-        return [f"{text}; intervals are no measure of a real arm."]
     if noise is not None and root > FAR * noise:
         texts.append(f"Residuals are {1e3 * root:.3g} mm where the noise is {1e3 * noise:.3g} mm: {LACKING}.")
     chance, size = _commands_in_residuals(residual, readings)
     if chance <= CHANCE:
-        texts.append(
-            f"Residuals of holds follow the commands, by {1e3 * size:.2g} mm (by chance with probability {chance:.2g}): {LACKING}."
-        )
+        texts.append(f"Residuals of holds follow the commands, by {1e3 * size:.2g} mm: {LACKING}.")
     for one, part in zip(readings.recordings, np.split(residual, readings.ends[:-1]), strict=True):
         products = part[1:] * part[:-1]
         if one.period and (moved := np.linalg.norm(one.positions[1] - one.positions[0], axis=-1).max()) > STILL * length:
@@ -122,20 +109,20 @@ def _commands_in_residuals(residual: Array, readings: Readings) -> tuple[float, 
 
 
 def misread_text(readings: Readings, x: Array | None, noise: float | None) -> str | None:
-    """Finding that names how the data were recorded, where another reading of axes, signs, tendons or units explains them far better; None
+    """Finding that names how the data were recorded, where another reading of axes, signs or units explains them far better; None
     where none does. x (k,): the estimate, None where the fit failed."""
     plants, start = readings.plants, np.zeros(len(readings.plants.parameters))
     holds, motions = ([one for one in readings.recordings if bool(one.period) == moves] for moves in (False, True))
     few = [*holds[:: -(-len(holds) // FEW) or 1], *motions[:1]]
-    few = [replace(one, command=one.command[:SAMPLES], positions=one.positions[:SAMPLES], rotations=None) for one in few]
+    few = [replace(one, command=one.command[:SAMPLES], positions=one.positions[:SAMPLES]) for one in few]
     frame, simulated = plants.markers.frame, _simulated(plants, few, start)
     tried = list[tuple[float, str, list[Recording]]]()
     for text, S in _axes().items():
         R = frame.rotation @ S @ frame.rotation.T
         read = [replace(one, positions=(one.positions - frame.translation) @ R.T + frame.translation) for one in few]
         tried.append((_distance(simulated, read), text, read))
-    for text, M in _commands(plants).items():
-        read = [replace(one, command=one.command @ M.T) for one in few]
+    for text, factor in _commands(plants).items():
+        read = [replace(one, command=factor * one.command) for one in few]
         tried.append((_distance(_simulated(plants, read, start), read), text, read))
     _, text, read = min(tried, key=lambda one: one[0])
     given = _distance(simulated if x is None else _simulated(plants, few, x), few)
@@ -176,15 +163,10 @@ def _axes() -> dict[str, Array]:
     return found
 
 
-def _commands(plants: Plants) -> dict[str, Array]:
-    """Tendons exchanged or counted from another one on, the other sign of commands and other units, as matrices (n_a, n_a)."""
-    unit, n = plants.scene.effects.command_unit, len(plants.scene.tendons)
-    orders = {tuple({i: j, j: i}.get(k, k) for k in range(n)): f"tendons {j} and {i} exchanged" for i in range(n) for j in range(i)}
-    for turn, step in itertools.product(range(n), (1, -1)):
-        order = tuple((turn + step * i) % n for i in range(n))
-        orders.setdefault(order, f"tendons 0 to {n - 1} numbered {', '.join(map(str, order))}")
+def _commands(plants: Plants) -> dict[str, float]:
+    """The other sign of commands and other units, as factors."""
+    unit = plants.scene.effects.command_unit
     columns = [column for key, column in plants.markers.columns.items() if key.startswith(COMMANDS[unit])]
     given = next((UNITS[unit][column.unit] for column in columns if column.unit), 1.0)
     factors = {f"commands in {name}": factor / given for name, factor in UNITS[unit].items()} | {"commands of the other sign": -1.0}
-    turned = {text: np.eye(n)[list(order)] for order, text in orders.items()}
-    return turned | {text: factor * np.eye(n) for text, factor in factors.items() if factor != 1.0}
+    return {text: factor for text, factor in factors.items() if factor != 1.0}

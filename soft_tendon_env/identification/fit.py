@@ -39,21 +39,14 @@ class Fit(NamedTuple):
         return np.asarray(self.jacobian.T @ self.jacobian) / self.sigma**2
 
 
-class Direction(NamedTuple):
-    """Direction of the parameters that the data do not contain. coordinates (k,): a unit vector; deviation: along it, infinite for none."""
-
-    coordinates: Array
-    deviation: float
-
-
 class Intervals(NamedTuple):
-    """Intervals at 95 % of k parameters, in their own units: low and high; identified (k,): whether the data contain the parameter, and the
-    directions that they do not, the least known first."""
+    """Intervals at 95 % of k parameters, in their own units: low and high; identified (k,): whether the data contain the parameter; unseen:
+    directions (k,) of the coordinates that they do not contain, the least known first."""
 
     low: Array
     high: Array
     identified: Array
-    unseen: list[Direction]
+    unseen: list[Array]
 
 
 def fit(readings: Readings, sigma: float | None = None) -> Fit:
@@ -107,14 +100,8 @@ def _sigma(found: Fit) -> float:
     return float(np.sqrt(found.residual @ found.residual / max(found.residual.size - decided, 1.0)))
 
 
-def shift(found: Fit, finer: Readings) -> Array:
-    """Change (k,) of the estimate with a finer model of the same data, by one Gauss-Newton step."""
-    step = found.jacobian.T @ (finer.residual(found.x) - found.residual) / found.sigma**2
-    return -np.asarray(np.linalg.pinv(found.information + np.diag(found.prior), hermitian=True) @ step)
-
-
-def intervals(found: Fit, readings: Readings, moved: Array | None = None) -> Intervals:
-    """Intervals of an estimate from readings. moved (k,): `shift` by a finer model, by which low and high are wider."""
+def intervals(found: Fit, readings: Readings) -> Intervals:
+    """Intervals of an estimate from readings."""
     from scipy.special import stdtrit  # here: it takes longer to import than all else that most scenes need
 
     parameters, cluster, tail = readings.plants.parameters, readings.cluster, 0.5 * (1.0 + CONFIDENCE)
@@ -122,14 +109,13 @@ def intervals(found: Fit, readings: Readings, moved: Array | None = None) -> Int
     linear = stdtrit(max(found.residual.size - found.x.size, 1), tail) * np.sqrt(_variances(found))
     bootstrap = stdtrit(max(int(cluster.max()), 1), tail) * _bootstrap(found, cluster).std(axis=0)
     reach = np.where(np.isfinite(linear), np.maximum(linear, bootstrap), np.ptp(bounds, axis=1))
-    reach += 0.0 if moved is None else np.abs(moved)
     ends = np.clip([found.x - reach, found.x + reach], *bounds.T)
     values = np.array([sorted((one.at(low), one.at(high))) for one, low, high in zip(parameters, *ends, strict=True)])
     information, vectors = np.linalg.eigh(found.information)
     some = information > SINGULAR * max(information[-1], np.finfo(float).tiny)
     deviation = np.where(some, np.where(some, information, 1.0) ** -0.5, np.inf)
-    unseen = [Direction(vectors[:, i], float(deviation[i])) for i in np.argsort(-deviation) if deviation[i] >= NOT_SEEN]
-    identified = np.array([all(abs(one.coordinates[i]) < UNSEEN for one in unseen) for i in range(found.x.size)])
+    unseen = [vectors[:, i] for i in np.argsort(-deviation) if deviation[i] >= NOT_SEEN]
+    identified = np.array([all(abs(one[i]) < UNSEEN for one in unseen) for i in range(found.x.size)])
     return Intervals(values[:, 0], values[:, 1], identified, unseen)
 
 

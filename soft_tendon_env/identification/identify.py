@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from soft_tendon_env.accuracy.fidelity import AS_SCENE, at_fidelity, checked_fidelity
+from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.identification.findings import findings, misread_text
-from soft_tendon_env.identification.fit import Fit, Intervals, fit, intervals, shift
+from soft_tendon_env.identification.fit import Intervals, fit, intervals
 from soft_tendon_env.identification.markers import MarkerSet, check_places, load_markers
 from soft_tendon_env.identification.parameters import Parameter, read_parameters
 from soft_tendon_env.identification.readings import Measurement, NoHoldError, Plants, Readings, mean_of_finite
-from soft_tendon_env.identification.recordings import SHARE, Recording, read_recordings, split
+from soft_tendon_env.identification.recordings import SHARE, read_recordings, split
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_type
@@ -21,8 +21,6 @@ from soft_tendon_env.tools.types import Array
 
 FIDELITY = "fine"
 """Fidelity of the model that is fitted: equilibria are cheap, and what a coarser one lacks would go into the parameters."""
-COARSE = 0.2
-"""Share of an interval, which is wider by it, by which a finer model may move a parameter."""
 LOOK = "Look at units and signs of the commands, at the unit of time, at [frame], at the scene's stiffness and at the parameters' bounds."
 """Advice for data that the arm does not hold."""
 
@@ -63,39 +61,32 @@ def identify(
 ) -> Estimate:
     """Identifies parameters of an arm from recorded marker positions, by least squares with priors.
 
-    data: CSV files, see identification.recordings. markers: TOML file, see identification.markers. parameters: as `KEY`,
-    `KEY=LOW..HIGH` or `KEY~SIGMA`, see identification.parameters. held_out: a share or number of the recordings, or a column, see
-    identification.recordings. noise [m]: standard deviation of a marker's coordinate; by default it is estimated.
+    data: CSV files, see identification.recordings. markers: TOML file, see identification.markers. parameters: as `KEY` or
+    `KEY=LOW..HIGH`, see identification.parameters. held_out: a share of the recordings, or a column, see identification.recordings.
+    fidelity: of the fitted model, whose errors go into the parameters. noise [m]: standard deviation of a marker's coordinate; by default
+    it is estimated.
 
     Raises ValueError, ConfigurationError or FileNotFoundError for data that cannot be used, in one line that says where.
     """
     checked_type("scene", scene, Scene, "see load_scene")
     if noise is not None and not 0.0 < noise < np.inf:
         raise ValueError(f"noise is {noise}: it should be a positive number of metres")
-    try:
-        checked_fidelity(fidelity)
-    except ValueError as error:
-        raise ValueError(f"fidelity is {fidelity!r}: it {error}") from None
     files = [data] if isinstance(data, str | os.PathLike) else [*data]
     placed = markers if isinstance(markers, MarkerSet) else load_markers(markers, scene)
     check_places(placed, scene, "markers")
     chosen = read_parameters(parameters, scene, placed)
     recordings = read_recordings([Path(file) for file in files], scene, placed)
-    accurate = _with_steps(at_fidelity(scene, fidelity), recordings)
+    accurate = at_fidelity(scene, fidelity)
+    period = min((one.period for one in recordings if one.period), default=np.inf)
+    if period < accurate.integrator.step:  # a command may arrive in each
+        accurate = accurate.replace({"integrator.step": period})
     plants = Plants(accurate, build_model(accurate), placed, chosen)
     fitted, unseen = (Readings(plants, part) for part in split(recordings, str(held_out)))
     try:
         found = fit(fitted, noise)
     except NoHoldError as error:
         raise NoHoldError(f"{str(error).rstrip('.')}. {misread_text(fitted, None, noise) or LOOK}") from error
-    moved = _moved(found, fitted, scene, fidelity)
-    spread = intervals(found, fitted, moved)
-    finer = [
-        f"A finer model would move {one.name} to about {one.at(x + change):.4g}: take a finer fidelity."
-        for one, x, change, low, high in zip(chosen, found.x, moved, spread.low, spread.high, strict=True)
-        if abs(change) > COARSE * abs(one.coordinate(high) - one.coordinate(low))
-    ]
-    measurement = plants.measurement(found.x)
+    spread, measurement = intervals(found, fitted), plants.measurement(found.x)
     errors = [dict(zip((one.name for one in part.recordings), part.errors(found.x).tolist(), strict=True)) for part in (fitted, unseen)]
     return Estimate(
         parameters=chosen,
@@ -108,21 +99,6 @@ def identify(
         error_held_out=errors[1],
         before=(mean_of_finite(fitted.errors(0.0 * found.x)), mean_of_finite(unseen.errors(0.0 * found.x))),
         noise=found.sigma,
-        findings=(*findings(found, spread.unseen, fitted, noise), *finer),
+        findings=tuple(findings(found, spread.unseen, fitted, noise)),
         data=tuple(os.fspath(file) for file in files),
     )
-
-
-def _with_steps(scene: Scene, recordings: Sequence[Recording]) -> Scene:
-    """The scene with integrator steps of at most the samples' period, in each of which a command may arrive."""
-    period = min((one.period for one in recordings if one.period), default=np.inf)
-    return scene.replace({"integrator.step": period}) if period < scene.integrator.step else scene
-
-
-def _moved(found: Fit, fitted: Readings, scene: Scene, fidelity: str) -> Array:
-    """Change (k,) of the estimate with a model at FIDELITY; zero with one that is, with that of the scene, which its user chose, and for
-    motions, which take too long to simulate them anew."""
-    if fidelity in (FIDELITY, AS_SCENE) or any(one.period for one in fitted.recordings):
-        return np.zeros(found.x.size)
-    plants, finer = fitted.plants, at_fidelity(scene, FIDELITY)
-    return shift(found, Readings(Plants(finer, build_model(finer), plants.markers, plants.parameters), fitted.recordings))

@@ -13,8 +13,6 @@ from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, read_toml
 from soft_tendon_env.tools.types import Array, NotNegative, Number, Triple
 
-UNIT = 1e-3
-"""How far the length of a quaternion may be from 1."""
 UNITS: Mapping[str, Mapping[str, float]] = {
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "N": {"N": 1.0, "mN": 1e-3, "kg": 9.80665, "g": 9.80665e-3},  # of a mass, its weight
@@ -28,7 +26,6 @@ class Marker(Configuration):
 
     arc_length: NotNegative  # of the section, from the rod's base [m]
     offset: Triple = (0.0, 0.0, 0.0)  # of the marker in the section's frame (x along the rod, y, z) [m]
-    orientation: bool = False  # whether the section's orientation is measured there too, as a unit quaternion
 
 
 class Frame(Configuration):
@@ -40,7 +37,7 @@ class Frame(Configuration):
     @field_validator("quaternion")
     @classmethod
     def _is_a_rotation(cls, quaternion: tuple[float, ...]) -> tuple[float, ...]:
-        if abs(float(np.linalg.norm(quaternion)) - 1.0) > UNIT:
+        if abs(float(np.linalg.norm(quaternion)) - 1.0) > 1e-3:
             raise ValueError(f"should have length 1, not {np.linalg.norm(quaternion):.4g}")
         return quaternion
 

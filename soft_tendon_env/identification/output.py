@@ -52,10 +52,8 @@ def _as_json(found: Estimate) -> dict[str, Any]:
         for one, value, low, high, seen in rows
     }
     errors = {
-        name: {"mean": 1e3 * mean, "before": 1e3 * before, "each": {one: 1e3 * error for one, error in each.items()}}
-        for name, each, mean, before in zip(
-            ("fit", "held_out"), (found.error_fit, found.error_held_out), found.errors, found.before, strict=True
-        )
+        name: {"mean": 1e3 * mean, "each": {one: 1e3 * error for one, error in each.items()}}
+        for name, each, mean in zip(("fit", "held_out"), (found.error_fit, found.error_held_out), found.errors, strict=True)
     }
     told = {"noise_mm": 1e3 * found.noise, "findings": found.findings, "measurement": found.measurement._asdict()}
     data = {Path(file).name: digest(Path(file)) for file in found.data}

@@ -3,8 +3,8 @@
 `segments.*.young_modulus` is one parameter, by which the numbers of all matches change together, see scene.parameters. Numbers other than
 zero are estimated as a factor (in logarithm), others as a difference. Of the measurement, where a wildcard is a parameter for each match:
 `mount.rotation` (rotation vector of the real base [deg]) and `mount.shift` [m] in the scene's frame, `markers.NAME.offset` [m],
-`commands.I.gain`, `commands.I.offset` and `commands.delay` [s]. `KEY=LOW..HIGH` bounds a parameter; `KEY~SIGMA` gives the standard
-deviation of a normal prior around the scene's number, in parts of it for factors.
+`commands.I.gain`, `commands.I.offset` and `commands.delay` [s]; all but the delay have a normal prior. `KEY=LOW..HIGH` bounds a parameter,
+without a prior.
 """
 
 import contextlib
@@ -74,14 +74,14 @@ def command_limits(scene: Scene) -> Array:
 
 
 def read_parameters(asked: Sequence[str], scene: Scene, markers: MarkerSet) -> tuple[Parameter, ...]:
-    """Parameters of what is asked for, `KEY`, `KEY=LOW..HIGH` or `KEY~SIGMA`. Raises ValueError in one line."""
+    """Parameters of what is asked for, `KEY` or `KEY=LOW..HIGH`. Raises ValueError in one line."""
     measured, found = _of_measurement(scene, markers), list[Parameter]()
     for text in asked:
-        key, bounds, prior = _parsed(text)
+        key, bounds = _parsed(text)
         if key.split(".")[0] not in MEASUREMENT:
-            found.append(_of_scene(key, scene, bounds, prior))
+            found.append(_of_scene(key, scene, bounds))
         elif matches := [one for name, one in measured.items() if re.match(rf"{re.escape(key)}(\.|$)".replace(r"\*", r"[^.]+"), name)]:
-            found += [_given(one, bounds, prior) for one in matches]
+            found += [_given(one, bounds) for one in matches]
         else:
             raise ValueError(f"parameter {key!r} is none of the measurement: {not_among(key, measured)}")
     keys = [key for one in found for key in (one.of_scene.keys if one.of_scene else (one.name,))]
@@ -92,18 +92,16 @@ def read_parameters(asked: Sequence[str], scene: Scene, markers: MarkerSet) -> t
     return tuple(found)
 
 
-def _parsed(text: str) -> tuple[str, Bounds | None, float | None]:
-    """Key, and bounds or the standard deviation of a prior, of a written text. Raises ValueError."""
-    number = r"([-+.\de]+?)"
-    match = re.fullmatch(rf"\s*([^=~]+?)(?:={number}\.\.{number}|~{number})?\s*", text)
+def _parsed(text: str) -> tuple[str, Bounds | None]:
+    """Key, and bounds of a written text. Raises ValueError."""
+    key, _, ends = text.partition("=")
     with contextlib.suppress(ValueError):
-        key, *numbers = match.groups() if match else ("", None, None, None)
-        low, high, sigma = (None if one is None else float(one) for one in numbers)
-        if low is not None and high is not None and low < high:
-            return key, (low, high), None
-        if key and low is None and (sigma is None or sigma > 0.0):
-            return key, None, sigma
-    raise ValueError(f"parameter {text!r} should be KEY, KEY=LOW..HIGH with LOW < HIGH, or KEY~SIGMA with SIGMA > 0")
+        if not ends:
+            return key.strip(), None
+        low, high = map(float, ends.split(".."))
+        if low < high:
+            return key.strip(), (low, high)
+    raise ValueError(f"parameter {text!r} should be KEY or KEY=LOW..HIGH with LOW < HIGH")
 
 
 def _of_measurement(scene: Scene, markers: MarkerSet) -> dict[str, Parameter]:
@@ -122,21 +120,21 @@ def _of_measurement(scene: Scene, markers: MarkerSet) -> dict[str, Parameter]:
     return {one.name: one for one in found}
 
 
-def _of_scene(key: str, scene: Scene, bounds: Bounds | None, prior: float | None) -> Parameter:
-    """Parameter of the scene that is asked for. Raises ValueError where bounds or a prior must be given, ConfigurationError."""
+def _of_scene(key: str, scene: Scene, bounds: Bounds | None) -> Parameter:
+    """Parameter of the scene that is asked for. Raises ValueError where bounds must be given, ConfigurationError."""
     (numbers,) = scene_parameters(scene, [key])
     value, is_factor = numbers.value, all(numbers.values)
-    if not is_factor and bounds is None and prior is None:
-        raise ValueError(f"parameter {key!r} is {value:g}: zero has no usual range, give {key}=LOW..HIGH or {key}~SIGMA")
-    low, high = sorted((value / FACTOR, value * FACTOR)) if is_factor else (value - WIDE * (prior or 0.0), value + WIDE * (prior or 0.0))
-    found = _given(Parameter(key, numbers, value, low, high, None, is_factor), bounds, prior)
+    if not is_factor and bounds is None:
+        raise ValueError(f"parameter {key!r} is {value:g}: zero has no usual range, give {key}=LOW..HIGH")
+    low, high = sorted((value / FACTOR, value * FACTOR))
+    found = _given(Parameter(key, numbers, value, low, high, None, is_factor), bounds)
     return replace(found, low=_allowed(found.low, found, scene), high=_allowed(found.high, found, scene))
 
 
-def _given(usual: Parameter, bounds: Bounds | None, prior: float | None) -> Parameter:
-    """A parameter with the bounds or the prior that are given. Raises ValueError for bounds that leave out the scene's own number."""
+def _given(usual: Parameter, bounds: Bounds | None) -> Parameter:
+    """A parameter with the bounds that are given, without its prior. Raises ValueError for bounds that leave out the scene's own number."""
     if bounds is None:
-        return replace(usual, prior=prior or usual.prior)
+        return usual
     low, high = bounds
     if not low <= usual.value <= high or (usual.is_factor and low * high <= 0.0):
         what = "of one sign around" if usual.is_factor else "around"

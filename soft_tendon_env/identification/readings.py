@@ -4,7 +4,6 @@ Equilibria of still holds are sought by Newton's method from the last ones that 
 each in a few iterations. Motions begin at rest under their first command; each command is held until the next sample.
 """
 
-import math
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -29,7 +28,6 @@ TURNED = {"gravity": ("acceleration",), "tip_load": ("force", "moment"), "fluid"
 INSIDE = {"actuators", "tendon_elasticity", "tendon_friction", "nonlinear_elasticity", "viscoelastic_memory"}
 """Effects that know nothing of the world frame."""
 DIFFERENCES = (1e-4, 1e-3)  # of coordinates, central: of holds, which are exact to 1e-10, and with motions, to the steps' tolerance
-ROTATION = 1e-3 / math.radians(0.5)  # lengths of the rod that count as a radian: trackers err by 1 mm on 1 m and 0.5 degrees
 
 
 class NoHoldError(ValueError):
@@ -63,20 +61,10 @@ class Plants:
         """Raises ValueError where the mount is to turn and effects are in the world frame that cannot turn with it."""
         self.scene, self.model, self.markers, self.parameters = scene, model, markers, tuple(parameters)
         names = [one.name for one in self.parameters]
-        self._of_model = [name == DELAY or not name.startswith(("mount.shift", "markers.", "commands.")) for name in names]
         self.moves_arm = [not name.startswith(("markers.", "mount.shift")) for name in names]
-        self._models = {np.zeros(sum(self._of_model)).tobytes(): model}
         turns = any(name.startswith("mount.rotation") for name in names)
         if turns and (odd := [name for name in scene.effects.chosen() if name not in TURNED and name not in INSIDE]):
             raise ValueError(f"mount.rotation cannot be estimated with effects.{odd[0]}, which stands in the world and not on the arm")
-
-    def model_at(self, x: Array) -> Model:
-        """Model at coordinates (k,) of the parameters. Raises ConfigurationError."""
-        if (key := x[self._of_model].tobytes()) not in self._models:
-            if len(self._models) > 2 * len(self.parameters) + 2:
-                self._models.clear()
-            self._models[key] = self.model.with_scene(self.scene_at(x, self.scene))
-        return self._models[key]
 
     def scene_at(self, x: Array, scene: Scene) -> Scene:
         """A scene with the numbers at coordinates (k,) of the parameters, in the frame of its real base: its world vectors turn the other
@@ -110,14 +98,13 @@ class Plants:
 
 
 class Readings:
-    """Readings of recordings in one vector (N,): marker coordinates, of which unseen ones are left out, then orientations."""
+    """Readings of recordings in one vector (N,): marker coordinates, of which unseen ones are left out."""
 
     def __init__(self, plants: Plants, recordings: Sequence[Recording]) -> None:
         self.plants, self.recordings = plants, sorted(recordings, key=lambda one: bool(one.period))  # holds, then motions
         self._rests: list[Array | None] = [None] * len(recordings)
         self._difference = DIFFERENCES[any(one.period for one in recordings)]
         self.ends = np.cumsum([len(one.command) for one in self.recordings])
-        self._turning = [i for i, marker in enumerate(plants.markers.markers.values()) if marker.orientation]
 
     @cached_property
     def measured(self) -> Array:
@@ -130,13 +117,6 @@ class Readings:
         return np.isfinite(self.measured)
 
     @cached_property
-    def _rotations(self) -> Array:
-        """Measured rotations (samples, o, 3, 3), NaN where there are none."""
-        none = np.full((self.ends[-1], len(self._turning), 3, 3), np.nan)
-        given = [one.rotations for one in self.recordings if one.rotations is not None]
-        return np.concatenate(given) if len(given) == len(self.recordings) else none
-
-    @cached_property
     def group(self) -> Array:
         """Index (recordings,) that recordings with the same commands share."""
         return same_commands(self.recordings)
@@ -145,15 +125,14 @@ class Readings:
     def cluster(self) -> Array:
         """Index of the recordings with the same commands of each reading (N,), as whose errors are common."""
         of_sample = np.repeat(self.group, [len(one.command) for one in self.recordings])[:, None, None]
-        parts = self.seen, np.isfinite(self._rotations[..., 0])
-        return np.concatenate([np.broadcast_to(of_sample, there.shape)[there] for there in parts])
+        return np.broadcast_to(of_sample, self.seen.shape)[self.seen]
 
     def positions(self, x: Array) -> Array:
         """Simulated positions (samples, m, 3) [m] at coordinates x (k,). Raises NoHoldError, ConfigurationError."""
         return self.plants.measurement(x).positions(self._poses(x))
 
     def residual(self, x: Array) -> Array:
-        """Simulated less measured readings (N,) [m]; orientations as positions that weigh as much. Raises as `positions`."""
+        """Simulated less measured readings (N,) [m]. Raises as `positions`."""
         return self._residual(x, self._poses(x))
 
     def jacobian(self, x: Array) -> Array:
@@ -176,18 +155,11 @@ class Readings:
 
     def _residual(self, x: Array, poses: Array) -> Array:
         """The residual (N,) of simulated poses of the markers' sections."""
-        measurement = self.plants.measurement(x)
-        placed = (measurement.positions(poses) - self.measured)[self.seen]
-        there = np.isfinite(self._rotations[..., 0, 0])
-        if not there.any():
-            return placed
-        turned = (measurement.base @ poses[:, self._turning, :3, :3])[there]
-        away = Rotation.from_matrix(self._rotations[there].swapaxes(-1, -2) @ turned).as_rotvec()
-        return np.concatenate([placed, ROTATION * self.plants.model.length * away.ravel()])
+        return np.asarray((self.plants.measurement(x).positions(poses) - self.measured)[self.seen])
 
     def _poses(self, x: Array) -> Array:
         """Simulated poses (samples, m, 4, 4) of the markers' sections from the base. Raises NoHoldError."""
-        model, measurement = self.plants.model_at(x), self.plants.measurement(x)
+        model, measurement = self.plants.model.with_scene(self.plants.scene_at(x, self.plants.scene)), self.plants.measurement(x)
         with erring_actuators():  # by the gains and offsets that are looked for
             commands = [measurement.gain * one.command + measurement.offset for one in self.recordings]
             simulated = [q for i, command in enumerate(commands) for q in self._simulated(model, command, i)]

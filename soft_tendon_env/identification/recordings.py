@@ -2,8 +2,7 @@
 
 One row is a hold (`hold`, its name), or with a column `time` [s] a sample, of which those with one `hold` follow each other as one motion.
 Commands are `tension_i` [N] or `displacement_i` [m], one for each tendon from 0 on; a marker has `NAME_x`, `NAME_y`, `NAME_z` [m], all of
-them empty where it was not seen, and one with `orientation` also `NAME_qw`, `NAME_qx`, `NAME_qy`, `NAME_qz`. The table `[columns]` of the
-markers' file gives quantities other names and units.
+them empty where it was not seen. The table `[columns]` of the markers' file gives quantities other names and units.
 """
 
 import contextlib
@@ -13,9 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from soft_tendon_env.identification.markers import UNIT, UNITS, MarkerSet
+from soft_tendon_env.identification.markers import UNITS, MarkerSet
 from soft_tendon_env.identification.parameters import command_limits
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import not_among
@@ -39,9 +37,8 @@ command: motors and load cells repeat no better."""
 class Recording:
     """Recorded commands and marker positions: one hold (a single sample), or a motion that begins at rest.
 
-    command (samples, n_a) in the scene's unit, each held until the next sample; positions (samples, m, 3) [m] and rotations of the sections
-    of markers with an orientation (samples, o, 3, 3), both in the scene's world frame, NaN where they were not measured; period [s] between
-    samples, 0 for a hold; columns: the numbers of its first row.
+    command (samples, n_a) in the scene's unit, each held until the next sample; positions (samples, m, 3) [m] in the scene's world frame,
+    NaN where they were not measured; period [s] between samples, 0 for a hold; columns: the numbers of its first row.
     """
 
     name: str
@@ -50,7 +47,6 @@ class Recording:
     positions: Array
     period: float
     columns: Mapping[str, float]
-    rotations: Array | None = None
 
 
 def read_recordings(paths: Sequence[str | Path], scene: Scene, markers: MarkerSet) -> list[Recording]:
@@ -64,21 +60,21 @@ def read_recordings(paths: Sequence[str | Path], scene: Scene, markers: MarkerSe
 
 def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
     """Recordings of one file."""
-    unit, given = scene.effects.command_unit, markers.markers.items()
+    unit = scene.effects.command_unit
     kinds = {f"{COMMANDS[unit]}_{i}": unit for i in range(len(scene.tendons))}
-    places = {f"{name}_{axis}": "m" for name, _ in given for axis in "xyz"}
-    turns = {f"{name}_q{part}": "1" for name, marker in given if marker.orientation for part in "wxyz"}
-    table, sources = _table(path, markers, {**kinds, **places, **turns, "time": "s", "hold": ""})
+    places = {f"{name}_{axis}": "m" for name in markers.markers for axis in "xyz"}
+    table, sources = _table(path, markers, {**kinds, **places, "time": "s", "hold": ""})
     rows = [where for where, _ in table.rows]
-    command, placed, turned, times = (
-        table.numbers(sources[quantity] for quantity in group) for group in (kinds, places, turns, {"time"} & sources.keys())
+    command, placed, times = (
+        table.numbers(sources[quantity] for quantity in group) for group in (kinds, places, {"time"} & sources.keys())
     )
     if np.isnan(command).any():
         row, tendon = np.argwhere(np.isnan(command))[0]
         raise ValueError(f"{rows[row]}: {sources[[*kinds][tendon]][0]} is empty: it should be a number")
-    positions = _positions(rows, placed.reshape(len(rows), -1, 3), markers)
+    placed = placed.reshape(len(rows), -1, 3)
+    placed[(placed == 0.0).all(axis=2) & (markers.arc_lengths > 0.0)] = np.nan  # as some trackers write what was not seen
+    positions = markers.frame.to_scene(placed)
     _check_reach(positions, rod_length(scene), path, next(iter(markers.markers)))
-    rotations = _rotations(rows, turned.reshape(len(rows), -1, 4), markers)
     names = [cells[table.header.index(sources["hold"][0])] if "hold" in sources else path.stem for _, cells in table.rows]
     found = list[Recording]()
     for name, group in itertools.groupby(range(len(rows)), key=names.__getitem__):
@@ -87,7 +83,7 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
         for column, cell in zip(table.header, table.rows[samples[0]][1], strict=True):
             with contextlib.suppress(ValueError):  # text is left out
                 numbers[column] = read_number(rows[samples[0]], column, cell)
-        found.append(Recording(name, rows[samples[0]], command[samples], positions[samples], period, numbers, rotations[samples]))
+        found.append(Recording(name, rows[samples[0]], command[samples], positions[samples], period, numbers))
         check_commands(found[-1], scene)
     return found
 
@@ -140,30 +136,6 @@ def _period(name: str, times: Array, wheres: Sequence[str]) -> float:
     return period
 
 
-def _positions(rows: Sequence[str], positions: Array, markers: MarkerSet) -> Array:
-    """Positions (rows, m, 3) [m] in the scene's frame; those at exactly 0, as some trackers write it, were not seen."""
-    seen = np.isfinite(positions)
-    if (partial := seen.any(axis=2) & ~seen.all(axis=2)).any():
-        row, marker = np.argwhere(partial)[0]
-        raise ValueError(f"{rows[row]}: marker {[*markers.markers][marker]!r} has some of x, y, z: it should have all, or none")
-    positions[(positions == 0.0).all(axis=2) & (markers.arc_lengths > 0.0)] = np.nan
-    return markers.frame.to_scene(positions)
-
-
-def _rotations(rows: Sequence[str], quaternions: Array, markers: MarkerSet) -> Array:
-    """Rotations (rows, o, 3, 3) in the scene's frame of quaternions; NaN where they are empty."""
-    length, there = np.linalg.norm(quaternions, axis=2), ~np.isnan(quaternions).all(axis=2)
-    if (odd := there & ~(np.abs(length - 1.0) <= UNIT)).any():
-        row, marker = np.argwhere(odd)[0]
-        name = [name for name, one in markers.markers.items() if one.orientation][marker]
-        text = f"{name}_qw to {name}_qz have the length {length[row, marker]:.4g}"
-        raise ValueError(f"{rows[row]}: {text}: they should be a unit quaternion, or all of them empty")
-    found = np.full((*there.shape, 3, 3), np.nan)
-    if there.any():
-        found[there] = markers.frame.rotation @ Rotation.from_quat(quaternions[there], scalar_first=True).as_matrix()
-    return found
-
-
 def check_commands(recording: Recording, scene: Scene) -> None:
     """Raises ValueError for commands outside of the scene's limits."""
     unit = scene.effects.command_unit
@@ -200,8 +172,8 @@ def _unit_guess(quantity: str, value: float, most: float, unit: str) -> str:
 def split(recordings: Sequence[Recording], held_out: str = SHARE) -> list[list[Recording]]:
     """Recordings to fit to, and held-out ones, each in the order of the data.
 
-    held_out: a share below 1 or a number of recordings, stratified by tension, where those with the same commands stay together; or a
-    column, of which those that are not zero are held out. "0" holds none out. Raises ValueError.
+    held_out: a share below 1, evenly over the data, where those with the same commands stay together; or a column, of which those that are
+    not zero are held out. "0" holds none out. Raises ValueError.
     """
     count = len(recordings)
     try:
@@ -212,14 +184,11 @@ def split(recordings: Sequence[Recording], held_out: str = SHARE) -> list[list[R
             known = not_among(held_out, {column for one in recordings for column in one.columns})
             raise ValueError(f"held_out is {held_out!r}: there is no column of that name with numbers: {known}") from None
     else:
-        if not (0.0 <= wanted < 1.0 or wanted in range(count)):
-            raise ValueError(f"held_out is {wanted:g}: it should be a share from 0 to below 1, a whole number below {count}, or a column")
+        if not 0.0 <= wanted < 1.0:
+            raise ValueError(f"held_out is {wanted:g}: it should be a share from 0 to below 1, or a column")
         group = same_commands(recordings)
-        command = np.array([np.abs(recordings[int(i)].command).max(axis=0) for i in np.unique(group, return_index=True)[1]])
-        order = np.lexsort((command.max(axis=1), command.argmax(axis=1)))  # by the strongest tendon, and how strongly it is pulled
-        groups = round(wanted * len(order)) if wanted < 1.0 else max(round(wanted * len(order) / count), 1)
-        places = ((np.arange(groups) + 0.5) * len(order) / max(groups, 1)).astype(int)
-        chosen = np.isin(group, order[places])
+        groups = round(wanted * (group.max(initial=-1) + 1))
+        chosen = np.isin(group, ((np.arange(groups) + 0.5) * (group.max(initial=-1) + 1) / max(groups, 1)).astype(int))
     if chosen.all():
         text = f"held_out is {held_out!r}, which leaves nothing to fit to of {count} recordings"
         raise ValueError(f"{text}: those with the same commands stay together")

@@ -32,8 +32,8 @@ PRESENT = (126, 10)  # of current (2 bytes), velocity (4) and position (4), side
 
 
 class DynamixelRobot:
-    """One motor for each tendon, which takes its tension [N]. It senses the tendons' lengths, as if they did not stretch, from its positions
-    at the beginning, where they should be just taut; and tensions, from the currents. Poses of the tip come from `tip_pose`, if given.
+    """One motor for each tendon, which takes its tension [N]. It senses tensions, from the currents, and the tendons' lengths, as if they
+    did not stretch, from its positions at the beginning, where they should be just taut. Poses of the tip come from `tip_pose`, if given.
 
     Args:
         port: serial port, "/dev/ttyUSB0" or "COM3".
@@ -138,7 +138,7 @@ class DynamixelRobot:
         self._asked("the motors", lambda: (None, write(self._port, sdk.BROADCAST_ID, register, value), 0), 1)
 
     def _asked(self, who: str, call: Callable[[], tuple[Any, int, int]], tries: int = TRIES) -> Any:
-        """Value that a call of the SDK returns with its result and error; a port that is lost does not stay in use. Raises ConnectionError."""
+        """Value that a call of the SDK returns with its result and error; a lost port does not stay in use. Raises ConnectionError."""
         for _ in range(tries):
             try:
                 value, result, error = call()

@@ -13,7 +13,6 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.single import TendonRodEnv
 from soft_tendon_env.robots.clock import Timing
 from soft_tendon_env.robots.log import RobotLog

@@ -45,8 +45,8 @@ class Stop:
 
 
 class SafeRobot:
-    """Robot behind limits (n_a, 2) of commands and a watchdog. length: of the arm [m], infinite where its base moves; rate: greatest change of
-    a command in a second; patience: control periods [s] without a new reading, or behind the deadlines, after which the arm is let go."""
+    """Robot behind limits (n_a, 2) of commands and a watchdog. length: of the arm [m], infinite where its base moves; rate: greatest change
+    of a command in a second; patience: periods without a new reading, or behind the deadlines, after which the arm is let go."""
 
     def __init__(self, robot: Robot, limits: Array, sensors: int, length: float, period: float, rate: float, patience: int) -> None:
         self.robot = robot

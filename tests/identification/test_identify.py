@@ -1,6 +1,5 @@
 """Identification of simulated arms with known parameters: truth within intervals, and what the data do not contain told."""
 
-import csv
 import json
 import os
 import runpy
@@ -12,19 +11,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.cli.main import main
-from soft_tendon_env.identification import Frame, Marker, MarkerSet, identify
+from soft_tendon_env.identification import MarkerSet, identify
 from soft_tendon_env.identification.fit import fit
 from soft_tendon_env.identification.output import save_estimate
 from soft_tendon_env.identification.parameters import read_parameters
 from soft_tendon_env.identification.readings import Plants, Readings
 from soft_tendon_env.identification.recordings import Recording, read_recordings
 from soft_tendon_env.model.build import build_model
-from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene, save_scene
 
-QUATERNION = [f"tip_q{part}" for part in "wxyz"]
 E, RHO, NU = "segments.*.young_modulus", "segments.*.density", "segments.*.poisson_ratio"
 
 
@@ -37,7 +33,7 @@ def test_the_truth_is_within_the_intervals_and_held_out_data_are_met_as_well(fou
     spread = found.intervals
     for low, high, true in zip(spread.low, spread.high, truth.values(), strict=True):
         assert low <= true <= high and high - low < 0.1 * true
-    assert found.errors[0] < 5e-4 and found.errors[1] < 5e-4 and found.before[1] > 2e-3
+    assert found.errors[0] < 5e-4 and found.errors[1] < 5e-4 and found.before[1] > 5.0 * found.errors[1]
     assert spread.identified.all() and not found.findings
     assert found.scene.segments[0].young_modulus == pytest.approx(found.value[0])
 
@@ -55,8 +51,8 @@ def test_derivatives_are_those_of_smaller_differences(arm, holds, placed):
 @pytest.mark.cases(
     "parameters, words",
     [
-        ([E, RHO, "commands.*.gain"], ["common factor", "commands.0.gain", "known weight"]),
-        ([E, RHO, "segments.*.damping"], ["segments.*.damping, which moves nothing", "free decay"]),
+        ([E, RHO, "commands.*.gain"], ["a combination of ", "commands.0.gain", "known weight"]),
+        ([E, RHO, "segments.*.damping"], ["segments.*.damping: a free decay"]),
         ([E, RHO, NU], ["segments.*.poisson_ratio", "twist shows it"]),
     ],
 )
@@ -72,13 +68,6 @@ def test_a_forgotten_payload_is_told_by_the_residuals(arm, record, placed, tensi
     path = record("lacking", {**truth, "effects.tip_load.force": [0.1, 0.0, 0.0]}, tensions)
     found = identify(arm, path, placed, [E, RHO], fidelity="scene", noise=2e-4)
     assert any("the model lacks something" in text for text in found.findings)
-
-
-def test_exact_data_are_said_to_be_met_to_the_solvers_tolerance(arm, record, placed, tensions, truth):
-    found = identify(arm, record("exact", truth, tensions, noise=0.0), placed, [E, RHO], fidelity="scene")
-    (text,) = found.findings
-    assert text.startswith("The fit explains the data to the solver's tolerance, by ")
-    assert ((found.intervals.low <= [*truth.values()]) & ([*truth.values()] <= found.intervals.high)).all()
 
 
 @pytest.mark.cases(
@@ -98,33 +87,6 @@ def test_a_hold_without_equilibrium_is_told(arm, record, placed, truth):
     weak = arm.replace({"segments.0.young_modulus": 2e3})
     with pytest.raises(ValueError, match="line 2: hold 'weak0' has no equilibrium"):
         identify(weak, path, placed, [E], fidelity="scene", held_out=0)
-
-
-def test_orientations_show_what_positions_of_the_base_do_not(arm, tensions, tmp_path):
-    markers = {"base": Marker(arc_length=0.01), "tip": Marker(arc_length=0.24, orientation=True)}
-    told = MarkerSet(markers=markers, frame=Frame(quaternion=(0.5, 0.5, 0.5, 0.5)))
-    model, path = build_model(arm.replace({"segments.0.young_modulus": 4e5})), tmp_path / "sensed.csv"
-    rows = [["hold", *(f"tension_{i}" for i in range(3)), *(f"{name}_{axis}" for name in markers for axis in "xyz"), *QUATERNION]]
-    for hold, tension in enumerate(tensions[:6]):
-        q = static_equilibrium(model, tension).q
-        turned = Rotation.from_matrix(told.frame.rotation.T @ model.backbone_at(q, [0.24])[0, :3, :3]).as_quat(scalar_first=True)
-        rows.append([hold, *tension, *((0.0, 0.0, 0.01) if hold == 0 else [""] * 3), *[""] * 3, *turned])
-
-    def found():
-        with path.open("w", newline="") as file:
-            csv.writer(file).writerows(rows)
-        return identify(arm, path, told, [E], fidelity="scene", held_out=0, noise=1e-3)
-
-    assert found().value[0] == pytest.approx(4e5, rel=1e-3) and found().intervals.identified.all()
-    rows[2][-4] = 0.3
-    with pytest.raises(ValueError, match="line 3: tip_qw to tip_qz have the length .* they should be a unit quaternion"):
-        found()
-
-
-def test_a_fidelity_that_is_too_coarse_is_told(arm, record_of, placed, tensions, truth):
-    path = record_of(at_fidelity(arm, "fine"), "fine", truth, tensions, noise=5e-5)
-    found = identify(arm, path, placed, [E, RHO], fidelity="fast", noise=5e-5, held_out=0)
-    assert any("A finer model would move segments.*.young_modulus" in text for text in found.findings)
 
 
 def test_the_command_writes_a_scene_numbers_and_a_page(arm, holds, folder, tmp_path, truth, capsys):

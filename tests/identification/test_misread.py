@@ -61,8 +61,6 @@ CASES = {
         {"frame": TURN},
         "read as x, -y, z (a mirror",
     ),
-    "tendons exchanged": (lambda u, p: (u[:, [0, 2, 1, *range(3, u.shape[1])]], p), {}, "tendons 1 and 2 exchanged"),
-    "tendons from 1 on": (lambda u, p: (np.roll(u, 1, axis=1), p), {}, " numbered "),
     "kilograms": (lambda u, p: (u / 9.80665, p), {}, "commands in kg"),
 }
 

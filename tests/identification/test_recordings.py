@@ -34,7 +34,6 @@ def test_holds_are_read_in_the_scenes_frame(arm, holds, placed, tensions):
     [
         (1, 3, "tension_0", "column tension_0 is there 2 times"),
         (4, 7, "lost", "line 4: middle_x is 'lost': it should be a finite number, or empty where there is none"),
-        (4, 7, "", "line 4: marker 'middle' has some of x, y, z: it should have all, or none"),
         (5, 1, "306", "line 5: tension_0 is 306 N: the scene's tension_limits are 0 to 5 N; is it in mN or g? [columns] of the"),
         (3, 0, "holds0", "line 3: hold 'holds0' has a second row: samples of a motion need a column time"),
         (5, 0, "holds0", "hold 'holds0' is there 2 times"),
@@ -65,23 +64,13 @@ def test_bad_markers_are_told(arm, tmp_path, text, message):
     assert message in str(raised.value) and str(path) in str(raised.value)
 
 
-def test_held_out_holds_have_tensions_of_all_sizes(arm, holds, placed, tensions):
+def test_a_share_or_a_column_is_held_out(arm, holds, placed):
     found = read_recordings([holds], arm, placed)
-    fitted, held_out = split(found)
-    chosen = np.array([one.command[0] for one in held_out])
-    assert len(held_out) == 4 and len(fitted) == 12 and len({*chosen.argmax(axis=1)}) > 1
-    assert [len(part) for part in split(found, "0")] == [16, 0] and len(split(found, "tension_0")[1]) == 10
+    assert [len(part) for part in split(found)] == [12, 4] and [len(part) for part in split(found, "0")] == [16, 0]
+    assert len(split(found, "tension_0")[1]) == 10
 
 
-@pytest.mark.cases(
-    "held_out, message",
-    [
-        ("16", "a whole number below 16"),
-        ("-1", "a share from 0"),
-        ("weight", "there is no column of that name with numbers"),
-        ("1.5", "it should be a share"),
-    ],
-)
+@pytest.mark.cases("held_out, message", [("-1", "a share from 0"), ("weight", "no column of that name with numbers"), ("1.5", "a share")])
 def test_bad_shares_are_told(arm, holds, placed, held_out, message):
     with pytest.raises(ValueError, match="held_out is") as raised:
         split(read_recordings([holds], arm, placed), held_out)
@@ -107,7 +96,7 @@ def test_repeats_of_the_same_commands_are_found(commands, groups):
     assert same_commands(held(*commands)).tolist() == groups
 
 
-@pytest.mark.cases("share, count", [("0.25", 4), ("3", 4), ("0.5", 8), ("1", 4)])
+@pytest.mark.cases("share, count", [("0.25", 4), ("0.5", 8)])
 def test_repeats_stay_together_when_some_are_held_out(share, count):
     tensions = np.random.default_rng(0).uniform(0.0, 5.0, (4, 3))
     parts = split(held(*(np.tile(tensions, (4, 1)) + 0.01 * np.random.default_rng(1).uniform(size=(16, 3)))), share)
@@ -117,7 +106,7 @@ def test_repeats_stay_together_when_some_are_held_out(share, count):
 
 def test_holding_out_repeats_of_one_hold_is_refused():
     with pytest.raises(ValueError, match="leaves nothing to fit to of 3 recordings: those with the same commands stay together"):
-        split(held([1.0], [1.0], [1.0]), "1")
+        split(held([1.0], [1.0], [1.0]), "0.9")
 
 
 def test_displacements_beyond_their_limits_are_told(arm, holds, placed, tmp_path):
