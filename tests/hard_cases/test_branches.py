@@ -30,9 +30,8 @@ def loaded(name, payload, acceleration=(0.0, 0.0, -9.81)):
 )
 def test_payloads_that_fold_the_arm(measured, tip_distance, random_scenes, name, payload, acceleration):
     """A payload that the arm can hardly carry, slack and under 12 random tensions: Newton at the full load lands on other equilibria,
-    unstable or stable, up to half a metre away.
-    Expected: the stable equilibrium that loading in moves of 0.02 rad reaches, to 1e-6 of the length.
-    """
+    unstable or stable, up to half a metre away. Expected: the stable equilibrium that loading in moves of 0.02 rad reaches, to 1e-6 of the
+    length."""
     scene = loaded(name, payload, acceleration)
     model, dice = ste.build_model(scene), np.random.default_rng(0)
     greatest = np.array([tendon.tension_limits[1] for tendon in scene.tendons])
@@ -47,9 +46,8 @@ def test_payloads_that_fold_the_arm(measured, tip_distance, random_scenes, name,
 
 
 def test_weight_that_grows_on_a_column(measured, one_segment):
-    """A slender column stands on its base under a weight that grows: the straight column is an equilibrium at any weight.
-    Expected: told as a bifurcation at Greenhill's load, 7.837 EI / L^3, to 1 %; the bent arm, hanging, where it may settle.
-    """
+    """A slender column stands on its base under a weight that grows: the straight column is an equilibrium at any weight. Expected: told as
+    a bifurcation at Greenhill's load, 7.837 EI / L^3, to 1 %; the bent arm, hanging, where it may settle."""
     radius, density, young = 0.01, 1000.0, 1e6
     critical = 7.837 * young * radius**2 / 4 / density  # g at a length of 1 m
     strain = {"type": "explicit", "modes": [{"strains": KIRCHHOFF, "order": 6, "span": "rod"}]}
@@ -72,8 +70,7 @@ def test_weight_that_grows_on_a_column(measured, one_segment):
 
 def test_follower_force_on_a_column(measured, one_segment):
     """A force that stays tangential to the tip (Beck's column): no other equilibrium exists, and the straight one begins to flutter.
-    Expected: flutter is told at 20.05 EI / L^2, to 1 %.
-    """
+    Expected: flutter is told at 20.05 EI / L^2, to 1 %."""
     radius, young = 0.01, 1e6
     critical = 20.05 * young * np.pi * radius**4 / 4
     strain = {"type": "explicit", "modes": [{"strains": KIRCHHOFF, "order": 6, "span": "rod"}]}
@@ -93,8 +90,7 @@ def test_follower_force_on_a_column(measured, one_segment):
 @pytest.mark.parametrize("name", ["four_tendon", "three_tendon", "paper"])
 def test_statics_end_where_slow_motion_ends(measured, tip_distance, name):
     """Gravity and a payload that folds the arm, tensions that grow over 20 s in a simulation from the equilibrium without tension.
-    Expected: after a rest the simulated tip is at the equilibrium that the statics find, to 1e-5 of the length.
-    """
+    Expected: after a rest the simulated tip is at the equilibrium that the statics find, to 1e-5 of the length."""
     scene = loaded(name, {"four_tendon": 0.5, "three_tendon": 0.3, "paper": 0.5}[name])
     model, dice = ste.build_model(scene), np.random.default_rng(1)
     u = dice.uniform(0.0, 4.0, model.tendon_count)

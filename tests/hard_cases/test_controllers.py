@@ -16,8 +16,7 @@ PERIODS = 1e-6, 1e-7
 @pytest.mark.parametrize("speed", [0.1, 1.0, 10.0])
 def test_target_with_a_twist_of_its_own(build, random_state, monkeypatch, measured, speed):
     """The acceleration of a target that turns otherwise than the tip, seen from the tip's frame, which turns too: -ad_eta(Ad eta_bar) + ...
-    Expected: the law at the control period becomes (39) as the period vanishes, the faster the target the more of it is that term.
-    """
+    Expected: the law at the control period becomes (39) as the period vanishes, the faster the target the more of it is that term."""
     monkeypatch.setattr(tip_tracking, "FREE", 1e-6)
     model, rng = build("paper"), np.random.default_rng(3)
     for seed in range(3):

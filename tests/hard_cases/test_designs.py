@@ -35,9 +35,8 @@ def test_four_tendons_make_three_coordinates(build, measured):
 
 
 def test_four_tendons_against_an_explicit_basis(build, measured, tip_distance):
-    """Three coordinates for four tensions: what the fourth adds must not be lost away from the straight shape.
-    Expected: equilibria within 1e-9 m of the same arm with cubic strains (24 coordinates).
-    """
+    """Three coordinates for four tensions: what the fourth adds must not be lost away from the straight shape. Expected: equilibria within
+    1e-9 m of the same arm with cubic strains (24 coordinates)."""
     model = build("four_tendon")
     modes = {"strains": ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"], "order": 3, "span": "rod"}
     full = build("four_tendon", {"strain": {"type": "explicit", "modes": [modes]}})
@@ -49,9 +48,8 @@ def test_four_tendons_against_an_explicit_basis(build, measured, tip_distance):
 
 
 def test_one_tendon(one_segment, straight_tendons, measured, tip_distance):
-    """One tendon, one coordinate: vectors of one element, matrices of one by one, packs nearly empty.
-    Expected: statics and the end of the motion agree; the arm stays in its plane.
-    """
+    """One tendon, one coordinate: vectors of one element, matrices of one by one, packs nearly empty. Expected: statics and the end of the
+    motion agree; the arm stays in its plane."""
     model = one_segment(tendons=straight_tendons((0.016, 0.0)), damping=1e5)
     assert model.coordinate_count == 1
     rest = static_equilibrium(model, [20.0])
@@ -64,9 +62,8 @@ def test_one_tendon(one_segment, straight_tendons, measured, tip_distance):
 @pytest.mark.parametrize("value", [1.0, 5.0])
 def test_thirty_tendons(one_segment, measured, value):
     """Thirty tendons, straight ones and spirals with ten different ends: 11 pieces of rod, more tendons than strains, dependent columns.
-    Expected: no more coordinates than tendons, statics converge, the motion is finite, and the coordinates
-    stay below 3 times the norm of the tensions.
-    """
+    Expected: no more coordinates than tendons, statics converge, the motion is finite, and the coordinates stay below 3 times the norm of
+    the tensions."""
     rng = np.random.default_rng(0)
     tendons = []
     for i in range(30):
@@ -85,9 +82,8 @@ def test_thirty_tendons(one_segment, measured, value):
 
 
 def test_no_tendon(build, measured):
-    """Without tendons there is nothing to step with and no coordinate.
-    Expected: ConfigurationError that says how many there should be, from the constructor, from `replace` and from a table.
-    """
+    """Without tendons there is nothing to step with and no coordinate. Expected: ConfigurationError that says how many there should be,
+    from the constructor, from `replace` and from a table."""
     scene = build("three_tendon").scene
     for attempt in (
         lambda: scene.replace({"tendons": []}),
@@ -101,9 +97,8 @@ def test_no_tendon(build, measured):
 @pytest.mark.parametrize("step", [0.001, 0.01])
 @pytest.mark.parametrize("tension", [0.01, 0.1, 1.0, 20.0])
 def test_catheter(build, measured, one_pulled, tip_distance, tension, step):
-    """A nitinol wire: stretching is 1e5 times stiffer than bending, and its axial waves take microseconds.
-    Expected: at small loads the constant-curvature arc, at all loads the static equilibrium as the end of the motion at 1 and 10 ms.
-    """
+    """A nitinol wire: stretching is 1e5 times stiffer than bending, and its axial waves take microseconds. Expected: at small loads the
+    constant-curvature arc, at all loads the static equilibrium as the end of the motion at 1 and 10 ms."""
     model = build("catheter", {"integrator.step": step})
     u = one_pulled(model, 0, tension)
     rest = static_equilibrium(model, u)
@@ -118,10 +113,9 @@ def test_catheter(build, measured, one_pulled, tip_distance, tension, step):
 @pytest.mark.parametrize("angle", [0.01, 1.0, 3.0])
 @pytest.mark.parametrize("shape", ["slender", "stubby"])
 def test_slender_and_stubby_arms(one_segment, measured, tip_distance, shape, angle):
-    """Length over radius 2000 (bending 1e6 times softer than stretching) and 5 (shear and stretch as large as bending).
-    Expected: the slender arm is an arc of constant curvature; the stubby one, which is shortened by its tendon, lies within 20 % of it
-    and closer to its start; both stay finite and bounded in motion.
-    """
+    """Length over radius 2000 (bending 1e6 times softer than stretching) and 5 (shear and stretch as large as bending). Expected: the
+    slender arm is an arc of constant curvature; the stubby one, which is shortened by its tendon, lies within 20 % of it and closer to its
+    start; both stay finite and bounded in motion."""
     length, radius, young, damping = (1.0, 0.0005, 1e9, 1e7) if shape == "slender" else (0.1, 0.02, 1e6, 1e3)
     model = one_segment(length=length, radius=radius, young_modulus=young, damping=damping)
     u = np.array([angle * young * np.pi * radius**4 / 4 / (0.8 * radius * length), 0.0, 0.0])
@@ -140,9 +134,8 @@ def test_slender_and_stubby_arms(one_segment, measured, tip_distance, shape, ang
 
 @pytest.mark.parametrize("step", [0.005, 0.01, 0.05])
 def test_a_hundred_times_the_damping(build, measured, step):
-    """Damping of 10 times critical: rates from 1e-1 to 1e6 1/s in one equation.
-    Expected: no overshoot, no rejected step, and the tensions are reached after 200 s.
-    """
+    """Damping of 10 times critical: rates from 1e-1 to 1e6 1/s in one equation. Expected: no overshoot, no rejected step, and the tensions
+    are reached after 200 s."""
     model = build("paper", {"segments.0.damping": 1e6, "integrator.step": step})
     u = np.zeros(10)
     u[[0, 4]] = 50.0, 30.0
@@ -155,9 +148,8 @@ def test_a_hundred_times_the_damping(build, measured, step):
 @pytest.mark.parametrize("gap", [1e-3, 1e-4])
 @pytest.mark.parametrize("step", [0.0005, 0.01])
 def test_tendons_that_end_a_millimetre_apart(one_segment, straight_tendons, measured, gap, step):
-    """Two equal tendons, one of which ends 1 mm (0.1 mm) before the other: a piece of 1 mm, and columns equal but for it.
-    Expected: statics converge with q = u; under abrupt 50 N and random 0-50 N every 10 ms no coordinate exceeds twice the tension.
-    """
+    """Two equal tendons, one of which ends 1 mm (0.1 mm) before the other: a piece of 1 mm, and columns equal but for it. Expected: statics
+    converge with q = u; under abrupt 50 N and random 0-50 N every 10 ms no coordinate exceeds twice the tension."""
     tendons = straight_tendons((0.016, 0), (0.016, 0, 1.0 - gap), (-0.008, 0.0138), (-0.008, -0.0138))
     model = one_segment(tendons=tendons, changes={"integrator.step": step})
     for u in ([50.0, 0, 0, 0], [0, 50.0, 0, 0], [50.0, 50.0, 50.0, 50.0]):
@@ -175,8 +167,7 @@ def test_tendons_that_end_a_millimetre_apart(one_segment, straight_tendons, meas
 @pytest.mark.parametrize("place", ["base", "middle", pytest.param("tip", marks=pytest.mark.slow)])
 def test_ends_of_tendons_within_round_off(one_segment, straight_tendons, measured, tip_distance, place):
     """Ends of tendons, computed in different ways, lie within a few billionths of the length; a tendon may lie between two of them.
-    Expected: every one of 100 random arms can be built, and their statics do not feel it.
-    """
+    Expected: every one of 100 random arms can be built, and their statics do not feel it."""
     rng, off = np.random.default_rng(2), []
     first, up, down = {"base": 0.0, "middle": 0.5, "tip": 1.0 - 10e-9}[place], *(StraightRouting(offset=(0.0, y)) for y in (0.016, -0.016))
     for _ in range(100):
@@ -199,9 +190,8 @@ def test_ends_of_tendons_within_round_off(one_segment, straight_tendons, measure
 @pytest.mark.parametrize("densities", [(100.0, 1e4), (1e4, 100.0)])
 @pytest.mark.parametrize("step", [0.001, 0.01])
 def test_density_ratio_of_a_hundred(straight_tendons, measured, tip_distance, densities, step):
-    """A segment a hundred times heavier than the other: light on heavy is stiff, heavy on light whips.
-    Expected: no coordinate exceeds twice the tension, and 10 ms agree with 1 ms in their first second to 2 % of the length.
-    """
+    """A segment a hundred times heavier than the other: light on heavy is stiff, heavy on light whips. Expected: no coordinate exceeds
+    twice the tension, and 10 ms agree with 1 ms in their first second to 2 % of the length."""
     tendons = straight_tendons(*((0.016 * np.cos(a), 0.016 * np.sin(a)) for a in 2 * np.pi * np.arange(3) / 3))
     segments = [Segment(length=0.5, young_modulus=1e6, poisson_ratio=0.5, density=rho, damping=1e4, radius=0.02) for rho in densities]
     scene = Scene(name="two", segments=segments, tendons=tendons)
@@ -230,10 +220,9 @@ def column(one_segment):
 @pytest.mark.parametrize("part", [3.0, 1.05, 0.95, 0.7, 0.5])
 def test_column_under_its_own_weight(column, measured, part):
     """Gravity along the axis of an arm that points up: below the critical stiffness the straight arm is an equilibrium, but no stable one.
-    Expected: statics stop at the straight equilibrium under Greenhill's load, to 1 %, or find it from a guess and call it unstable;
-    its stiffness is indefinite exactly below Greenhill's limit; after a small push sideways a stiff arm straightens up and a soft one
-    ends bent, both in an equilibrium, the bent one as far off the axis as statics settle, to 1 %.
-    """
+    Expected: statics stop at the straight equilibrium under Greenhill's load, to 1 %, or find it from a guess and call it unstable; its
+    stiffness is indefinite exactly below Greenhill's limit; after a small push sideways a stiff arm straightens up and a soft one ends
+    bent, both in an equilibrium, the bent one as far off the axis as statics settle, to 1 %."""
     model = column(part)
     slack = np.zeros(3)
     loaded, settled = static_equilibrium(model, slack), static_equilibrium(model, slack, settle=True)
@@ -258,9 +247,8 @@ def test_column_under_its_own_weight(column, measured, part):
 
 
 def test_column_that_nobody_disturbs(column, measured):
-    """The soft column again, let go exactly straight: symmetry is broken by round-off alone.
-    Expected: it stays straight for the first half second, to 1e-9 m, while the disturbed one has already fallen.
-    """
+    """The soft column again, let go exactly straight: symmetry is broken by round-off alone. Expected: it stays straight for the first half
+    second, to 1e-9 m, while the disturbed one has already fallen."""
     model = column(0.5)
     motion = ste.simulate(model, np.zeros(3), 0.5, 0.05, ste.Simulation(model).state)
     measured("tip off the axis [m]", np.abs(motion.tip_pose[:, 1:3, 3]).max())

@@ -30,9 +30,8 @@ def commands(model, greatest, rows, seed):
 @pytest.mark.parametrize("fidelity", ["scene", "fast", "standard", "fine"])
 def test_commands_of_stiff_tendons_that_jump(tied, measured, fidelity):
     """Actuators jump by centimetres: a cable of 2e5 to 1e7 N/m would pull with up to 100 kN and throw the arm; tendons go slack and taut
-    within a step.
-    Expected: no divergence, in 12 jumps of 6 arms, and evaluations that do not grow with the stiffness, to a factor of 1.5.
-    """
+    within a step. Expected: no divergence, in 12 jumps of 6 arms, and evaluations that do not grow with the stiffness, to a factor of
+    1.5."""
     for name in GREATEST:
         counts = []
         for stiffness in (2e5, 1e7):
@@ -45,9 +44,8 @@ def test_commands_of_stiff_tendons_that_jump(tied, measured, fidelity):
 
 
 def test_stiff_tendons_come_to_rest_where_the_statics_says(tied, measured):
-    """At long fixed steps a tendon that is slack at a step's beginning and taut at its end is pulled with what it has at neither.
-    Expected: after 40 s at rest to 1e-6 mm, with some tendons slack, within 1e-6 of the length of where `commanded_equilibrium` says.
-    """
+    """At long fixed steps a tendon that is slack at a step's beginning and taut at its end is pulled with what it has at neither. Expected:
+    after 40 s at rest to 1e-6 mm, with some tendons slack, within 1e-6 of the length of where `commanded_equilibrium` says."""
     slack, arms = 0, (("two_segment_six", 2e6, 0.025), ("helical", 8e5, 0.02), ("three_tendon", 1e7, 0.04), ("paper", 1e7, 0.02))
     for name, stiffness, step in arms:
         model = ste.build_model(tied(name, stiffness, **{"integrator.step": step}))
@@ -66,8 +64,7 @@ def test_stiff_tendons_come_to_rest_where_the_statics_says(tied, measured):
 def test_motion_of_stiff_tendons_follows_the_tolerance(tied, measured):
     """Slack and taut within steps: nothing is smooth enough there to be extrapolated, and an estimate that takes it to be is wrong.
     Expected: over 0.8 s with four jumps each preset's own error, against first-order steps of 0.05 ms extrapolated from two sizes, is below
-    8, 3 and 1 thousandths of the length.
-    """
+    8, 3 and 1 thousandths of the length."""
     allowed = {"fast": 8e-3, "standard": 3e-3, "fine": 1e-3}
     scene = at_fidelity(tied("three_tendon", 6e5), "standard")
 

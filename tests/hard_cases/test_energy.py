@@ -67,18 +67,16 @@ def check_no_growth(build, measured, scene, steps, changes):
 @pytest.mark.parametrize("columns", [1, 2, 3, 4])
 @pytest.mark.parametrize("scene", ["paper", "paper_16dof", "paper_19dof", "four_tendon", "three_tendon"])
 def test_energy_never_grows_with_the_damping_of_the_scene(build, measured, scene, columns):
-    """Constant tensions, a bent and moving start, steps from 0.1 to 50 ms.
-    Expected: total energy and the tensions' potential never grow over a step, by more than round-off of what is turned over.
-    """
+    """Constant tensions, a bent and moving start, steps from 0.1 to 50 ms. Expected: total energy and the tensions' potential never grow
+    over a step, by more than round-off of what is turned over."""
     check_no_growth(build, measured, scene, STEPS, {"integrator.columns": columns})
 
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-5])
 @pytest.mark.parametrize("scene", ["paper", "paper_19dof", "three_tendon"])
 def test_energy_never_grows_where_the_order_follows_the_error(build, measured, scene, tolerance):
-    """As above with a tolerance: one call takes steps of any order and size.
-    Expected: total energy and the tensions' potential never grow over a call.
-    """
+    """As above with a tolerance: one call takes steps of any order and size. Expected: total energy and the tensions' potential never grow
+    over a call."""
     check_no_growth(build, measured, scene, (5e-3, 2e-2, 5e-2), {"integrator.tolerance": tolerance})
 
 
@@ -86,9 +84,8 @@ def test_energy_never_grows_where_the_order_follows_the_error(build, measured, s
 @pytest.mark.parametrize("part", [0.0, 1e-3, 1e-2, 0.1])
 @pytest.mark.parametrize("scene", ["paper_16dof", "three_tendon"])
 def test_energy_grows_by_no_more_than_the_error_estimate(build, measured, scene, part, columns):
-    """As above, with 0, 0.1, 1 and 10 % of the scene's damping, so that errors of fast undamped modes can show.
-    Expected: energy grows over a step by no more than the step's own error estimate allows, see the top of the file.
-    """
+    """As above, with 0, 0.1, 1 and 10 % of the scene's damping, so that errors of fast undamped modes can show. Expected: energy grows over
+    a step by no more than the step's own error estimate allows, see the top of the file."""
     damping = part * ste.load_scene(scene).segments[0].damping
     worst = 0.0
     for step in STEPS:
@@ -106,9 +103,8 @@ SLOPES = {1: (0.8, 1.2), 2: (1.8, 3.4), 3: (2.8, 3.4), 4: (3.8, 5.4)}
 
 @pytest.mark.parametrize("columns", SLOPES)
 def test_energy_drift_of_an_undamped_swing_falls_with_the_order(build, measured, columns):
-    """No damping, no tension: whatever the total energy does is the integrator's error.
-    Expected: the drift over 1 s of a smooth swing from a bent start falls with the step at least by the method's order.
-    """
+    """No damping, no tension: whatever the total energy does is the integrator's error. Expected: the drift over 1 s of a smooth swing from
+    a bent start falls with the step at least by the method's order."""
     least, greatest = SLOPES[columns]
     drifts = []
     for step in (0.01, 0.005, 0.0025):
@@ -141,9 +137,8 @@ def check_that_energy_never_grows(model, measured, seconds):
 @pytest.mark.parametrize("step", [0.001, 0.01])
 @pytest.mark.parametrize("scene", ["paper", "paper_16dof", "four_tendon", "three_tendon"])
 def test_arm_without_damping_for_ten_seconds(build, measured, scene, step):
-    """No damping at all, released from a bent shape: fast undamped modes turn every unstable method into an explosion.
-    Expected: with the default integrator the energy never exceeds that of the start.
-    """
+    """No damping at all, released from a bent shape: fast undamped modes turn every unstable method into an explosion. Expected: with the
+    default integrator the energy never exceeds that of the start."""
     model = build(scene, {"segments.0.damping": 0.0, "integrator.step": step})
     check_that_energy_never_grows(model, measured, 10.0)
 
@@ -152,17 +147,15 @@ def test_arm_without_damping_for_ten_seconds(build, measured, scene, step):
 @pytest.mark.parametrize("scene", ["paper_16dof", "three_tendon"])
 def test_arm_without_damping_whose_order_follows_the_error(build, measured, scene, tolerance):
     """The same with a tolerance, where steps of several orders and sizes follow each other: more than two columns would feed fast modes.
-    Expected: the energy never exceeds that of the start.
-    """
+    Expected: the energy never exceeds that of the start."""
     model = build(scene, {"segments.0.damping": 0.0, "integrator.tolerance": tolerance})
     check_that_energy_never_grows(model, measured, 5.0)
 
 
 @pytest.mark.parametrize("columns", [3, 4])
 def test_more_columns_are_not_for_arms_without_damping(build, measured, columns):
-    """Extrapolation with 3 or more columns is not stable on the imaginary axis: undamped fast modes grow slowly, step after step.
-    Expected: what can be had is a clear failure or a finite motion (measured: the energy after 3 s over that of the start), no NaN.
-    """
+    """Extrapolation with 3 or more columns is not stable on the imaginary axis: undamped fast modes grow slowly, step after step. Expected:
+    what can be had is a clear failure or a finite motion (measured: the energy after 3 s over that of the start), no NaN."""
     model = build("paper", {"segments.0.damping": 0.0, "integrator.step": 0.001, "integrator.columns": columns})
     start = np.zeros(10)
     start[0] = 18.0

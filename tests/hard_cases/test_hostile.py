@@ -82,8 +82,7 @@ def numbers_in(table, key=""):
 def test_numbers_that_no_arm_has(measured):
     """Every number of a scene with every effect, one after the other, from 5e-324 to 1e308 and an integer of 400 digits: their squares,
     quotients and fourth powers overflow or vanish. Expected: one line that names the key, or a scene all of whose numbers are 0, tiny parts
-    of a vector, or between 1e-20 and 1e20.
-    """
+    of a vector, or between 1e-20 and 1e20."""
     scene = ste.load_scene("three_tendon").replace(BASE)
     keys, count = list(numbers_in(json.loads(scene.model_dump_json(exclude_none=True)))), 0
     with warnings.catch_warnings():
@@ -130,9 +129,8 @@ BEYOND = {
 
 @pytest.mark.cases("changes, message", BEYOND.values())
 def test_more_than_can_be_computed(changes, message):
-    """Steps of a nanosecond, 10^9 Hz, 10^15 turns, tensions that grow by exp(300): hours, gigabytes or overflow.
-    Expected: within 2 s one line with the number and what is allowed.
-    """
+    """Steps of a nanosecond, 10^9 Hz, 10^15 turns, tensions that grow by exp(300): hours, gigabytes or overflow. Expected: within 2 s one
+    line with the number and what is allowed."""
 
     with pytest.raises(ConfigurationError, match=message):
         _model(changes)  # what it needs is compiled once
@@ -171,9 +169,8 @@ ROUTINGS = {
 
 def test_friction_of_any_angle(measured):
     """The capstan equation from mu phi = 1e-12 to 99, against the path of the tendon in space: a rational exponential was right up to 1,
-    and off by a factor of 2.2 at 31. Expected: what is left of a tension that is pulled in is right to 1e-6 (straight), 4e-3 and 0.02 of
-    it at the actuator, the growth of one that is let out to as much of its logarithm; one is the inverse of the other.
-    """
+    and off by a factor of 2.2 at 31. Expected: what is left of a tension that is pulled in is right to 1e-6 (straight), 4e-3 and 0.02 of it
+    at the actuator, the growth of one that is let out to as much of its logarithm; one is the inverse of the other."""
     worst = {}
     for name, routing in ROUTINGS.items():
         for size in (1e-12, 1e-6, 1e-2, 0.3, 1.0, 3.0, 10.0, 31.0, 99.0):

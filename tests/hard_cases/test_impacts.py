@@ -146,8 +146,7 @@ KNOWN = [
 @pytest.mark.cases("scene, fidelity, kind, speed, more", KNOWN)
 def test_fast_arms_and_obstacles_meet(measured, scene, fidelity, kind, speed, more):
     """Thin and small things at 0.6 to 30 m/s: in a step of 20 ms they would be past each other, and an impact takes a millisecond or less.
-    Expected: the axis of the arm enters nothing, no 20 ms bring energy, and the arm ends where it does in calls of 1 ms.
-    """
+    Expected: the axis of the arm enters nothing, no 20 ms bring energy, and the arm ends where it does in calls of 1 ms."""
     assert check_flight(Case(scene, fidelity, kind, speed, **more), measured) < 0.02
 
 
@@ -205,9 +204,8 @@ BOUNCES = [
 
 @pytest.mark.cases("scene, fidelity, kind, speed, more", BOUNCES)
 def test_a_rebound_does_not_hang_on_the_step(measured, scene, fidelity, kind, speed, more):
-    """Impacts of soft arms, with the steps of the scene and of 0.025 ms, which half as long ones agree with within 0.1 mm.
-    Expected: after 60 ms within 2 mm of each other, at speeds that differ by less than 10 % as root mean square over the arm.
-    """
+    """Impacts of soft arms, with the steps of the scene and of 0.025 ms, which half as long ones agree with within 0.1 mm. Expected: after
+    60 ms within 2 mm of each other, at speeds that differ by less than 10 % as root mean square over the arm."""
     case = Case(scene, fidelity, kind, speed, **more)
     (places, _, energy), (exact, _, exact_energy) = case.fly(STEP), case.fly(STEP, **{"integrator.step": 2.5e-5})
     apart, faster = np.linalg.norm(places[-1] - exact[-1], axis=1).max(), abs(np.sqrt(energy / exact_energy) - 1.0)

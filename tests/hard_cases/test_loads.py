@@ -22,9 +22,8 @@ def pulled(which, value):
 @pytest.mark.parametrize("step", [0.0005, 0.01])
 @pytest.mark.parametrize("scene", SCENES)
 def test_abrupt_tension(build, measured, scene, step):
-    """80, 100, 120 and 150 N all at once on one tendon (a straight one, a spiral, two that end half way) or on all ten.
-    Expected: no step fails for good; no coordinate exceeds 1.5 times the tension.
-    """
+    """80, 100, 120 and 150 N all at once on one tendon (a straight one, a spiral, two that end half way) or on all ten. Expected: no step
+    fails for good; no coordinate exceeds 1.5 times the tension."""
     model = build(scene, {"integrator.step": step})
     greatest, rejected = 0.0, 0
     for value in (80.0, 100.0, 120.0, 150.0):
@@ -39,9 +38,8 @@ def test_abrupt_tension(build, measured, scene, step):
 
 @pytest.mark.parametrize("step", [0.0005, 0.01])
 def test_abrupt_tension_with_raw_passive_coordinates(build, measured, step):
-    """The paper's own passive fields: phantom tensions blow the 16-DOF model up, at any step size.
-    Expected: finite motion, or SimulationDiverged with a finite state, after a bounded number of attempts.
-    """
+    """The paper's own passive fields: phantom tensions blow the 16-DOF model up, at any step size. Expected: finite motion, or
+    SimulationDiverged with a finite state, after a bounded number of attempts."""
     model = build("paper_16dof", {"strain.passive_coordinates": "raw", "integrator.step": step})
     failed = 0
     for value in (80.0, 150.0):
@@ -58,9 +56,8 @@ def test_abrupt_tension_with_raw_passive_coordinates(build, measured, step):
 
 @pytest.mark.parametrize("tendons", [(0, 1), (0, 3), (5, 8)])
 def test_step_of_100_newton_on_two_tendons(build, measured, tip_distance, tendons):
-    """Two tendons jump to 100 N together: a violent motion, far outside of what the passive fields were made for.
-    Expected: the tip of the 19-DOF model converges with columns and steps; how far it is off the 48-DOF model is measured and bounded.
-    """
+    """Two tendons jump to 100 N together: a violent motion, far outside of what the passive fields were made for. Expected: the tip of the
+    19-DOF model converges with columns and steps; how far it is off the 48-DOF model is measured and bounded."""
     u = sum(pulled(i, 100.0) for i in tendons)
 
     def tip(scene, step, columns):
@@ -81,11 +78,10 @@ def test_step_of_100_newton_on_two_tendons(build, measured, tip_distance, tendon
 @pytest.mark.parametrize("columns", [2, 3])
 @pytest.mark.parametrize("scene", SCENES)
 def test_random_tensions_for_a_minute(build, measured, scene, columns, step, most_rejected):
-    """Ten tensions jump to new values in 0-150 N every 10 or 20 ms, for a minute: what an untrained agent does.
-    Expected: finite throughout, no coordinate above 1.5 times the greatest tension at steps of 10 ms and twice that tension at 20 ms, where
-    the motion is chaotic (over 48 inputs and two roundings the most was 1.39 to 1.79 times), rejected steps counted (at most 1 % at
-    10 ms, 30 % at 20 ms), and the last state continues.
-    """
+    """Ten tensions jump to new values in 0-150 N every 10 or 20 ms, for a minute: what an untrained agent does. Expected: finite
+    throughout, no coordinate above 1.5 times the greatest tension at steps of 10 ms and twice that tension at 20 ms, where the motion is
+    chaotic (over 48 inputs and two roundings the most was 1.39 to 1.79 times), rejected steps counted (at most 1 % at 10 ms, 30 % at 20
+    ms), and the last state continues."""
     model = build(scene, {"integrator.columns": columns, "integrator.step": step})
     for hold in (0.01, 0.02):
         tensions = np.random.default_rng(0).uniform(0.0, 150.0, (round(60.0 / hold), 10))
@@ -101,9 +97,8 @@ def test_random_tensions_for_a_minute(build, measured, scene, columns, step, mos
 
 @pytest.mark.parametrize("columns", [1, 2, 3, 4])
 def test_steps_from_a_tenth_to_fifty_milliseconds(build, measured, tip_distance, columns):
-    """The input of the reference trajectories, with a jump in mid-run, at steps of 0.1 to 50 ms: a factor of 500.
-    Expected: finite, and the tip's error (to steps of 0.1 ms with 4 columns) falls with the step.
-    """
+    """The input of the reference trajectories, with a jump in mid-run, at steps of 0.1 to 50 ms: a factor of 500. Expected: finite, and the
+    tip's error (to steps of 0.1 ms with 4 columns) falls with the step."""
 
     def tension(t):
         u = np.zeros(10)
@@ -128,9 +123,8 @@ def test_steps_from_a_tenth_to_fifty_milliseconds(build, measured, tip_distance,
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_error_control_through_an_abrupt_load(build, measured, tip_distance, scene):
-    """Steps that follow a tolerance of 1 micrometre meet a jump of 100 N, and may grow only as the motion calms down.
-    Expected: every tolerance ends near the same tip, the tighter the nearer, and steps are spent at the jump.
-    """
+    """Steps that follow a tolerance of 1 micrometre meet a jump of 100 N, and may grow only as the motion calms down. Expected: every
+    tolerance ends near the same tip, the tighter the nearer, and steps are spent at the jump."""
     u = pulled(0, 100.0)
     exact = ste.simulate(build(scene, {"integrator.step": 2e-4, "integrator.columns": 4}), u, 0.5, 0.01)
     distances = []
@@ -149,8 +143,7 @@ def test_error_control_through_an_abrupt_load(build, measured, tip_distance, sce
 @pytest.mark.parametrize("scene", SCENES)
 def test_order_control_through_abrupt_tensions(build, measured, scene, tolerance):
     """80 and 150 N all at once on one tendon or on all ten, in the longest step: its first columns say nothing, the most may not do.
-    Expected: no step fails for good, no coordinate exceeds 1.5 times the tension, and two columns are enough once the arm is still.
-    """
+    Expected: no step fails for good, no coordinate exceeds 1.5 times the tension, and two columns are enough once the arm is still."""
     model = build(scene, {"integrator.tolerance": tolerance})
     greatest, evaluations = 0.0, 0
     for value in (80.0, 150.0):
@@ -166,9 +159,8 @@ def test_order_control_through_abrupt_tensions(build, measured, scene, tolerance
 
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-5])
 def test_order_control_under_random_tensions(build, measured, tolerance):
-    """0 to 150 N redrawn every 20 ms for 20 s, which break steps of 20 ms with two columns.
-    Expected: a finite motion, and no step fails for good.
-    """
+    """0 to 150 N redrawn every 20 ms for 20 s, which break steps of 20 ms with two columns. Expected: a finite motion, and no step fails
+    for good."""
     model = build("paper_19dof", {"integrator.tolerance": tolerance})
     tensions = np.random.default_rng(4).uniform(0.0, 150.0, (1000, 10))
     motion = ste.simulate(model, tensions, 20.0, 0.02)
@@ -179,9 +171,8 @@ def test_order_control_under_random_tensions(build, measured, tolerance):
 
 @pytest.mark.parametrize("which", [0, 3, 5, "all"])
 def test_order_control_through_jumps_under_combined_loads(build, measured, tip_distance, which):
-    """40 N at once under gravity, a payload and a force at the tip: three columns at 20 ms are millimetres off, without a word.
-    Expected: with a tolerance of 3e-5 m the tip is within a millimetre of the converged motion.
-    """
+    """40 N at once under gravity, a payload and a force at the tip: three columns at 20 ms are millimetres off, without a word. Expected:
+    with a tolerance of 3e-5 m the tip is within a millimetre of the converged motion."""
     loads = {"effects.gravity.acceleration": [9.81, 0, 0], "effects.tip_load.mass": 0.05, "effects.tip_load.force": [0, 0.2, 0.1]}
     exact = ste.simulate(build("paper_19dof", {**loads, "integrator.step": 5e-4, "integrator.columns": 4}), pulled(which, 40.0), 1.0, 0.02)
     fixed = ste.simulate(build("paper_19dof", {**loads, "integrator.columns": 3}), pulled(which, 40.0), 1.0, 0.02)
@@ -193,9 +184,8 @@ def test_order_control_through_jumps_under_combined_loads(build, measured, tip_d
 
 
 def test_equilibrium_is_reached_from_any_jump(build, measured, tip_distance):
-    """Whatever happened on the way, a damped arm under constant tension must end where the statics say.
-    Expected: after 40 s the tip is at the equilibrium to 1e-6 m.
-    """
+    """Whatever happened on the way, a damped arm under constant tension must end where the statics say. Expected: after 40 s the tip is at
+    the equilibrium to 1e-6 m."""
     for scene in SCENES:
         model = build(scene)
         for u in (pulled(3, 100.0), pulled("all", 60.0), np.random.default_rng(1).uniform(0.0, 60.0, 10)):

@@ -59,9 +59,8 @@ def told(scene):
 
 @pytest.mark.parametrize("turns", [3, 6, 12])
 def test_helical_tendons(compared, turns):
-    """Helices of 3, 6 and 12 turns: on 6 intervals those of 6 and 12 turns look like straight tendons, which bend the arm.
-    Expected: without a number given, as many intervals as keep the tip within 0.25 % of the length; 6 given are told to be too few.
-    """
+    """Helices of 3, 6 and 12 turns: on 6 intervals those of 6 and 12 turns look like straight tendons, which bend the arm. Expected:
+    without a number given, as many intervals as keep the tip within 0.25 % of the length; 6 given are told to be too few."""
     coarse, error, scene = compared(helices(turns))
     assert coarse > 0.3 * 3 * TIP_TOLERANCE and error < 0.3 * TIP_TOLERANCE
     (message,) = told(scene)
@@ -71,17 +70,15 @@ def test_helical_tendons(compared, turns):
 @pytest.mark.parametrize("turns", [13, 26, 39, 52])
 def test_helices_that_two_quadratures_see_alike(compared, turns):
     """As many turns as another quadrature has intervals, or a multiple: on that one they look straight too: two agree and are wrong.
-    Expected: the tip within the tolerance; the error on 6 intervals is noticed.
-    """
+    Expected: the tip within the tolerance; the error on 6 intervals is noticed."""
     coarse, error, scene = compared(helices(turns))
     assert error < 0.3 * TIP_TOLERANCE and (coarse < 0.3 * TIP_TOLERANCE or told(scene))
 
 
 @pytest.mark.parametrize("waves", [4, 8, 16])
 def test_a_tendon_that_waves(compared, waves):
-    """A tendon through a table of points that sways by 2 mm, 4 to 16 times along the arm.
-    Expected: the tip within the tolerance; the error on 6 intervals is noticed.
-    """
+    """A tendon through a table of points that sways by 2 mm, 4 to 16 times along the arm. Expected: the tip within the tolerance; the error
+    on 6 intervals is noticed."""
     y = 0.006 + 0.002 * np.sin(2 * np.pi * waves * ALONG / 0.3)
     coarse, error, scene = compared({"tendons.0.routing": {"type": "table", "arc_length": ALONG, "y": y, "z": 0.0 * ALONG}})
     assert error < 0.3 * TIP_TOLERANCE and (coarse < 0.3 * TIP_TOLERANCE or told(scene))
@@ -90,8 +87,7 @@ def test_a_tendon_that_waves(compared, waves):
 @pytest.mark.parametrize("width", [0.04, 0.01, 0.004])
 def test_a_neck(compared, width):
     """A neck of 80 % of the radius, 4 to 40 mm long, where the arm bends two and a half times as much: six intervals step over it.
-    Expected: the tip within the tolerance; the error on 6 intervals is noticed.
-    """
+    Expected: the tip within the tolerance; the error on 6 intervals is noticed."""
     places = [0.0, *(0.15 + width * np.array([-0.75, -0.5, 0.5, 0.75])), 0.3]
     radius = {"type": "table", "arc_length": places, "radius": [0.01, 0.01, 0.008, 0.008, 0.01, 0.01]}
     coarse, error, scene = compared({"segments.0.radius": radius})
@@ -100,9 +96,8 @@ def test_a_neck(compared, width):
 
 @pytest.mark.parametrize("curvature", [20.0, 60.0])
 def test_a_hook_that_hangs(compared, curvature):
-    """An arm that is bent without load, by 6 rad, or coiled three times around, and hangs under its weight.
-    Expected: the tip within the tolerance; the error on 6 intervals is noticed.
-    """
+    """An arm that is bent without load, by 6 rad, or coiled three times around, and hangs under its weight. Expected: the tip within the
+    tolerance; the error on 6 intervals is noticed."""
     gravity = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
     coarse, error, scene = compared({"segments.0.curvature": [0.0, curvature, 0.0], **gravity})
     assert error < 0.3 * TIP_TOLERANCE and (coarse < 0.3 * TIP_TOLERANCE or told(scene))
@@ -110,9 +105,8 @@ def test_a_hook_that_hangs(compared, curvature):
 
 @pytest.mark.parametrize("kind", ["statics_based", "explicit"])
 def test_fields_of_order_twelve(measured, tip_distance, kind):
-    """Strain fields of order 12 with helical tendons: the twelve points of 6 intervals cannot tell thirteen polynomials apart.
-    Expected: intervals for all of them, and the tip within the tolerance; 6 given are told to be too few, or refused.
-    """
+    """Strain fields of order 12 with helical tendons: the twelve points of 6 intervals cannot tell thirteen polynomials apart. Expected:
+    intervals for all of them, and the tip within the tolerance; 6 given are told to be too few, or refused."""
     modes = [{"strains": ANGULAR, "order": 12, "span": "rod"}]
     strain = {"type": kind, **({"modes": modes} if kind == "explicit" else {"passive": modes})}
     scene = ste.load_scene("three_tendon").replace({"strain": strain, **helices(2)})

@@ -11,11 +11,10 @@ from soft_tendon_env.scene.scene import rod_length
 
 @pytest.mark.parametrize("numbers", [range(18), pytest.param(range(18, 60), marks=pytest.mark.slow)], ids=["first", "others"])
 def test_statics_of_random_scenes(measured, random_scenes, numbers):
-    """60 random scenes: routings of all kinds, one to three segments, stiffness over four decades, gravity in any direction, payloads,
-    dead and follower forces, moments, tensions up to the limits; slack ropes and columns that buckle among them.
-    Expected: the equilibrium is the end of a slow loading to 1e-6 of the length, or is not converged, with the load and a reason; the
-    tip is where a quadrature of three times as many intervals puts it, to the scene's tolerance, or a warning was given.
-    """
+    """60 random scenes: routings of all kinds, one to three segments, stiffness over four decades, gravity in any direction, payloads, dead
+    and follower forces, moments, tensions up to the limits; slack ropes and columns that buckle among them. Expected: the equilibrium is
+    the end of a slow loading to 1e-6 of the length, or is not converged, with the load and a reason; the tip is where a quadrature of three
+    times as many intervals puts it, to the scene's tolerance, or a warning was given."""
     kinds, distances, quadratures = collections.Counter(), [], []
     for number in numbers:
         verdict = random_scenes.verdict(number)
@@ -32,9 +31,8 @@ def test_statics_of_random_scenes(measured, random_scenes, numbers):
 
 @pytest.mark.parametrize("numbers", [range(10), pytest.param(range(10, 30), marks=pytest.mark.slow)], ids=["first", "others"])
 def test_a_random_scene_pushed_off_its_equilibrium_comes_back(measured, random_scenes, numbers):
-    """The first random scenes, released at 3 degrees from their equilibrium in a random direction, with five times their damping.
-    Expected: where the arm converged, it comes back within ten minutes, to 1e-5 of the length.
-    """
+    """The first random scenes, released at 3 degrees from their equilibrium in a random direction, with five times their damping. Expected:
+    where the arm converged, it comes back within ten minutes, to 1e-5 of the length."""
     farthest, count = 0.0, 0
     for number in numbers:
         scene, tension = random_scenes.drawn_scene(number)

@@ -28,10 +28,8 @@ def same_state(a, b):
 
 @pytest.mark.parametrize("setting", SETTINGS)
 def test_saved_state_continues(build, tmp_path, setting):
-    """A state saved in mid-run, in the middle of steps that adapt, and loaded into a new simulation. The tip pose is computed
-    from the strain, and the strain by an iteration that stops at a tolerance.
-    Expected: both show the same tip pose, and go on bit for bit alike.
-    """
+    """A state saved in mid-run, in the middle of steps that adapt, and loaded into a new simulation. The tip pose is computed from the
+    strain, and the strain by an iteration that stops at a tolerance. Expected: both show the same tip pose, and go on bit for bit alike."""
     model = build(*SETTINGS[setting])
     tensions = random_tensions(model, 20)
     first = ste.Simulation(model)
@@ -47,9 +45,8 @@ def test_saved_state_continues(build, tmp_path, setting):
 
 @pytest.mark.parametrize("setting", ["fixed steps", "order control"])
 def test_rows_of_an_environment(build, measured, setting):
-    """Rows of a batch are stepped one control period at a time by code of their own, with steps that adapt to each.
-    Expected: what Simulation does to round-off, from period to period, whatever the step was that the last one ended with.
-    """
+    """Rows of a batch are stepped one control period at a time by code of their own, with steps that adapt to each. Expected: what
+    Simulation does to round-off, from period to period, whatever the step was that the last one ended with."""
     model = build(*SETTINGS[setting])
     simulation, arms, one = ste.Simulation(model), Arms(model, 2, 0.0137, np.empty(0), np.empty(0)), np.arange(1, 2)
     arms.place(one, np.zeros((1, model.coordinate_count)))
@@ -64,9 +61,8 @@ def test_rows_of_an_environment(build, measured, setting):
 
 @pytest.mark.parametrize("setting", SETTINGS)
 def test_whole_and_single_steps(build, setting):
-    """One call of simulate, or a call of Simulation.step for every row, with a diverging simulation between them.
-    Expected: the same samples to round-off, and the same numbers of steps.
-    """
+    """One call of simulate, or a call of Simulation.step for every row, with a diverging simulation between them. Expected: the same
+    samples to round-off, and the same numbers of steps."""
     assert_whole_is_single_steps(build, build(*SETTINGS[setting]), 0.01, 20)
 
 
@@ -85,9 +81,8 @@ def assert_whole_is_single_steps(build, model, period, rows, tensions=None):
 
 
 def test_whole_and_single_steps_where_steps_are_halved(build, measured):
-    """Tensions of 0-150 N that jump every 20 ms make steps fail; a step size remembered from one row to the next would show.
-    Expected: some steps are tried again, and calls of Simulation.step give the samples of simulate to round-off.
-    """
+    """Tensions of 0-150 N that jump every 20 ms make steps fail; a step size remembered from one row to the next would show. Expected: some
+    steps are tried again, and calls of Simulation.step give the samples of simulate to round-off."""
     tensions = np.random.default_rng(0).uniform(0.0, 150.0, (100, 10))
     whole = assert_whole_is_single_steps(build, build("paper_19dof", {"integrator.columns": 2}), 0.02, 0, tensions)
     measured("steps tried again", whole.rejected)
@@ -95,9 +90,8 @@ def test_whole_and_single_steps_where_steps_are_halved(build, measured):
 
 
 def test_failed_step_leaves_the_last_good_state(build):
-    """A step fails half way through a call that takes several.
-    Expected: the simulation stands at the state that the error carries, and a milder tension goes on from there.
-    """
+    """A step fails half way through a call that takes several. Expected: the simulation stands at the state that the error carries, and a
+    milder tension goes on from there."""
     simulation = ste.Simulation(build("paper", {"integrator.step": 0.005}))
     with pytest.raises(ste.SimulationDiverged) as caught:
         for _ in range(100):

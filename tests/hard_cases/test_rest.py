@@ -18,8 +18,7 @@ LOADED = {
 
 def test_simulate_begins_at_rest_under_loads(tip_distance, measured):
     """Gravity, payloads, currents, steady forces: from the stress-free shape the arm falls, by far more than any accuracy that is stated.
-    Expected: without tension nothing moves, to 1e-6 of the length, with tendon friction too; from the stress-free state the arm falls.
-    """
+    Expected: without tension nothing moves, to 1e-6 of the length, with tendon friction too; from the stress-free state the arm falls."""
     for name, changes in LOADED.items():
         model = ste.build_model(at_fidelity(ste.load_scene(name).replace(changes), "standard"))
         slack = np.zeros(model.tendon_count)
@@ -35,9 +34,8 @@ def test_simulate_begins_at_rest_under_loads(tip_distance, measured):
 
 
 def test_an_arm_that_rests_nowhere(build):
-    """Beck's column beyond its load: a force that follows the tip flutters, and there is nowhere to settle.
-    Expected: NoEquilibriumError that says why and what to do, before anything is simulated; with an initial state it moves.
-    """
+    """Beck's column beyond its load: a force that follows the tip flutters, and there is nowhere to settle. Expected: NoEquilibriumError
+    that says why and what to do, before anything is simulated; with an initial state it moves."""
     load = {"effects.tip_load": {"force": [-3.0, 0.0, 0.0], "frame": "tip"}}
     model = build("three_tendon", {"strain.passive": [{"strains": ["bend_y", "bend_z"], "order": 2, "span": "rod"}], **load})
     with pytest.raises(ValueError, match="duration should be a multiple"):  # bad input is told before a rest is searched
@@ -49,8 +47,7 @@ def test_an_arm_that_rests_nowhere(build):
 
 def test_obstacles_are_not_calibrated():
     """Reference motions that touch do not converge: a calibration stood still for a quarter of an hour, and would have said little.
-    Expected: refused at once, by the name of the table, from `calibrated` and as a fidelity.
-    """
+    Expected: refused at once, by the name of the table, from `calibrated` and as a fidelity."""
     plate = {"effects.contact.obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.05], "axis": [0.0, 0.0, 1.0]}]}
     for scene in (ste.load_scene("helical").replace(plate), ste.load_scene("paper_among_obstacles")):
         with pytest.raises(ConfigurationError, match=r"effects.contact cannot be calibrated.*preset"):
