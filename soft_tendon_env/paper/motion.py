@@ -53,10 +53,6 @@ class ClosedLoop:
     def __init__(self, model: ste.Model, law: Law) -> None:
         self.model, self.law = model, law
 
-    def tension(self, t: float, x: np.ndarray) -> np.ndarray:
-        q, q_dot = np.split(x, 2)
-        return self.law(t, q, q_dot, self.model.terms(q, q_dot))
-
     def rate(self, t: float, x: np.ndarray) -> np.ndarray:
         q, q_dot = np.split(x, 2)
         terms = self.model.terms(q, q_dot)
@@ -104,16 +100,14 @@ def integrate(loop: ClosedLoop, duration: float, label: str) -> Motion:
     found = solve_ivp(rate, (0.0, times[-1]), np.zeros(2 * n), method="Radau", **options)
     states = found.y.T
     tip = np.array([loop.model.tip_pose(x[:n])[:3, 3] for x in states])
-    tension = np.array([loop.tension(t, x) for t, x in zip(found.t, states, strict=True)])
+    tension = np.array([loop.law(t, *(qs := np.split(x, 2)), loop.model.terms(*qs)) for t, x in zip(found.t, states, strict=True)])
     return Motion(found.t, states[:, :n], tip, tension)
 
 
 def below_for_good(time: np.ndarray, error: np.ndarray, threshold: float) -> float:
     """The first time [s] from which on the error stays below the threshold; infinity if it is not below at the end."""
-    above = np.flatnonzero(error >= threshold)
-    if not above.size:
-        return float(time[0])
-    return float(time[above[-1] + 1]) if above[-1] + 1 < time.size else float("inf")
+    first = np.flatnonzero(error >= threshold).max(initial=-1) + 1
+    return float(time[first]) if first < time.size else float("inf")
 
 
 def when(time: float) -> str:

@@ -32,7 +32,12 @@ class Result(NamedTuple):
 
     claims: list[Claim]
     numbers: dict[str, Any]  # for JSON
-    more: str = ""  # further tables
+    more: tuple[str, ...] = ()  # further tables
+
+    @property
+    def tables(self) -> str:
+        """Table of claims, and the further ones."""
+        return "\n\n".join([claims_table(self.claims), *self.more])
 
 
 def claims_table(claims: Iterable[Claim]) -> str:
@@ -61,10 +66,8 @@ def box(axes: Any, title: str, **paths: np.ndarray) -> None:
 
 def draw_tensions(axes: Axes, time: np.ndarray, tension: np.ndarray, title: str) -> None:
     """Tensions (m, n_a) [N] against time [s]."""
-    lines = axes.plot(time, tension, linewidth=1.0)
-    axes.legend(
-        lines, [f"{i + 1}" for i in range(len(lines))], frameon=False, ncols=5, fontsize="small", title="tendon", title_fontsize="small"
-    )
+    axes.plot(time, tension, linewidth=1.0, label=[f"{i + 1}" for i in range(tension.shape[1])])
+    axes.legend(frameon=False, ncols=5, fontsize="small", title="tendon", title_fontsize="small")
     axes.set(xlabel="time [s]", ylabel="tension [N]", title=title)
     axes.grid(alpha=0.3)
 

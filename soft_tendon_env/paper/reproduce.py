@@ -11,7 +11,7 @@ from types import ModuleType
 
 from soft_tendon_env.evaluation.provenance import write_json
 from soft_tendon_env.paper import shape, tip, validation
-from soft_tendon_env.paper.report import Result, claims_table
+from soft_tendon_env.paper.report import Result
 
 MODULES: Mapping[int, ModuleType] = {2: validation, 3: shape, 4: shape, 5: tip, 6: tip}
 
@@ -21,7 +21,7 @@ def reproduce(figures: tuple[int, ...], seconds: float, out: Path) -> dict[Modul
     modules = list(dict.fromkeys(MODULES[figure] for figure in figures))
     results = {module: module.reproduce(seconds, out) for module in modules}
     for result in results.values():
-        print(f"\n{tables_of(result)}")
+        print(f"\n{result.tables}")
     claims = [claim for result in results.values() for claim in result.claims]
     print(f"\n{sum(not claim.holds for claim in claims)} of {len(claims)} claims missed")
     numbers = {name: value for result in results.values() for name, value in result.numbers.items()}
@@ -35,10 +35,5 @@ def document(results: Mapping[ModuleType, Result]) -> str:
     sections = list[str]()
     for module, result in results.items():
         title, _, text = (module.__doc__ or "").partition("\n\n")
-        sections += [f"## {title.rstrip('.')}", text.strip(), tables_of(result)]
+        sections += [f"## {title.rstrip('.')}", text.strip(), result.tables]
     return "\n\n".join(sections)
-
-
-def tables_of(result: Result) -> str:
-    """Table of claims, and the further ones of a result."""
-    return "\n\n".join(filter(None, [claims_table(result.claims), result.more]))

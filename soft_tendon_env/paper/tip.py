@@ -14,7 +14,6 @@ of the closed loop at its equilibrium for a target at rest. "Later" is the secon
 """
 
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -84,8 +83,7 @@ def reproduce(seconds: float, folder: Path) -> Result:
         draw(name, models[name], motions, folder / f"figure_{SHOWN[name]}.png")
     numbers = {name: summary(motion, duration) for name, motion in motions.items()}
     real_parts = {name: real_parts_around(models[name], inverse) for name, (*_, inverse) in DESIGNS.items()}
-    tables = f"{variants(numbers, real_parts)}\n\n{sampled(numbers)}"
-    return Result(claims(numbers), {"tip_error": numbers, "largest_real_parts_1_per_s": real_parts}, tables)
+    return Result(claims(numbers), {"tip_error": numbers, "largest_real_parts_1_per_s": real_parts}, tables(numbers, real_parts))
 
 
 def tip_error(motion: Motion) -> np.ndarray:
@@ -121,7 +119,10 @@ def claims(numbers: dict[str, dict[str, float]]) -> list[Claim]:
         found.append(Claim(f"{SHOWN[name]}(b)", f"strengths high at first, then smooth, {name}", text, calm))
     full, under = (numbers[name] for name in (FULL, UNDER))
     better = full["late_rms_mm"] <= under["late_rms_mm"]
-    return [*found, Claim("5, 6", "slightly better when fully actuated", f"later {late(full)} against {late(under)}", better)]
+    return [
+        *found,
+        Claim("5, 6", "slightly better when fully actuated", f"{outcome(full)} against {outcome(under).removeprefix('later ')}", better),
+    ]
 
 
 def staying_below(figure: str, name: str, numbers: dict[str, float]) -> Claim:
@@ -142,11 +143,9 @@ def soon_below(figure: str, name: str, numbers: dict[str, float]) -> Claim:
 
 
 def outcome(numbers: dict[str, float]) -> str:
-    return f"later {late(numbers)}" if "late_rms_mm" in numbers else f"breaks down after {numbers['until_s']:.2f} s"
-
-
-def late(numbers: dict[str, float]) -> str:
-    return f"{numbers['late_rms_mm']:.2g} mm (rms), {numbers['late_largest_mm']:.2g} mm at most"
+    if "late_rms_mm" not in numbers:
+        return f"breaks down after {numbers['until_s']:.2f} s"
+    return f"later {numbers['late_rms_mm']:.2g} mm (rms), {numbers['late_largest_mm']:.2g} mm at most"
 
 
 def real_parts_around(model: ste.Model, left_inverse: LeftInverse) -> list[float]:
@@ -156,35 +155,28 @@ def real_parts_around(model: ste.Model, left_inverse: LeftInverse) -> list[float
     """
     parts = []
     for pose in COURSE.sample(CIRCLE.period / PLACES * np.arange(PLACES, dtype=np.float64)).tip_pose:
-        q = ste.tension_for_tip_pose(model, pose).q
+        q, target = ste.tension_for_tip_pose(model, pose).q, TipPoseTarget(pose, np.zeros(6), np.zeros(6))
         for inverse in dict.fromkeys((energy_left_inverse, left_inverse)):
-            loop = ClosedLoop(model, law_of(inverse, partial(_standing, pose)))
+            loop = ClosedLoop(model, law_of(inverse, lambda t, target=target: target))
             q = loop.equilibrium(q)
         parts.append(loop.largest_real_part(q))
     return parts
 
 
-def _standing(pose: np.ndarray, t: float) -> TipPoseTarget:
-    return TipPoseTarget(pose, np.zeros(6), np.zeros(6))
-
-
-def variants(numbers: dict[str, dict[str, float]], real_parts: dict[str, list[float]]) -> str:
-    """A table of the designs."""
-    rows = [
+def tables(numbers: dict[str, dict[str, float]], real_parts: dict[str, list[float]]) -> tuple[str, str]:
+    """A table of the designs, and one of what acts at the control period."""
+    designs = [
         (scene, passive, INVERSES[inverse], f"{max(real_parts[name]):.2f}", outcome(numbers[name]))
         for name, (scene, passive, inverse) in DESIGNS.items()
     ]
-    header = ("scene", "passive coordinates", "pseudo-inverse", f"largest real part at {PLACES} places [1/s]", "from rest")
-    return markdown_table(header, rows)
-
-
-def sampled(numbers: dict[str, dict[str, float]]) -> str:
-    """A table of what acts at the control period."""
-    rows = [
+    sampled = [
         (scene, "yes" if feedforward else "no", when(numbers[name].get("below_1_mm_from_s", np.inf)), outcome(numbers[name]))
         for name, (scene, feedforward) in TRACKED.items()
     ]
-    return markdown_table((f"every {1e3 * PERIOD:g} ms, scene", "feedforward from statics", "below 1 mm", "from rest"), rows)
+    header = ("scene", "passive coordinates", "pseudo-inverse", f"largest real part at {PLACES} places [1/s]", "from rest")
+    return markdown_table(header, designs), markdown_table(
+        (f"every {1e3 * PERIOD:g} ms, scene", "feedforward from statics", "below 1 mm", "from rest"), sampled
+    )
 
 
 def draw(name: str, model: ste.Model, motions: dict[str, Motion], path: Path) -> None:

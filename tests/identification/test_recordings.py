@@ -104,11 +104,6 @@ def test_repeats_stay_together_when_some_are_held_out(share, count):
     assert len(parts[1]) == count and not seen & unseen
 
 
-def test_holding_out_repeats_of_one_hold_is_refused():
-    with pytest.raises(ValueError, match="leaves nothing to fit to of 3 recordings: those with the same commands stay together"):
-        split(held([1.0], [1.0], [1.0]), "0.9")
-
-
 def test_displacements_beyond_their_limits_are_told(arm, holds, placed, tmp_path):
     path = tmp_path / "pulled.csv"
     path.write_text(holds.read_text().replace("tension_", "displacement_"))

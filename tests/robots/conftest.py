@@ -8,7 +8,6 @@ import pytest
 
 from soft_tendon_env.robots import Measurement
 from soft_tendon_env.robots.clock import Clock, SteppedClock
-from soft_tendon_env.tools.tables import read_table
 
 POSE = np.eye(4)
 POSE[0, 3] = 0.3
@@ -56,15 +55,8 @@ def arm_of_test():
 
 @pytest.fixture(scope="session")
 def columns_of_log():
-    """columns_of_log(path): numbers of a log by the names of its columns, without the rows at rest."""
-
-    def read(path):
-        table = read_table(path)
-        names = [name for name in table.header if name != "hold"]
-        numbers = table.numbers((name, 1.0) for name in names).T
-        return dict(zip(names, numbers[:, numbers[0] >= 0.0], strict=True))
-
-    return read
+    """columns_of_log(path): numbers of a log by the names of its columns, without the row at rest."""
+    return lambda path: np.genfromtxt(path, delimiter=",", names=True)[1:]
 
 
 class Pulling:

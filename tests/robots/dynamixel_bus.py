@@ -11,19 +11,16 @@ import threading
 import time
 import tty
 
+from dynamixel_sdk import PacketHandler
+
 HEADER = b"\xff\xff\xfd\x00"
 READ, WRITE, STATUS, SYNC_READ, SYNC_WRITE, EVERYBODY = 0x02, 0x03, 0x55, 0x82, 0x83, 0xFE
 TORQUE, WATCHDOG, GOALS = 64, 98, range(100, 104)
 
 
 def crc(data):
-    """CRC-16 of Protocol 2.0, bit by bit."""
-    value = 0
-    for byte in data:
-        value ^= byte << 8
-        for _ in range(8):
-            value = (value << 1 ^ 0x8005 if value & 0x8000 else value << 1) & 0xFFFF
-    return value
+    """CRC-16 of Protocol 2.0."""
+    return PacketHandler(2.0).updateCRC(0, data, len(data))
 
 
 class Motor:

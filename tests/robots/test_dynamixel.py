@@ -23,8 +23,8 @@ def bus():
 
 @pytest.fixture
 def connect(bus):
-    """connect(**arguments): the robot on the bus, or on another, whose motors bear longer silence than a busy machine may make."""
-    return lambda bus=bus, **arguments: DynamixelRobot(bus.port, IDS, **{**SPOOL, "watchdog": 2.5, **arguments})
+    """connect(**arguments): the robot on the bus, whose motors bear longer silence than a busy machine may make."""
+    return lambda **arguments: DynamixelRobot(bus.port, IDS, **{**SPOOL, "watchdog": 2.5, **arguments})
 
 
 def test_tensions_are_currents(bus, connect):
@@ -62,40 +62,27 @@ def test_motors_watch_the_bus_and_go_on_when_it_speaks_again(bus, connect):
     assert bus.motors[1].goal_current == 2 and not bus.motors[1].has_stopped
 
 
-def test_lost_motors_and_ports_end_a_run(bus, connect, drawing, pulling):
+@pytest.mark.parametrize("lose", [lambda bus: bus.silent.add(2), lambda bus: bus.unplug()])
+def test_lost_motors_and_ports_end_a_run(lose, bus, connect, drawing, pulling):
     robot = connect(tip_pose=lambda: np.eye(4))
-    report = run_policy(
-        pulling(lambda count: bus.silent.add(2) if count == 5 else None), RobotEnv(drawing(), robot, settle=0.0, patience=50), 3.0
-    )
-    assert "reading failed: " in report.stop.cause and report.stop.slack
-    assert_limp(bus)
-    assert [motor.goal_current for motor in bus.motors.values()] == [0, 0, 0]  # the one that cannot answer hears it still
-
-    other = bus_module.Bus(dict.fromkeys(IDS, 0))
-    robot = connect(other, tip_pose=lambda: np.eye(4))
-    report = run_policy(
-        pulling(lambda count: other.unplug() if count == 5 else None), RobotEnv(drawing(), robot, settle=0.0, patience=50), 3.0
-    )
-    assert "failed: " in report.stop.cause and not report.stop.slack and not report.finished
+    env = RobotEnv(drawing(), robot, settle=0.0, patience=50)
+    report = run_policy(pulling(lambda count: lose(bus) if count == 5 else None), env, 3.0)
+    assert "failed: " in report.stop.cause and not report.finished and report.stop.slack == bool(bus.silent)
+    if report.stop.slack:
+        assert_limp(bus)
+        assert [motor.goal_current for motor in bus.motors.values()] == [0, 0, 0]  # the one that cannot answer hears it still
 
 
-@pytest.mark.cases(
-    "arguments, error, message",
-    [
-        ({"radius": 0.0}, ValueError, "radius should not be 0"),
-        ({"watchdog": 5.0}, ValueError, "watchdog from 0.02 to 2.54 s"),
-        ({"radius": [1.0, 2.0]}, ValueError, "radius"),
-    ],
-)
-def test_bad_arguments_are_refused(arguments, error, message, connect):
-    with pytest.raises(error, match=message):
+@pytest.mark.cases("arguments", [{"radius": 0.0}, {"watchdog": 5.0}, {"radius": [1.0, 2.0]}])
+def test_bad_arguments_are_refused(arguments, connect):
+    with pytest.raises(ValueError, match=next(iter(arguments))):
         connect(**arguments)
 
 
 def test_motors_that_are_not_there_are_named(bus):
     with pytest.raises(ConnectionError, match=f"motor 7 on {bus.port}: .*no status packet"):
-        DynamixelRobot(bus.port, (1, 7), **{**SPOOL, "radius": 0.01})
+        DynamixelRobot(bus.port, (1, 7), 0.01, 1.8)
     with pytest.raises(ConnectionError, match="/dev/none cannot be opened"):
-        DynamixelRobot("/dev/none", (1,), **{**SPOOL, "radius": 0.01})
+        DynamixelRobot("/dev/none", (1,), 0.01, 1.8)
     with pytest.raises(ValueError, match="ids is "):
         DynamixelRobot(bus.port, (1, 1), **SPOOL)
