@@ -28,7 +28,7 @@ from soft_tendon_env.evaluation.metrics import root_mean_square
 from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.evaluation.summaries import bootstrap_interval
 from soft_tendon_env.identification import Estimate, Marker, MarkerSet, identify
-from soft_tendon_env.identification.output import randomize
+from soft_tendon_env.identification.identify import randomize
 from soft_tendon_env.identification.parameters import DELAY, read_parameters
 from soft_tendon_env.policies import load_policy, policy_options
 from soft_tendon_env.robots import RobotEnv, SimulatedRobot, rehearse, run_policy

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from soft_tendon_env.identification import identify
-from soft_tendon_env.identification.output import save_estimate
+from soft_tendon_env.identification.identify import save_estimate
 from soft_tendon_env.scene.file import load_scene
 
 PULLEY = 0.0325  # [m], radius: tension is motor torque / radius

@@ -16,10 +16,9 @@ from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName, episode_steps
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.recording import RecordRollout
-from soft_tendon_env.robots.environment import PATIENCE, REST_SPEED, SETTLE, RobotEnv, robot_of
+from soft_tendon_env.robots.environment import PATIENCE, REST_SPEED, SETTLE, RobotEnv, rehearse, robot_of, run_policy
 from soft_tendon_env.robots.log import check_log
 from soft_tendon_env.robots.protocol import load_robot
-from soft_tendon_env.robots.run import rehearse, run_policy
 from soft_tendon_env.robots.simulated import OF_ARM
 from soft_tendon_env.tools.configuration import parsed_changes
 from soft_tendon_env.tools.messages import UserError

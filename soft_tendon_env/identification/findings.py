@@ -14,7 +14,7 @@ from soft_tendon_env.identification.recordings import COMMANDS, Recording, check
 from soft_tendon_env.tools.types import Array
 
 AT_BOUND = 1e-3  # distance from a bound, of that of both, at which a parameter is at it
-EXACT = 1e-6  # distance of markers, as a share of the rod's length, of data without noise: cameras see 1e-5 at best
+EXACT = 1e-6  # error of data without noise, as a share of the rod's length: cameras see 1e-5 at best
 CORRELATED, FEWEST = 0.3, 100  # correlation of successive residuals that are no noise, and pairs below which it may be chance
 CHANCE, PERMUTATIONS = 0.005, 999  # probability below which residuals follow the commands, and the permutations it is estimated from
 UNLIKELY = 5.0  # factor of a Young's modulus from which a unit may be wrong
@@ -72,6 +72,8 @@ def _misfit_texts(found: Fit, readings: Readings, noise: float | None) -> list[s
     residual, length, texts = np.full(readings.measured.shape, np.nan), readings.plants.model.length, list[str]()
     residual[readings.seen] = found.residual[: int(readings.seen.sum())]
     root = float(np.sqrt(np.nanmean(residual**2)))
+    if root < EXACT * length:  # of simulated data
+        return []
     if noise is not None and root > FAR * noise:
         texts.append(f"Residuals are {1e3 * root:.3g} mm where the noise is {1e3 * noise:.3g} mm: {LACKING}.")
     chance, size = _commands_in_residuals(residual, readings)

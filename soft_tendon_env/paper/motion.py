@@ -100,7 +100,7 @@ def integrate(loop: ClosedLoop, duration: float, label: str) -> Motion:
     found = solve_ivp(rate, (0.0, times[-1]), np.zeros(2 * n), method="Radau", **options)
     states = found.y.T
     tip = np.array([loop.model.tip_pose(x[:n])[:3, 3] for x in states])
-    tension = np.array([loop.law(t, *(qs := np.split(x, 2)), loop.model.terms(*qs)) for t, x in zip(found.t, states, strict=True)])
+    tension = np.array([loop.law(t, x[:n], x[n:], loop.model.terms(x[:n], x[n:])) for t, x in zip(found.t, states, strict=True)])
     return Motion(found.t, states[:, :n], tip, tension)
 
 

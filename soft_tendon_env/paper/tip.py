@@ -119,10 +119,8 @@ def claims(numbers: dict[str, dict[str, float]]) -> list[Claim]:
         found.append(Claim(f"{SHOWN[name]}(b)", f"strengths high at first, then smooth, {name}", text, calm))
     full, under = (numbers[name] for name in (FULL, UNDER))
     better = full["late_rms_mm"] <= under["late_rms_mm"]
-    return [
-        *found,
-        Claim("5, 6", "slightly better when fully actuated", f"{outcome(full)} against {outcome(under).removeprefix('later ')}", better),
-    ]
+    text = f"{outcome(full)} against {outcome(under).removeprefix('later ')}"
+    return [*found, Claim("5, 6", "slightly better when fully actuated", text, better)]
 
 
 def staying_below(figure: str, name: str, numbers: dict[str, float]) -> Claim:
@@ -148,6 +146,11 @@ def outcome(numbers: dict[str, float]) -> str:
     return f"later {numbers['late_rms_mm']:.2g} mm (rms), {numbers['late_largest_mm']:.2g} mm at most"
 
 
+def standing(pose: np.ndarray) -> Callable[[float], TipPoseTarget]:
+    target = TipPoseTarget(pose, np.zeros(6), np.zeros(6))
+    return lambda t: target
+
+
 def real_parts_around(model: ste.Model, left_inverse: LeftInverse) -> list[float]:
     """Largest real parts of the loop's eigenvalues [1/s] at rest, the target standing still at places around the circle.
 
@@ -155,9 +158,9 @@ def real_parts_around(model: ste.Model, left_inverse: LeftInverse) -> list[float
     """
     parts = []
     for pose in COURSE.sample(CIRCLE.period / PLACES * np.arange(PLACES, dtype=np.float64)).tip_pose:
-        q, target = ste.tension_for_tip_pose(model, pose).q, TipPoseTarget(pose, np.zeros(6), np.zeros(6))
+        q = ste.tension_for_tip_pose(model, pose).q
         for inverse in dict.fromkeys((energy_left_inverse, left_inverse)):
-            loop = ClosedLoop(model, law_of(inverse, lambda t, target=target: target))
+            loop = ClosedLoop(model, law_of(inverse, standing(pose)))
             q = loop.equilibrium(q)
         parts.append(loop.largest_real_part(q))
     return parts

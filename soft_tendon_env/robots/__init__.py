@@ -3,9 +3,8 @@
 from typing import TYPE_CHECKING, Any
 
 from soft_tendon_env.robots.clock import Timing
-from soft_tendon_env.robots.environment import RobotEnv
+from soft_tendon_env.robots.environment import Report, RobotEnv, rehearse, run_policy
 from soft_tendon_env.robots.protocol import Measurement, Robot, load_robot
-from soft_tendon_env.robots.run import Report, rehearse, run_policy
 from soft_tendon_env.robots.safety import RobotStopped, Stop
 from soft_tendon_env.robots.simulated import SimulatedRobot
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.identification import MarkerSet, identify
 from soft_tendon_env.identification.fit import fit
-from soft_tendon_env.identification.output import save_estimate
+from soft_tendon_env.identification.identify import save_estimate
 from soft_tendon_env.identification.parameters import read_parameters
 from soft_tendon_env.identification.readings import Plants, Readings
 from soft_tendon_env.identification.recordings import Recording, read_recordings

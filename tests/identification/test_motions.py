@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.identification import identify
-from soft_tendon_env.identification.output import randomize
+from soft_tendon_env.identification.identify import randomize
 
 LAG, DELAY, FRICTION = 0.05, 0.033, 0.4
 PERIOD = 0.01

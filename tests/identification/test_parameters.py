@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.identification.fit import Intervals
+from soft_tendon_env.identification.identify import randomize
 from soft_tendon_env.identification.markers import Marker, MarkerSet
-from soft_tendon_env.identification.output import randomize
 from soft_tendon_env.identification.parameters import read_parameters
 from soft_tendon_env.identification.readings import Plants
 from soft_tendon_env.model.build import build_model
