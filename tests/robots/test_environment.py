@@ -10,7 +10,6 @@ import pytest
 from soft_tendon_env.robots import RobotEnv, SimulatedRobot
 from soft_tendon_env.tools.configuration import ConfigurationError
 
-SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 ELASTIC = {"scene": "three_tendon", "effects.tendon_elasticity": {"stiffness": 1e4, "displacement_limits": [-0.01, 0.02]}}
 LATE = {"scene": "three_tendon", "effects.actuators": {"time_constant": 0.02, "delay": 0.04}}
 
@@ -78,7 +77,6 @@ def test_a_robot_that_was_stopped_truncates_and_begins_again(arm_of_test, drawin
     "options, changes, message",
     [
         ({"observation": "full"}, {}, "without q (coordinates), q_dot (rates), tip_twist (tip_twist), which is observed. Controllers"),
-        ({"observation": "measurable", "sensors": 2}, {}, "without strain (strain), which is observed."),
         ({}, {"senses": ("tendon_length",)}, "without tip_pose (the errors of the task)"),
         ({}, {"command_unit": "m"}, "which takes 'm', and the scene's arm takes 'N'"),
         ({"randomize": {"stiffness": 0.9}}, {}, "the option randomize should have no more than the noise"),
