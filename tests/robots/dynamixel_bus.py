@@ -4,6 +4,7 @@ Frames are FF FF FD 00, id, length (2), instruction, parameters, CRC-16 (polynom
 "Protocol 2.0". The tables of registers are the X series'.
 """
 
+import contextlib
 import os
 import pty
 import struct
@@ -71,17 +72,15 @@ class Bus:
 
     def _serve(self):
         buffer = b""
-        while True:
-            try:
+        with contextlib.suppress(OSError):  # where the port has hung up
+            while True:
                 buffer += os.read(self._master, 1024)
-            except OSError:
-                return
-            while (start := buffer.find(HEADER)) >= 0 and len(buffer) >= start + 7:
-                end = start + 7 + struct.unpack_from("<H", buffer, start + 5)[0]
-                if len(buffer) < end:
-                    break
-                self._take(buffer[start:end])
-                buffer = buffer[end:]
+                while (start := buffer.find(HEADER)) >= 0 and len(buffer) >= start + 7:
+                    end = start + 7 + struct.unpack_from("<H", buffer, start + 5)[0]
+                    if len(buffer) < end:
+                        break
+                    self._take(buffer[start:end])
+                    buffer = buffer[end:]
 
     def _take(self, frame):
         assert crc(frame[:-2]) == struct.unpack("<H", frame[-2:])[0]
