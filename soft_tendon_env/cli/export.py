@@ -1,8 +1,8 @@
 """`soft-tendon export`: a trained agent as one ONNX file, from measurements in SI units to commands, checked against the original."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import gymnasium as gym
@@ -67,18 +67,20 @@ def run(arguments: Sequence[str]) -> None:
 
 def compare_with_original(policy: Policy, env: gym.Env[Any, Any], path: Path) -> None:
     """Table of what the file takes, and of its difference from the original. Raises UserError where it is another policy."""
-    from soft_tendon_env.export.check import ALLOWED, Agent, compare, record
+    import onnx
 
-    recorded, agent = record(policy, env), Agent(path)
-    found, metadata = compare(agent, recorded), agent.metadata
-    inputs = [(name, str(tuple(of["shape"])), of["unit"], of["description"]) for name, of in metadata["inputs"].items()]
-    print(markdown_table(("input", "shape", "unit", "description"), inputs))
+    from soft_tendon_env.export.agent import METADATA
+    from soft_tendon_env.export.check import ALLOWED, compare
+
+    metadata = next(json.loads(entry.value) for entry in onnx.load(path).metadata_props if entry.key == METADATA)
+    inputs = [(name, str(tuple(of["shape"])), of["unit"]) for name, of in metadata["inputs"].items()]
+    print(markdown_table(("input", "shape", "unit"), inputs))
     unit, rate = metadata["command"]["unit"], 1.0 / metadata["control_period_s"]
-    print(f"\nOutput: the command [{unit}] of {len(metadata['command']['least'])} tendons, {rate:g} times a second.")
-    print(f"Largest difference of commands on {len(recorded):,} recorded observations, and median time of an action; {machine()}\n")
-    header = ("runner", f"difference [{unit}]", "of the range", "of a largest action", "time [ms]")
-    exported = ("onnxruntime", *map(number, (found.command, found.of_range, found.of_action, 1e3 * found.seconds)))
-    original = ("original", "", "", "", number(1e3 * median(period.seconds for period in recorded)))
-    print(markdown_table(header, [exported, original]))
+    print(f"\nOutput: the command [{unit}] of {len(metadata['command']['limits'])} tendons, {rate:g} times a second.")
+    found = compare(path, policy, env)
+    print(f"Largest difference of commands on {found.observations:,} observations, and median time of an action; {machine()}\n")
+    exported = ("onnxruntime", *map(number, (found.command, found.of_range, 1e3 * found.seconds)))
+    original = ("original", "", "", number(1e3 * found.original_seconds))
+    print(markdown_table(("runner", f"difference [{unit}]", "of the range", "time [ms]"), [exported, original]))
     if found.of_range > ALLOWED:
         raise UserError(f"{path}: commands differ from the original's by more than {ALLOWED:g} of their range")
