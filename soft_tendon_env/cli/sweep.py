@@ -8,7 +8,7 @@ from pathlib import Path
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.pages import Page
-from soft_tendon_env.learning.sweep import Sweep, tail, train_all
+from soft_tendon_env.learning.sweep import Sweep, train_all
 from soft_tendon_env.tools.messages import UserError, describe
 
 STOPPED = "stopped: the same command goes on"
@@ -40,14 +40,14 @@ def run(arguments: Sequence[str]) -> None:
     from soft_tendon_env.learning.curves import show_curves
 
     with parser.mistakes():
-        failed = [] if settings.only_plot else train_all(settings.jobs(out), settings.workers, settings.cluster)
+        failed = {} if settings.only_plot else train_all(settings.jobs(out), settings.workers, settings.cluster)
     tables = show_curves(out, settings.names, None if settings.only_plot else settings.all_seeds)
     for task, table in tables.items():
         try:
             page.write(f"sweep {task}", table)
         except ValueError as error:
             raise UserError(describe(error)) from error
-    for job in failed:
-        print(f"\nfailed: {' '.join(job.command)}\n{tail(job.log)}", file=sys.stderr)
+    for job, error in failed.items():
+        print(f"\nfailed: {job.folder}\n{error}", file=sys.stderr)
     if failed or not tables:
         sys.exit(1)

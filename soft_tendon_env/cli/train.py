@@ -80,16 +80,15 @@ def run(arguments: Sequence[str]) -> None:
 
 def train_with_rllib(parser: Parser[Train], settings: Train, training: Training, folder: Path, checkpoint: Path | None) -> None:
     """Trains on a cluster, or on a Ray of its own, which ends with it."""
-    from soft_tendon_env.learning.rllib import train
-    from soft_tendon_env.learning.rllib.settings import rllib_settings
+    from soft_tendon_env.learning.rllib import RllibTraining, make_config
 
     runners = RUNNERS if settings.runners is None else settings.runners
     with ExitStack() as stack:
         with parser.mistakes():
-            rllib_settings(training, runners)
+            make_config(training, runners)
             writable_folder(folder)
             stack.enter_context(ray_cluster(settings.cluster, runners, f"{runners} runners"))
-            learning = train.RllibTraining(training, folder, runners, checkpoint)
+            learning = RllibTraining(training, folder, runners, checkpoint)
         announce(settings, training, folder, checkpoint)
         learning.learn()
 

@@ -48,8 +48,8 @@ def run(arguments: Sequence[str]) -> None:
     settings = parser.read(arguments)
     with parser.mistakes():
         require("tuning", *(["rllib"] if settings.cluster else []))
-        from soft_tendon_env.tuning.study import Work, open_study
-        from soft_tendon_env.tuning.tune import compare, read_search, tune
+        from soft_tendon_env.tuning.search import read_search
+        from soft_tendon_env.tuning.study import Work, compare, open_study, tune
 
         path = find_config(settings.config, PREFIX)
         search = read_search(path, settings.set, **({} if settings.trials is None else {"trials": settings.trials}))

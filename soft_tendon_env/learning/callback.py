@@ -16,7 +16,7 @@ from soft_tendon_env.policies.protocol import Policy
 
 
 class TrainingCallback(TrainingMonitor, BaseCallback):
-    """Monitor of a training with Stable-Baselines3. Raises ValueError."""
+    """Monitor of a training with Stable-Baselines3. Raises ValueError, OSError."""
 
     def __init__(self, training: Training, folder: Path, checkpoint: Path | None) -> None:
         BaseCallback.__init__(self)
@@ -34,8 +34,9 @@ class TrainingCallback(TrainingMonitor, BaseCallback):
     def save(self, folder: Path, config: Mapping[str, Any], resumable: bool) -> None:
         save_checkpoint(folder, self.model, config, resumable=resumable)
 
-    def log(self, row: Mapping[str, float]) -> None:
-        for name, value in row.items():
+    def evaluate(self) -> None:
+        super().evaluate()
+        for name, value in self.curve[-1].items():
             if name not in ("steps", "seconds"):
                 self.logger.record(f"evaluation/{name}", value)
         self.logger.dump(self.num_timesteps)

@@ -22,7 +22,6 @@ TABLE = {
     "options": SMALL,
     "normalise": {"observations": True},
     "evaluation": {"every": 128, "episodes": 2, "skip": 0.2},
-    "checkpoint_every": 64,
 }
 
 

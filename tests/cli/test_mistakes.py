@@ -58,7 +58,7 @@ FILES = [
     ("train", ("{config}", "--set", "evaluation.skip=5"), "it should be at least one control period, 0.02 s, and skip, which is 5"),
     ("train", ("{config}", "--set", "arms=1000000000", "--set", "steps=9"), "arms is 1000000000: it should be less than or equal to"),
     ("train", ("{config}", "--set", "learning_rate=[1, -1]"), "learning_rate[1] is -1: it should be greater than or equal to 0"),
-    ("train", ("{config}", "--set", "hyperparameters.n_steps=0"), "PPO cannot be made of these hyperparameters: "),
+    ("train", ("{config}", "--set", "hyperparameters.n_steps=0"), "hyperparameters.n_steps is 0: it should be a number at least 1"),
     ("train", ("{config}", "--set", "hyperparameters.n_steps.x=3"), "small.toml, changed: hyperparameters.n_steps.x cannot be set"),
     ("train", ("{config}", "--set", "arms=2", "steps=300", "--set", "arms=3"), "--set has arms, which is given twice"),
     ("train", ("none.toml",), "none.toml: cannot be read: No such file or directory"),
