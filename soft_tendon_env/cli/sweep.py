@@ -34,20 +34,21 @@ def run(arguments: Sequence[str]) -> None:
     out = Path(settings.out)
     with parser.mistakes():
         require("agents", "pictures", *(["rllib"] if settings.cluster else []))
-        markers = () if settings.only_plot else [f"sweep {task}" for task in settings.tasks()]
+        jobs = [] if settings.only_plot else settings.jobs(out)
+        markers = [f"sweep {task}" for task in dict.fromkeys(job.training.task for job in jobs)]
         page = Page(settings.write_docs, markers, "of each training", ["soft_tendon_env/learning"])
         writable_folder(out)
     from soft_tendon_env.learning.curves import show_curves
 
     with parser.mistakes():
-        failed = {} if settings.only_plot else train_all(settings.jobs(out), settings.workers, settings.cluster)
+        failed = train_all(jobs, settings.workers, settings.cluster) if jobs else {}
     tables = show_curves(out, settings.names, None if settings.only_plot else settings.all_seeds)
     for task, table in tables.items():
         try:
             page.write(f"sweep {task}", table)
         except ValueError as error:
             raise UserError(describe(error)) from error
-    for job, error in failed.items():
-        print(f"\nfailed: {job.folder}\n{error}", file=sys.stderr)
+    for folder, error in failed.items():
+        print(f"\nfailed: {folder}\n{error}", file=sys.stderr)
     if failed or not tables:
         sys.exit(1)

@@ -61,7 +61,7 @@ def run(arguments: Sequence[str]) -> None:
     with parser.mistakes():
         require("agents" if settings.engine == "sb3" else "rllib")
         from soft_tendon_env.learning import train
-        from soft_tendon_env.learning.callback import TrainingCallback
+        from soft_tendon_env.learning.monitor import TrainingCallback
 
         path = find_config(settings.config)
         seed = {} if settings.seed is None else {"seed": settings.seed}

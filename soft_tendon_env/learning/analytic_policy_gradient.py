@@ -18,7 +18,6 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
-from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
 from stable_baselines3.common.utils import safe_mean
 from stable_baselines3.common.vec_env import VecNormalize
@@ -190,19 +189,17 @@ class APG(BaseAlgorithm):
         self._returns += found.reward.sum(0).numpy()
         self._lengths += self.settings.n_steps
         over = rows.timed_out | found.diverged.any(0).numpy() | all_rows
-        if not over.any():
-            return
-        for row in np.flatnonzero(over).tolist():
-            self.ep_info_buffer.append({"r": float(self._returns[row]), "l": int(self._lengths[row])})  # type: ignore[union-attr]
+        for total, length in zip(self._returns[over].tolist(), self._lengths[over].tolist(), strict=True):
+            self.ep_info_buffer.append({"r": total, "l": length})  # type: ignore[union-attr]
         self._returns[over], self._lengths[over] = 0.0, 0
-        rows.reset(options={"reset_mask": over})
+        if over.any():
+            rows.reset(options={"reset_mask": over})
 
     def _log(self) -> None:
         seconds = max(1e-9 * (time.time_ns() - self.start_time), sys.float_info.epsilon)
         self.logger.record("time/fps", int((self.num_timesteps - self._num_timesteps_at_start) / seconds))
         for name, key in (("ep_rew_mean", "r"), ("ep_len_mean", "l")):
-            if self.ep_info_buffer:
-                self.logger.record(f"rollout/{name}", safe_mean([episode[key] for episode in self.ep_info_buffer]))
+            self.logger.record(f"rollout/{name}", safe_mean([episode[key] for episode in self.ep_info_buffer or ()]))
         self.logger.record("time/total_timesteps", self.num_timesteps, exclude="tensorboard")
         self.logger.dump(self.num_timesteps)
 
@@ -210,19 +207,15 @@ class APG(BaseAlgorithm):
         return ["policy", "policy.optimizer"], []
 
 
-def normalised(observation: Any, statistics: VecNormalize | None) -> Any:
-    """Observations as VecNormalize makes them, as tensors that carry gradients."""
+def normalised(observation: Any, statistics: VecNormalize | None, moments: Any = None) -> Any:
+    """Observations as VecNormalize makes them, as tensors that carry gradients; moments: of a part of a dictionary."""
     if statistics is None or not statistics.norm_obs:
         return observation
-    moments: Any = statistics.obs_rms  # by key, where observations are dictionaries
+    moments = moments or statistics.obs_rms
     if isinstance(observation, dict):
-        return {key: _scaled(value, moments[key], statistics) for key, value in observation.items()}
-    return _scaled(observation, moments, statistics)
-
-
-def _scaled(values: torch.Tensor, moments: RunningMeanStd, statistics: VecNormalize) -> torch.Tensor:
+        return {key: normalised(value, statistics, moments[key]) for key, value in observation.items()}
     mean, deviation = torch.as_tensor(moments.mean), torch.as_tensor(np.sqrt(moments.var + statistics.epsilon))
-    return torch.clamp((values - mean) / deviation, -statistics.clip_obs, statistics.clip_obs).to(values.dtype)
+    return torch.clamp((observation - mean) / deviation, -statistics.clip_obs, statistics.clip_obs).to(observation.dtype)
 
 
 def update_statistics(statistics: VecNormalize | None, seen: list[Any]) -> None:

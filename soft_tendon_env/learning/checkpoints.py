@@ -1,16 +1,14 @@
 """Checkpoints of a training, atomic: one replaces the one before only when it is complete, so that a killed training can go on.
 
 A checkpoint is a folder with the agent, as `load_policy` takes it without unpickling: `weights.pt`, `statistics.npz` and `config.json`,
-which has the digests of the other files. What a training goes on from has the model with its optimiser (`model.zip`), `vecnormalize.pkl`,
-the environment in the midst of its episodes with the generators (`environment.pkl`) and, of algorithms that have some, what was seen
-(`replay_buffer.pkl`) as well; these are unpickled when it goes on, and only then.
+which has the digests of the other files. What a training goes on from has the other files too, which are unpickled then, and only then.
 """
 
 import pickle
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,7 +17,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from soft_tendon_env.evaluation.provenance import origin, write_json
 from soft_tendon_env.learning.config import Training
-from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, unwrapped
+from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.agent import save_agent
 from soft_tendon_env.policies.agent_checks import layout_of, strain_of
 from soft_tendon_env.policies.agent_files import CONFIG
@@ -32,26 +30,19 @@ LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts", "action_space
 """Attributes of a model that belong to the environment as it is."""
 
 
-class Midst(NamedTuple):
-    """An environment in the midst of its episodes, with all else that the next step of a training depends on."""
+def midst_of(model: BaseAlgorithm) -> dict[str, Any]:
+    """Environment of a model in the midst of its episodes, with all else that the next step of its training depends on."""
+    statistics, last = statistics_of(model), {name: getattr(model, name) for name in LAST}
+    generators = torch.get_rng_state(), np.random.get_state()
+    return {"env": unwrapped(statistics), "returns": statistics.returns, "last": last, "generators": generators}
 
-    env: StableBaselinesVecEnv
-    returns: Any  # (rows,) discounted, as VecNormalize has them
-    last: dict[str, Any]  # see LAST
-    generators: tuple[Any, Any]  # states of those of PyTorch and NumPy
 
-    @classmethod
-    def of(cls, model: BaseAlgorithm) -> "Midst":
-        """Environment of a model as it is now, with the generators."""
-        statistics, last = statistics_of(model), {name: getattr(model, name) for name in LAST}
-        return cls(unwrapped(statistics), statistics.returns, last, (torch.get_rng_state(), np.random.get_state()))
-
-    def restore(self, model: BaseAlgorithm) -> None:
-        """Let a model on this environment go on from there."""
-        statistics_of(model).returns = self.returns
-        vars(model).update(self.last)
-        torch.set_rng_state(self.generators[0])
-        np.random.set_state(self.generators[1])
+def restore(model: BaseAlgorithm, midst: dict[str, Any]) -> None:
+    """Let a model on the environment of `midst_of` go on from there."""
+    statistics_of(model).returns = midst["returns"]
+    vars(model).update(midst["last"])
+    torch.set_rng_state(midst["generators"][0])
+    np.random.set_state(midst["generators"][1])
 
 
 def config_record(training: Training, episodes: Any) -> dict[str, Any]:
@@ -68,7 +59,7 @@ def save_checkpoint(folder: Path, model: BaseAlgorithm, config: Mapping[str, Any
         if resumable:
             model.save(new / MODEL)
             statistics_of(model).save(str(new / PICKLED))
-            (new / ENVIRONMENT).write_bytes(pickle.dumps(Midst.of(model)))
+            (new / ENVIRONMENT).write_bytes(pickle.dumps(midst_of(model)))
             if hasattr(model, "save_replay_buffer"):
                 model.save_replay_buffer(new / BUFFER)
 

@@ -18,20 +18,15 @@ from soft_tendon_env.tools.configuration import Configuration, ConfigurationErro
 from soft_tendon_env.tools.files import configs_folder
 from soft_tendon_env.tools.types import NotNegative, Positive
 
-MOST_ARMS = 100_000
-"""More arms than Stable-Baselines3 can look after in minutes."""
+MOST_ARMS = 100_000  # more than Stable-Baselines3 can look after in minutes
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class Normalisation(Configuration):
-    """Normalisation by VecNormalize of Stable-Baselines3: running mean and standard deviation.
+    """Normalisation by VecNormalize of Stable-Baselines3: whether observations are less their running mean and over their standard
+    deviation so far, and rewards over that of the discounted return.
 
-    By default observations keep the scales that the environment gives them. Under running statistics a few arms that whirl change what
-    all others see, and by that the gains of the policy.
-
-    Attributes:
-        observations: less their running mean, divided by their standard deviation so far.
-        rewards: divided by the standard deviation of the discounted return so far.
+    By default observations keep the scales of the environment: under running statistics arms that whirl change what all others see.
     """
 
     observations: bool = False
@@ -61,10 +56,9 @@ class Training(Configuration):
         learning_rate: a number, or (first, last) with a straight line between them.
         hyperparameters: further arguments of the algorithm, by Stable-Baselines3's names; `activation_fn` is a name in torch.nn.
         options: options of the environment, see `soft_tendon_env.envs.Options`.
-        integral_time: [s], integral action around the agent once it acts, see policies/integral.py. It learns without, and is evaluated
-            with. None: none.
-        hindsight: hindsight experience replay (HER), for off-policy algorithms on tasks with goals: for each transition as it was, so many
-            with goals reached later. 0: none.
+        integral_time: [s], integral action around the agent once it acts and is evaluated, see policies/integral.py; None: none.
+        hindsight: goals reached later that each transition gets besides its own: hindsight experience replay, for off-policy algorithms on
+            tasks with goals; 0: none.
     """
 
     task: TaskName
@@ -82,10 +76,7 @@ class Training(Configuration):
     evaluation: Evaluation = Evaluation()
 
     def arm_seed(self, done: int = 0) -> int:
-        """First arm's seed for `reset`, of a training that has done so many steps; those of the others follow, one apart.
-
-        Other ones for every training and every part of it, above all that policies are judged on.
-        """
+        """First arm's seed for `reset`, of a training that has done so many steps; those of others follow. No two trainings share any."""
         return SEEDS["training"].start + int(np.random.SeedSequence((self.seed, done)).generate_state(1, np.uint64)[0] >> np.uint64(16))
 
     @field_validator("algorithm")
@@ -136,10 +127,7 @@ def config_names(prefix: str = "") -> tuple[str, ...]:
 
 
 def find_config(name_or_path: str | Path, prefix: str = "") -> Path:
-    """Path of the file of a training that ships (or of another kind, by its prefix), by its name, or of any other, by its path.
-
-    Raises ConfigurationError.
-    """
+    """Path of the file of a training that ships (or of another kind, by its prefix), or of any other file. Raises ConfigurationError."""
     name, names = str(name_or_path), config_names(prefix)
     if name in names and not Path(name).is_file():
         return configs_folder() / f"{prefix}{name}.toml"

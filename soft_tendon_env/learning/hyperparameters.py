@@ -16,11 +16,11 @@ TRAINED = ("PPO", "SAC", "TQC", "CrossQ")
 """Algorithms of Stable-Baselines3 and sb3-contrib to train with."""
 APG, DAGGER = "APG", "DAgger"
 MODULES: Mapping[str, str] = {APG: "soft_tendon_env.learning.analytic_policy_gradient", DAGGER: "soft_tendon_env.learning.imitation"}
-"""Modules of the package's own algorithms, each a class with the interface of Stable-Baselines3's `BaseAlgorithm`, by its name."""
+"""Modules of the package's own algorithms by their names, each a `BaseAlgorithm` with its settings as `settings_class`."""
 NOT_IN_FILES = frozenset(
-    "self policy env learning_rate seed device verbose tensorboard_log settings _init_setup_model observation_space action_space lr_schedule "
-    "normalize_images rollout_buffer_class rollout_buffer_kwargs replay_buffer_class replay_buffer_kwargs optimize_memory_usage action_noise "
-    "cost features_extractor_class features_extractor_kwargs optimizer_class".split()
+    "self policy env learning_rate seed device verbose tensorboard_log settings _init_setup_model observation_space action_space "
+    "lr_schedule normalize_images rollout_buffer_class rollout_buffer_kwargs replay_buffer_class replay_buffer_kwargs action_noise cost "
+    "optimize_memory_usage features_extractor_class features_extractor_kwargs optimizer_class".split()
 )
 """Arguments of algorithms and policies that a training gives, or that are objects, which no file can say."""
 RANGES: Mapping[str, tuple[float, float]] = {

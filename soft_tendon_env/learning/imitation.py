@@ -12,7 +12,6 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
@@ -68,17 +67,14 @@ class DAggerSettings:
 class Teacher:
     """A controller per row that knows the row's arm, actuators, delay and state: the catalogue's `tracking`, without integral.
 
-    Where commands are late, a copy of the arms gets those on their way first (Smith predictor, all rows at once). settling_time: of the
-    controllers [s].
-    Raises ValueError where commands are no tensions, or arrive late by the scene rather than by `randomize`, and where the options'
-    preview is shorter than what it needs to know of the target.
+    Where commands are late, a copy of the arms gets those on their way first (Smith predictor, all rows at once). settling_time: [s].
+    Raises ValueError where commands are no tensions, or late by the scene rather than by `randomize`, and for too short a preview.
     """
 
     def __init__(self, episodes: Episodes, settling_time: float) -> None:
         effects = episodes.model.scene.effects
         if not effects.command_tension or effects.actuators is not None:
-            text = "a teacher needs a scene whose commands are tensions that act as they are"
-            raise ValueError(f"{text}, without tendon_elasticity and actuators")
+            raise ValueError("a teacher needs commands that are tensions and act as they are, without tendon_elasticity and actuators")
         self.episodes, self._settling_time = episodes, settling_time
         self._copy = Arms(episodes.model, episodes.size, episodes.period, np.empty(0), np.empty(0), threads=1)
         self._laws: list[Controller | None] = [None] * episodes.size
@@ -137,76 +133,17 @@ class Teacher:
         return Reference(ahead, tip_position=pose[:, :3, 3]) if episodes.task.goal else Reference(ahead, tip_pose=pose)
 
 
-class Dataset:
-    """Aggregated dataset: observations, and what the teacher would have done there."""
-
-    def __init__(self) -> None:
-        self._observations: list[Any] = []
-        self._wanted: list[NDArray[np.float32]] = []
-
-    def append(self, observation: Any, wanted: Array) -> None:
-        """Add the observations of all rows, new arrays at every step, and the answers (rows, n_a)."""
-        self._observations.append(observation)
-        self._wanted.append(wanted.astype(np.float32))
-
-    def teach(self, model: "DAgger", rate: float) -> float:
-        """Mean loss of the last epoch of regressing the policy's mean on all that was shown so far: Huber's loss, a rate that falls from
-        `rate` along a line.
-
-        Meanwhile features are less their mean and over their standard deviation, which then becomes part of the first layer.
-        """
-        policy: Any = model.policy
-        with torch.no_grad():
-            seen = policy.extract_features(policy.obs_to_tensor(_joined(self._observations))[0], policy.pi_features_extractor)
-        wanted = torch.as_tensor(np.concatenate(self._wanted)).to(seen.device)
-        actor = torch.nn.Sequential(*policy.mlp_extractor.policy_net, policy.action_net)
-        first = next(layer for layer in actor if isinstance(layer, torch.nn.Linear))
-        mean, deviation = seen.mean(0), seen.std(0) + LEAST_DEVIATION
-        with torch.no_grad():
-            seen = (seen - mean) / deviation
-            first.bias.add_(first.weight @ mean)
-            first.weight.mul_(deviation)
-        optimizer = torch.optim.Adam(actor.parameters(), lr=rate)
-        epochs = model.settings.n_epochs
-        batches = [part for _ in range(epochs) for part in _parts(len(wanted), model.settings.batch_size, model.generator)]
-        found = []
-        for index, part in enumerate(batches):
-            optimizer.param_groups[0]["lr"] = rate * (1.0 - (1.0 - LAST_RATE) * index / len(batches))
-            optimizer.zero_grad()
-            error = loss(actor(seen[part]), wanted[part])
-            error.backward()
-            found.append(error.item())
-            torch.nn.utils.clip_grad_norm_(actor.parameters(), 1.0)
-            optimizer.step()
-        with torch.no_grad():
-            first.weight.div_(deviation)
-            first.bias.sub_(first.weight @ mean)
-        return float(np.mean(found[-len(found) // epochs :]))
-
-
 def loss(means: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
     """Huber loss, in which a mean beyond the bounds is right where the teacher is at them."""
     means = torch.where(wanted >= 1.0, means.clamp(max=1.0), torch.where(wanted <= -1.0, means.clamp(min=-1.0), means))
     return torch.nn.functional.smooth_l1_loss(means, wanted, beta=EXACT)
 
 
-def _joined(observations: list[Any]) -> Any:
-    if isinstance(observations[0], dict):
-        return {key: np.concatenate([observation[key] for observation in observations]) for key in observations[0]}
-    return np.concatenate(observations)
-
-
-def _parts(size: int, batch: int, generator: np.random.Generator) -> list[torch.Tensor]:
-    order = generator.permutation(size)
-    return [torch.as_tensor(order[start : start + batch]) for start in range(0, size, batch)]
-
-
 class DAgger(BaseAlgorithm):
-    """Dataset aggregation (DAgger): an agent learns to act as a teacher would that knows each arm and its state, from its own observation.
+    """Dataset aggregation (DAgger) with the interface of Stable-Baselines3 and PPO's policies, of which the critic learns nothing.
 
     In every round the teacher says what it would do in each control period, while a share of the episodes is led by it and the others by
-    the agent; then the agent's mean is regressed on all that was said so far. It has the interface of Stable-Baselines3 and PPO's policies,
-    of which the critic learns nothing.
+    the agent; then the agent's mean is regressed on all that was said so far.
 
     Args:
         env: vector environment of this package, see `make_sb3_vec_env`.
@@ -231,7 +168,8 @@ class DAgger(BaseAlgorithm):
         **general: Any,
     ) -> None:
         super().__init__(policy, env, learning_rate, policy_kwargs, support_multi_env=True, **general)
-        self.settings, self.generator, self._shown = settings or DAggerSettings(), np.random.default_rng(self.seed), Dataset()
+        self.settings, self.generator = settings or DAggerSettings(), np.random.default_rng(self.seed)
+        self._shown: list[tuple[Any, Array]] = []  # observations of all rows, and the answers (rows, n_a), by control period
         if _init_setup_model:
             self._setup_model()
 
@@ -267,7 +205,7 @@ class DAgger(BaseAlgorithm):
             if not self._watch(end, periods, callback):
                 break
             callback.on_rollout_end()
-            self.logger.record("train/loss", self._shown.teach(self, self.lr_schedule(self._current_progress_remaining)))
+            self.logger.record("train/loss", self._teach(self.lr_schedule(self._current_progress_remaining)))
             if number % log_interval == 0:
                 self.logger.dump(self.num_timesteps)
         callback.on_training_end()
@@ -275,14 +213,13 @@ class DAgger(BaseAlgorithm):
 
     def _watch(self, end: int, periods: int, callback: BaseCallback) -> bool:
         """Act until control period `end` of `periods`, while the teacher says what it would do; False where the callback ends it."""
-        env = self.env
-        assert env is not None
+        env: Any = self.env
         if self._teacher is None or self._teacher.episodes is not unwrapped(env).env.episodes:  # another one was set
             self._teacher = self._begun()
         observation: Any = self._last_obs
         for done in range(self.num_timesteps // self.n_envs, end):
             wanted = self._teacher.actions()
-            self._shown.append(observation, wanted)
+            self._shown.append((observation, wanted))
             own = self.predict(observation, deterministic=True)[0]
             noise = self.settings.noise * self.generator.standard_normal(wanted.shape)
             actions = np.clip(np.where(self._leads[:, None], wanted, own) + noise, -1.0, 1.0).astype(np.float32)
@@ -297,8 +234,42 @@ class DAgger(BaseAlgorithm):
                 return False
         return True
 
+    def _teach(self, rate: float) -> float:
+        """Mean loss of the last epoch of regressing the policy's mean on all that was shown, at a rate that falls from `rate` along a line.
+
+        Meanwhile features are less their mean and over their standard deviation, which then becomes part of the first layer.
+        """
+        policy: Any = self.policy
+        observations, answers = zip(*self._shown, strict=True)
+        keys = [*observations[0]] if isinstance(observations[0], dict) else []
+        joined: Any = {key: np.concatenate([seen[key] for seen in observations]) for key in keys} or np.concatenate(observations)
+        wanted = torch.as_tensor(np.concatenate(answers), dtype=torch.float32)
+        actor = torch.nn.Sequential(*policy.mlp_extractor.policy_net, policy.action_net)
+        first = next(layer for layer in actor if isinstance(layer, torch.nn.Linear))
+        with torch.no_grad():
+            seen = policy.extract_features(policy.obs_to_tensor(joined)[0], policy.pi_features_extractor)
+            mean, deviation = seen.mean(0), seen.std(0) + LEAST_DEVIATION
+            seen = (seen - mean) / deviation
+            first.bias.add_(first.weight @ mean)
+            first.weight.mul_(deviation)
+        epochs, batch = self.settings.n_epochs, self.settings.batch_size
+        optimizer, found = torch.optim.Adam(actor.parameters(), lr=rate), list[float]()
+        orders = (torch.as_tensor(self.generator.permutation(len(wanted))).split(batch) for _ in range(epochs))
+        for index, part in enumerate(batches := [part for order in orders for part in order]):
+            optimizer.param_groups[0]["lr"] = rate * (1.0 - (1.0 - LAST_RATE) * index / len(batches))
+            optimizer.zero_grad()
+            error = loss(actor(seen[part]), wanted[part])
+            error.backward()
+            found.append(error.item())
+            torch.nn.utils.clip_grad_norm_(actor.parameters(), 1.0)
+            optimizer.step()
+        with torch.no_grad():
+            first.weight.div_(deviation)
+            first.bias.sub_(first.weight @ mean)
+        return float(np.mean(found[-len(found) // epochs :]))
+
     def save_replay_buffer(self, path: str | Path) -> None:
-        """Write all that was shown so far, with what teacher and leads remember: a training goes on from these."""
+        """Write all that was shown so far, with what teacher and leads remember."""
         save_to_pkl(path, (self._shown, self._leads, self._teacher and self._teacher.memories))
 
     def load_replay_buffer(self, path: str | Path) -> None:

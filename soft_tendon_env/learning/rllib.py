@@ -26,21 +26,12 @@ from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.learning.checkpoints import config_record, replace_checkpoint
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.monitor import TrainingMonitor
-from soft_tendon_env.policies.agent import NetworkPolicy, save_agent
+from soft_tendon_env.policies.agent import save_agent
 from soft_tendon_env.policies.network import Architecture, algorithm_class, new_network
-from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 
-COUNTERPARTS = {
-    "batch_size": "minibatch_size",
-    "clip_range": "clip_param",
-    "ent_coef": "entropy_coeff",
-    "gae_lambda": "lambda_",
-    "gamma": "gamma",
-    "max_grad_norm": "grad_clip",
-    "n_epochs": "num_epochs",
-    "vf_coef": "vf_loss_coeff",
-}
+COUNTERPARTS = {"batch_size": "minibatch_size", "clip_range": "clip_param", "ent_coef": "entropy_coeff", "gae_lambda": "lambda_"}
+COUNTERPARTS |= {"gamma": "gamma", "max_grad_norm": "grad_clip", "n_epochs": "num_epochs", "vf_coef": "vf_loss_coeff"}
 """Arguments of `PPOConfig.training` by those of PPO of Stable-Baselines3 that mean the same."""
 ELSEWHERE = ("n_steps", "policy_kwargs", "target_kl")
 """Hyperparameters that go into the size of a batch, into the network, and into RLlib's penalty on the divergence of policies."""
@@ -88,21 +79,19 @@ def make_config(training: Training, runners: int, done: int = 0) -> PPOConfig:
         problems.append(Problem(("arms",), f"is {training.arms}: it should be a multiple of the {runners} runners, which share them"))
     if problems:
         raise ConfigurationError(problems, "with RLlib")
-    rate, target_kl = training.learning_rate, value["target_kl"]
+    rate, target_kl, seed = training.learning_rate, value["target_kl"], (training.seed + done) % 2**31
     register_env("soft_tendon_env", make_runner_env)
-    config = PPOConfig().environment(
-        "soft_tendon_env",
-        env_config={"training": training, "seed": training.arm_seed(done)},
-        clip_actions=True,  # as Stable-Baselines3 does: noise is added before, and its likelihood is that of what was asked for
-        normalize_actions=False,
-    )
-    config = config.env_runners(
+    module = RLModuleSpec(module_class=ActorCriticModule, model_config={"network": value["policy_kwargs"] or {}})
+    arms = {"training": training, "seed": training.arm_seed(done)}
+    config = PPOConfig().learners(num_learners=0).rl_module(rl_module_spec=module).debugging(seed=seed, log_level="ERROR")
+    config.environment("soft_tendon_env", env_config=arms, clip_actions=True, normalize_actions=False)  # as Stable-Baselines3 does
+    config.env_runners(
         num_env_runners=runners,
         num_envs_per_env_runner=training.arms // max(runners, 1),
         gym_env_vectorize_mode="vector_entry_point",
         rollout_fragment_length=value["n_steps"],
     )
-    config = config.training(
+    return config.training(
         **{name: value[own] for own, name in COUNTERPARTS.items()},
         train_batch_size_per_learner=value["n_steps"] * training.arms,
         lr=rate if isinstance(rate, float) else [[0, rate[0]], [training.steps, rate[1]]],
@@ -111,9 +100,6 @@ def make_config(training: Training, runners: int, done: int = 0) -> PPOConfig:
         kl_target=target_kl or 0.01,
         vf_clip_param=float("inf"),
     )
-    module = RLModuleSpec(module_class=ActorCriticModule, model_config={"network": value["policy_kwargs"] or {}})
-    seed = (training.seed + done) % 2**31
-    return config.learners(num_learners=0).rl_module(rl_module_spec=module).debugging(seed=seed, log_level="ERROR")
 
 
 class ActorCriticModule(TorchRLModule, ValueFunctionAPI):
@@ -138,7 +124,7 @@ class RllibTraining(TrainingMonitor):
 
     def __init__(self, training: Training, folder: Path, runners: int, checkpoint: Path | None) -> None:
         super().__init__(training, folder, checkpoint)
-        self.runners, self._done, envs = runners, self.began, self.validation.envs
+        self.runners, self._done, envs = runners, self.began, self.envs
         torch.set_num_threads(1)
         self.algorithm: PPO = make_config(training, runners, self._done).build_algo()
         if checkpoint is not None:
@@ -149,14 +135,11 @@ class RllibTraining(TrainingMonitor):
     def steps_done(self) -> int:
         return self._done
 
-    def network(self) -> torch.nn.Module:
+    def network(self) -> Any:
         """The learner's weights, in a network without Ray."""
         state = self.algorithm.learner_group.get_weights([DEFAULT_MODULE_ID])[DEFAULT_MODULE_ID]
         self._network.load_state_dict({name.removeprefix("policy."): torch.as_tensor(value) for name, value in state.items()})
         return self._network
-
-    def agent(self) -> Policy:
-        return NetworkPolicy(self.network())
 
     def save(self, folder: Path, config: Mapping[str, Any], resumable: bool) -> None:
         def write(new: Path) -> None:
@@ -171,16 +154,16 @@ class RllibTraining(TrainingMonitor):
         if self._done >= self.training.steps:
             print(f"done before: {self._done} steps")
             return
-        self.begin({**config_record(self.training, episodes_of(self.validation.envs)), "engine": RLLIB, "runners": self.runners})
+        self.begin({**config_record(self.training, episodes_of(self.envs)), "engine": RLLIB, "runners": self.runners})
         try:
             while self._done < self.training.steps:
                 if self._done > self.began:
                     self.between_rollouts()
                 self._done = int(self.algorithm.train()["num_env_steps_sampled_lifetime"])
-            self.end()
+            self.between_rollouts(ends=True)
         except ValueError:
             self.check()  # what is not finite ends in errors of PyTorch
             raise
         finally:
-            self.close()
-        self.report(note=f" with {self.runners} runners")
+            self.bar.close()
+        self.report()

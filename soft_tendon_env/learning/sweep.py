@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from pydantic import Field, model_validator
 
-from soft_tendon_env.learning.config import find_config, read_training
+from soft_tendon_env.learning.config import Training, find_config, read_training
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, parsed_changes
 from soft_tendon_env.tools.parallel import run_all
 
@@ -42,7 +42,7 @@ class Sweep(Configuration):
     def _fits(self) -> "Sweep":
         for name in self.names:
             if self.names.count(name) > 1:
-                text = f"has {name} twice: another configuration is called {name} too, and so would be its folder"
+                text = f"has two files {name}.toml: another configuration is called {name} too, and so would be its folder"
                 raise ConfigurationError([Problem(("configs",), text)])
         if "seed" in parsed_changes(self.set):
             raise ConfigurationError([Problem(("set",), "has seed: --seeds and --first-seed say which there are")])
@@ -59,27 +59,17 @@ class Sweep(Configuration):
         return list(range(self.first_seed, self.first_seed + self.seeds))
 
     def jobs(self, out: Path) -> list["Job"]:
-        """Runs, seed by seed, so that mistakes of any configuration show early, and all have come equally far."""
-        configs = [find_config(config) for config in self.configs]
-        return [
-            Job(config.absolute(), seed, out.absolute() / config.stem / f"seed_{seed}", self.set)
-            for seed in self.all_seeds
-            for config in configs
-        ]
-
-    def tasks(self) -> list[str]:
-        """Tasks of the configurations. Raises ConfigurationError where one cannot be trained."""
-        found = [read_training(find_config(config), self.set, seed=self.all_seeds[-1]) for config in self.configs]
-        return list(dict.fromkeys(training.task for training in found))
+        """Runs, seed by seed, so that all have come equally far. Raises ConfigurationError where one cannot be trained."""
+        files = [find_config(config) for config in self.configs]
+        pairs = ((file, read_training(file, self.set, seed=seed)) for seed in self.all_seeds for file in files)
+        return [Job(training, out.absolute() / file.stem / f"seed_{training.seed}") for file, training in pairs]
 
 
 class Job(NamedTuple):
-    """One run: a configuration with a seed, its folder, what is changed of the configuration. Paths are absolute."""
+    """One run: a training, and its folder."""
 
-    config: Path
-    seed: int
+    training: Training
     folder: Path
-    changes: tuple[str, ...]
 
 
 def run_job(job: Job) -> str | None:
@@ -89,16 +79,14 @@ def run_job(job: Job) -> str | None:
     job.folder.mkdir(parents=True, exist_ok=True)
     with open(job.folder / "train.log", "a") as log, redirect_stdout(log), redirect_stderr(log):
         try:
-            training = read_training(job.config, job.changes, seed=job.seed)
-            train.train(training, job.folder, train.checkpoint_to_resume(job.folder, training, resume=True))
+            train.train(job.training, job.folder, train.checkpoint_to_resume(job.folder, job.training, resume=True))
         except Exception:
-            traceback.print_exc()
             return traceback.format_exc()
     return None
 
 
-def train_all(jobs: Sequence[Job], workers: int, cluster: str | None = None) -> dict[Job, str]:
-    """Runs all, at most `workers` at once, and returns the errors of those that failed. What still runs when this is left, by Ctrl-C too,
-    is stopped. Raises ValueError where the Ray cluster cannot be reached."""
+def train_all(jobs: Sequence[Job], workers: int, cluster: str | None = None) -> dict[Path, str]:
+    """Runs all, at most `workers` at once, and returns the errors of those that failed by folder. What still runs when this is left, by
+    Ctrl-C too, is stopped. Raises ValueError where the Ray cluster cannot be reached."""
     errors = run_all(run_job, jobs, workers, "sweep", cluster=cluster)
-    return {job: error for job, error in zip(jobs, errors, strict=True) if error is not None}
+    return {job.folder: error for job, error in zip(jobs, errors, strict=True) if error is not None}

@@ -22,11 +22,10 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation.provenance import versions
-from soft_tendon_env.learning.callback import TrainingCallback
-from soft_tendon_env.learning.checkpoints import BUFFER, ENVIRONMENT, MODEL, PICKLED, Midst, find_checkpoint, read_checkpoint
+from soft_tendon_env.learning.checkpoints import BUFFER, ENVIRONMENT, MODEL, PICKLED, find_checkpoint, read_checkpoint, restore
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.hyperparameters import training_class
-from soft_tendon_env.learning.monitor import Watch
+from soft_tendon_env.learning.monitor import TrainingCallback, Watch
 from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env
 from soft_tendon_env.policies.agent_files import CONFIG
 from soft_tendon_env.policies.network import policy_arguments
@@ -94,7 +93,8 @@ def learn(model: BaseAlgorithm, callback: TrainingCallback) -> None:
         callback.check()  # what is not finite ends in errors of PyTorch
         raise
     finally:
-        callback.close()
+        if callback.bar is not None:
+            callback.bar.close()
     if isinstance(model, OffPolicyAlgorithm) and not model._n_updates:
         say(f"{training.algorithm} has made no update: see learning_starts, gradient_steps and train_freq of its hyperparameters")
     callback.report()
@@ -134,15 +134,14 @@ def make_model(training: Training) -> BaseAlgorithm:
 
 def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
     """Agent of a checkpoint, with all that it needs to learn on. Loading runs what is in its files. Raises ValueError, OSError."""
-    midst: Midst = pickle.loads((checkpoint / ENVIRONMENT).read_bytes())
-    statistics = VecNormalize.load(str(checkpoint / PICKLED), midst.env)
-    rate = learning_rate(training)
+    midst, rate = pickle.loads((checkpoint / ENVIRONMENT).read_bytes()), learning_rate(training)
+    statistics = VecNormalize.load(str(checkpoint / PICKLED), midst["env"])
     kept = {"learning_rate": rate, "lr_schedule": rate}
     model: BaseAlgorithm = training_class(training.algorithm).load(checkpoint / MODEL, env=statistics, device="cpu", custom_objects=kept)
     if hasattr(model, "load_replay_buffer"):
         whole = {"truncate_last_traj": False} if isinstance(model, OffPolicyAlgorithm) else {}
         model.load_replay_buffer(checkpoint / BUFFER, **whole)
-    midst.restore(model)
+    restore(model, midst)
     return model
 
 

@@ -17,7 +17,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from soft_tendon_env.cli import errors
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.learning import callback, train
+from soft_tendon_env.learning import monitor, train
 from soft_tendon_env.learning.config import read_training
 from soft_tendon_env.policies.normalization import normalization_of, save_normalization
 from soft_tendon_env.tools.messages import UserError
@@ -111,7 +111,7 @@ def test_folders_that_a_training_does_not_go_on_in(refused, config, copied, dama
 def test_an_agent_whose_weights_are_lost_replaces_no_checkpoint(config, run, tmp_path):
     training = read_training(config, ["steps=256"])
     before = (run / "last" / "model.zip").read_bytes()
-    model, learning = train.model_of(training, run / "last"), callback.TrainingCallback(training, run, run / "last")
+    model, learning = train.model_of(training, run / "last"), monitor.TrainingCallback(training, run, run / "last")
     with torch.no_grad():
         next(model.policy.parameters()).fill_(torch.nan)
     with pytest.raises(UserError, match="after 128 steps the agent's weights are no longer finite"):
@@ -122,7 +122,7 @@ def test_an_agent_whose_weights_are_lost_replaces_no_checkpoint(config, run, tmp
 def test_a_disk_that_is_full_leaves_the_checkpoint_before(config, run, monkeypatch):
     training = read_training(config, ["steps=256"])
     before = {path: path.read_bytes() for path in (run / "last").iterdir()}
-    model, learning = train.model_of(training, run / "last"), callback.TrainingCallback(training, run, run / "last")
+    model, learning = train.model_of(training, run / "last"), monitor.TrainingCallback(training, run, run / "last")
 
     def fail(path):
         path.write_bytes(b"half of it")

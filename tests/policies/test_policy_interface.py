@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.vec_env import VecMonitor
+from stable_baselines3.common.vec_env import VecNormalize
 
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.envs import IDS
@@ -21,7 +21,7 @@ FAST = {"scene": "three_tendon", "fidelity": "fast"}
 
 def test_the_interface_is_the_same_however_the_environment_is_wrapped(short):
     envs = [short(kind, IDS["TipPose"]) for kind in ("single", "vector", "sb3")]
-    monitored = VecMonitor(make_sb3_vec_env(IDS["TipPose"], 2, monitor=False, preview=PREVIEW, **FAST))
+    monitored = VecNormalize(make_sb3_vec_env(IDS["TipPose"], 2, preview=PREVIEW, **FAST))
     for env in (*envs, gym.wrappers.TimeLimit(envs[0], 3), monitored):
         found = interface_of(env)
         assert found.layout.slices == interface_of(envs[0]).layout.slices
