@@ -17,17 +17,16 @@ STOPPED = "stopped: the same command goes on with the trials that are missing"
 
 
 class Tune(Configuration):
-    """Search for the best parameters of a training or a controller, and compare them with the defaults on other episodes.
+    """Search for the best parameters of a training or a controller.
 
     Attributes:
         config: name of a search that ships (listed below), or path of a TOML file.
         trials: number of trials of the study, overrides the file.
-        set: overrides the file, dotted keys with values as in TOML, such as seconds=2.0 pruner=hyperband.
+        set: overrides the file, dotted keys with values as in TOML, such as seconds=2.0.
         workers: trials side by side.
         cluster: address of a Ray cluster that runs them, or "auto" for the one of this machine, whose machines all see the folder.
         storage: journal file or database URL (sqlite:///..., mysql://..., postgresql://...) of the study, which machines that run the same
             command share (default: OUT/study.log).
-        compare: compare the best with the defaults on other episodes.
         out: folder for results (default: out/tune/CONFIG).
     """
 
@@ -37,7 +36,6 @@ class Tune(Configuration):
     workers: int = Field(default=1, ge=1)
     cluster: str | None = None
     storage: str | None = None
-    compare: bool = True
     out: str | None = None
 
 
@@ -49,7 +47,7 @@ def run(arguments: Sequence[str]) -> None:
     with parser.mistakes():
         require("tuning", *(["rllib"] if settings.cluster else []))
         from soft_tendon_env.tuning.search import read_search
-        from soft_tendon_env.tuning.study import Work, compare, open_study, tune
+        from soft_tendon_env.tuning.study import Work, open_study, tune
 
         path = find_config(settings.config, PREFIX)
         search = read_search(path, settings.set, **({} if settings.trials is None else {"trials": settings.trials}))
@@ -58,6 +56,4 @@ def run(arguments: Sequence[str]) -> None:
         open_study(work)
     print(f"{search.trials} trials of {path.stem} into {folder}; {machine()}")
     with parser.mistakes():
-        best = tune(work, settings.workers, settings.cluster)
-        if settings.compare:
-            print(f"on other episodes: {compare(work, best, settings.workers, settings.cluster)}")
+        tune(work, settings.workers, settings.cluster)

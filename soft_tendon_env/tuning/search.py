@@ -1,9 +1,10 @@
 """What is searched for: parameters of a controller or keys of a training, as a file such as configs/tune_predictive.toml says.
 
-Either way a trial makes a policy of values, and its cost [m] is the mean of `tracking_cost` over episodes.
+Either way a trial makes a policy of values, and its cost [m] is that of `validation_error` over episodes.
 """
 
 import json
+import shutil
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -15,9 +16,8 @@ from optuna.distributions import BaseDistribution, CategoricalDistribution, Floa
 from pydantic import Field, model_validator
 
 from soft_tendon_env.evaluation.conditions import SEEDS, SETTINGS
-from soft_tendon_env.evaluation.play import validation_scores
+from soft_tendon_env.evaluation.play import validation_error
 from soft_tendon_env.evaluation.settings import RegimeNames, SettingNames, TaskName
-from soft_tendon_env.evaluation.summaries import tracking_cost
 from soft_tendon_env.learning.config import Training, find_config
 from soft_tendon_env.policies import load_policy
 from soft_tendon_env.policies.agent_files import EnvironmentOptions
@@ -35,12 +35,11 @@ from soft_tendon_env.tools.configuration import (
     plain,
     read_toml,
 )
-from soft_tendon_env.tools.types import Array, NotNegative, Positive
+from soft_tendon_env.tools.types import NotNegative, Positive
 
 Report = Callable[[float], None]
 """Takes the cost [m] of a trial so far; raises optuna.TrialPruned where it is not worth going on."""
-BLOCK = 3
-"""Episodes in each condition between two reports of a trial's cost."""
+BLOCK = 3  # episodes in each condition between two reports
 
 
 class Parameter(Configuration):
@@ -54,9 +53,10 @@ class Parameter(Configuration):
     @model_validator(mode="after")
     def _is_a_range(self) -> "Parameter":
         try:
-            assert bool(self.choices) != (self.low is not None and self.high is not None), "it should have low and high, or choices"
+            if bool(self.choices) == (self.low is not None and self.high is not None):
+                raise ValueError("it should have low and high, or choices")
             _ = self.distribution
-        except (AssertionError, ValueError) as error:
+        except ValueError as error:
             raise ConfigurationError([Problem((), f"is no range: {error}")]) from error
         return self
 
@@ -70,9 +70,7 @@ class Parameter(Configuration):
 
     def contains(self, value: Any) -> bool:
         """Whether a value is within the range."""
-        if self.choices:
-            return list(value) in map(list, self.choices) if isinstance(value, list) else value in self.choices
-        return isinstance(value, int | float) and self.low <= value <= self.high  # type: ignore[operator]
+        return value in self.choices if self.choices else isinstance(value, int | float) and self.low <= value <= self.high  # type: ignore
 
 
 Plan = tuple[Callable[[Any], Policy], list[dict[str, Any]], str, float, float]
@@ -100,27 +98,23 @@ class Search(Configuration, ABC):
         """Values of the searched parameters where nothing is tuned, which the first trial has."""
 
     @abstractmethod
-    def plan(self, values: Mapping[str, Any], folder: Path, report: Report, again: bool) -> Plan:
-        """How to play with these values of parameters. again: for a comparison, with other random numbers than the trials had."""
+    def plan(self, values: Mapping[str, Any], folder: Path, report: Report) -> Plan:
+        """How to play with these values of parameters. folder: for what is learned."""
 
     @abstractmethod
     def file(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Tables of a file that uses these values."""
 
-    def costs(self, values: Mapping[str, Any], folder: Path, report: Report | None = None) -> Array:
-        """Costs [m] (episodes,) of values on the tuning seeds, reported block by block; without `report` on the evaluation seeds.
-
-        folder: for what a trial leaves. Raises what `report` raises, ValueError, UserError.
-        """
-        tell, costs = report or (lambda cost: None), list[float]()
-        seeds = SEEDS["evaluation"] if report is None else SEEDS["tuning"][: self.episodes]
-        make, conditions, task, seconds, skip = self.plan(values, folder, tell, again=report is None)
+    def cost(self, values: Mapping[str, Any], folder: Path, report: Report) -> float:
+        """Mean cost [m] of values over the tuning seeds, reported block by block. Raises what `report` raises, ValueError, UserError."""
+        seeds, costs = SEEDS["tuning"][: self.episodes], list[float]()
+        make, conditions, task, seconds, skip = self.plan(values, folder, report)
         for start in range(0, len(seeds), BLOCK):
             block = seeds[start : start + BLOCK]
-            found = (validation_scores(make, task, options, block, seconds, skip) for options in conditions)
-            costs += np.mean([[tracking_cost([score]) for score in scores] for scores in found], axis=0).tolist()
-            tell(float(np.mean(costs)))
-        return np.array(costs)
+            found = [validation_error(make, task, options, block, seconds, skip) for options in conditions]
+            costs += [float(np.mean(found))] * len(block)
+            report(float(np.mean(costs)))
+        return float(np.mean(costs))
 
 
 class ControllerSearch(Search):
@@ -162,7 +156,7 @@ class ControllerSearch(Search):
         name = self._named({})
         return {key: {**name.defaults, **name.parameters}[key] for key in self.search}
 
-    def plan(self, values: Mapping[str, Any], folder: Path, report: Report, again: bool) -> Plan:
+    def plan(self, values: Mapping[str, Any], folder: Path, report: Report) -> Plan:
         name, base, found = self._named(values), self.options.get("scene", "paper"), []
         for setting in map(SETTINGS.__getitem__, self.settings):
             for regime in self.regimes or (None,):
@@ -190,6 +184,10 @@ class TrainingSearch(Search):
 
     @model_validator(mode="after")
     def _fits(self) -> "TrainingSearch":
+        try:
+            find_config(self.training)
+        except ConfigurationError as error:
+            raise ConfigurationError(Problem(("training",), text) for _, text in error.problems) from error
         for name, parameter in self.search.items():
             for value in parameter.choices or (parameter.low, parameter.high):
                 Training.parse(self.file({name: value}), self.training)
@@ -199,14 +197,14 @@ class TrainingSearch(Search):
     def defaults(self) -> dict[str, Any]:
         return {name: _at(self.file({}), name) for name in self.search}
 
-    def plan(self, values: Mapping[str, Any], folder: Path, report: Report, again: bool) -> Plan:
+    def plan(self, values: Mapping[str, Any], folder: Path, report: Report) -> Plan:
         from soft_tendon_env.learning import train
 
-        table = self.file(values)
-        training = Training.parse({**table, "seed": table.get("seed", 0) + again}, self.training)
-        folder.mkdir(parents=True, exist_ok=True)
-        checkpoint = train.checkpoint_to_resume(folder, training, resume=True)
-        train.train(training, folder, checkpoint, lambda row: report(next(row[name] for name in row if name.endswith("_rms"))))
+        training = Training.parse(self.file(values), self.training)
+        try:
+            train.train(training, folder, watch=lambda row: report(next(row[name] for name in row if name.endswith("_rms"))))
+        finally:
+            shutil.rmtree(folder / "last", ignore_errors=True)  # nothing goes on from it
         make = partial(load_policy, str(folder / "best"))
         return make, [training.options], training.task, training.seconds, training.evaluation.skip
 

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import optuna
 import tomli_w
 from optuna.samplers import TPESampler
@@ -14,12 +13,10 @@ from optuna.storages import JournalStorage, get_storage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial, TrialState
 
-from soft_tendon_env.evaluation.summaries import Tails, bootstrap_interval, interquartile_mean
 from soft_tendon_env.evaluation.tables import markdown_table, number, write_csv
 from soft_tendon_env.tools.configuration import shown
 from soft_tendon_env.tools.messages import UserError, first_line
 from soft_tendon_env.tools.parallel import run_all
-from soft_tendon_env.tools.types import Array
 from soft_tendon_env.tuning.search import Search
 
 DONE = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.FAIL)
@@ -52,8 +49,8 @@ def open_study(work: Work) -> optuna.Study:
     own = work.search.model_dump(mode="json", exclude={"trials"})
     if begun is None:
         study.set_user_attr("search", own)
-        space = work.search.search
-        within = {name: value for name, value in work.search.defaults.items() if space[name].contains(value)}
+        space, defaults = work.search.search, work.search.defaults
+        within = {name: value for name, value in defaults.items() if space[name].contains(value)}
         first = {name: json.dumps(value) if space[name].choices else value for name, value in within.items()}
         study.enqueue_trial(first, skip_if_exists=True)
     elif changed := [key for key in own if begun.get(key) != own[key]]:
@@ -81,7 +78,7 @@ def run_trial(work: Work) -> None:
     folder = work.folder / f"trial_{trial.number}"
     try:
         with into_log(folder):
-            cost = float(np.mean(work.search.costs(decoded(work, trial.params), folder, report)))
+            cost = work.search.cost(decoded(work, trial.params), folder, report)
     except optuna.TrialPruned:
         study.tell(trial, state=TrialState.PRUNED)
     except BaseException as error:
@@ -124,35 +121,10 @@ def tune(work: Work, workers: int, cluster: str | None = None) -> FrozenTrial:
         errors = [trial.user_attrs["error"] for trial in trials if "error" in trial.user_attrs]
         raise UserError(f"none of {len(trials)} trials was successful" + (f", the first: {errors[0]}" if errors else ""))
     print(f"{len(trials)} trials: {len(complete)} complete, {sum(trial.state is TrialState.PRUNED for trial in trials)} pruned\n")
-    best = [(str(trial.number), number(MILLIMETRES * (trial.value or 0.0)), *map(_short, trial.params.values())) for trial in complete]
+    shown_values = ([f"{value:.4g}" if isinstance(value, float) else str(value) for value in trial.params.values()] for trial in complete)
+    costs = (number(MILLIMETRES * (trial.value or 0.0)) for trial in complete)
+    best = [(str(trial.number), cost, *values) for trial, cost, values in zip(complete, costs, shown_values, strict=True)]
     print(f"{markdown_table(('trial', 'cost [mm]', *complete[0].params), best[:BEST_SHOWN])}\n")
     (work.folder / "best.toml").write_text(tomli_w.dumps(work.search.file(decoded(work, complete[0].params))))
     print(f"written: {work.folder / 'best.toml'}")
     return complete[0]
-
-
-def _short(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _judge(judged: tuple[Work, Path, dict[str, Any]]) -> Array:
-    work, folder, values = judged
-    with into_log(folder):
-        return work.search.costs(values, folder)
-
-
-def compare(work: Work, best: FrozenTrial, workers: int, cluster: str | None = None) -> str:
-    """The best parameters beside the defaults on other episodes, pair by pair (and seeds of training), in words.
-
-    Interquartile means with their tails, and the interval of their difference. Raises ValueError, UserError.
-    """
-    folders = work.folder / "default", work.folder / f"trial_{best.number}" / "others"
-    judged = [(work, folders[0], {}), (work, folders[1], decoded(work, best.params))]
-    found = [MILLIMETRES * costs for costs in run_all(_judge, judged, workers, "on other episodes", cluster=cluster)]
-    difference = found[1] - found[0]
-    low, high = (float(bound) for bound in bootstrap_interval(difference, axes=np.ndim(difference)))
-    usual, tuned = ((interquartile_mean(costs.ravel()), *Tails.of(costs)) for costs in found)
-    said = "defaults {} mm (mean {}, p90 {}), best {} mm (mean {}, p90 {})".format(*(number(float(cost)) for cost in (*usual, *tuned)))
-    verdict = "better than" if high < 0.0 else "worse than" if low > 0.0 else "not better than"
-    middle = float(interquartile_mean(difference.ravel()))
-    return f"{said}, difference {middle:+.3g} mm [{low:+.3g}, {high:+.3g}]: {verdict} the defaults"

@@ -6,15 +6,14 @@ import sys
 import gymnasium as gym
 import numpy as np
 import pytest
-import torch
 from gymnasium.error import DependencyNotInstalled
 from sb3_contrib import TQC
-from stable_baselines3 import PPO, SAC, HerReplayBuffer
+from stable_baselines3 import PPO, HerReplayBuffer
 from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan, VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan, VecNormalize
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env
@@ -32,22 +31,11 @@ WILD = {  # diverges at random times
 SMALL = {"net_arch": [32, 32]}
 
 
-@pytest.fixture(autouse=True, scope="module")
-def one_thread():
-    """Small networks on few processors."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
-
-
 @pytest.mark.cases(
     "id, options",
     [
         *((id, {}) for id in IDS.values()),
-        *((id, {"observation": "measurable", "sensors": (0.1, 0.2), **FAST}) for id in IDS.values()),
-        (TIP_POSE, {"action": "increment", **FAST}),
-        (REACH, {"reward": "dense", **FAST}),
+        (TIP_POSE, {"observation": "measurable", "sensors": (0.1, 0.2), "action": "increment", **FAST}),
     ],
 )
 def test_its_checker_has_nothing_to_say(id, options):
@@ -169,24 +157,7 @@ def test_frames():
     assert (env.env_method("render", indices=[1])[0] == frames[1]).all()
     height, width, _ = frames[0].shape
     assert env.render().shape == (2 * height, width, 3)
-    blind = make_sb3_vec_env(TIP_POSE, 2, **FAST)
-    with pytest.warns(UserWarning, match="without a render_mode"):
-        assert blind.get_images() == [None, None]
-
-
-def test_vec_monitor_can_take_over(tmp_path):
-    env = VecMonitor(make_sb3_vec_env(REACH, 2, monitor=False, max_episode_steps=3, **FAST), str(tmp_path / "log"), ("position_error",))
-    ours = make_sb3_vec_env(REACH, 2, max_episode_steps=3, **FAST)
-    for each in (env, ours):
-        each.seed(0)
-        each.reset()
-    for _ in range(3):
-        action = np.ones((2, *env.action_space.shape), dtype=np.float32)
-        theirs, mine = env.step(action)[3], ours.step(action)[3]
-    env.close()
-    assert [info["episode"]["l"] for info in theirs] == [3, 3]
-    np.testing.assert_allclose([info["episode"]["r"] for info in theirs], [info["episode"]["r"] for info in mine], atol=1e-6)
-    assert len((tmp_path / "log.monitor.csv").read_text().splitlines()) == 4
+    assert make_sb3_vec_env(TIP_POSE, 2, **FAST).get_images() == [None, None]
 
 
 def test_ppo():
@@ -197,24 +168,16 @@ def test_ppo():
     assert all(0.0 < info["r"] <= 5.0 for info in agent.ep_info_buffer)  # rewards are within [0, 1]
 
 
-def test_sac():
-    env = make_sb3_vec_env(TIP_POSE, 4, max_episode_steps=10, **FAST)
-    agent = SAC("MlpPolicy", env, learning_starts=100, buffer_size=1000, policy_kwargs=dict(SMALL), seed=0, device="cpu").learn(300)
-    assert agent.replay_buffer.timeouts.sum() == agent.replay_buffer.dones.sum() == 4 * 7  # 75 steps of 4 rows
-
-
-@pytest.mark.parametrize("reward", ["sparse", "dense"])
-def test_tqc_with_hindsight(reward, tmp_path):
-    env = make_sb3_vec_env(REACH, 4, max_episode_steps=10, reward=reward, **FAST)
+def test_tqc_with_hindsight():
+    env = make_sb3_vec_env(REACH, 4, max_episode_steps=10, **FAST)
     hindsight = {"replay_buffer_class": HerReplayBuffer, "learning_starts": 100, "buffer_size": 1000, "device": "cpu"}
     agent = TQC("MultiInputPolicy", env, policy_kwargs=dict(SMALL), seed=0, **hindsight).learn(300)
     buffer = agent.replay_buffer
     sample = buffer.sample(256)
     goals = (sample.next_observations[key].numpy() for key in ("achieved_goal", "desired_goal"))
     assert (sample.rewards.numpy()[:, 0] == env.env_method("compute_reward", *goals, None, indices=[0])[0].astype(np.float32)).all()
-    assert sample.rewards.max() == 1.0 or reward == "dense"  # goals in hindsight are reached
-    agent.save(tmp_path / "agent")
-    TQC.load(tmp_path / "agent", env=env, device="cpu").learn(120)
+    assert sample.rewards.max() == 1.0  # goals in hindsight are reached
+    assert (buffer.timeouts.sum(), buffer.dones.sum()) == (4 * 7, 4 * 7)  # 75 steps of 4 rows
 
 
 def test_evaluation(tmp_path):
