@@ -1,6 +1,5 @@
 """`soft-tendon export`: a trained agent as one ONNX file, from measurements in SI units to commands, checked against the original."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -67,17 +66,14 @@ def run(arguments: Sequence[str]) -> None:
 
 def compare_with_original(policy: Policy, env: gym.Env[Any, Any], path: Path) -> None:
     """Table of what the file takes, and of its difference from the original. Raises UserError where it is another policy."""
-    import onnx
-
-    from soft_tendon_env.export.agent import METADATA
     from soft_tendon_env.export.check import ALLOWED, compare
 
-    metadata = next(json.loads(entry.value) for entry in onnx.load(path).metadata_props if entry.key == METADATA)
+    found = compare(path, policy, env)
+    metadata = found.metadata
     inputs = [(name, str(tuple(of["shape"])), of["unit"]) for name, of in metadata["inputs"].items()]
     print(markdown_table(("input", "shape", "unit"), inputs))
     unit, rate = metadata["command"]["unit"], 1.0 / metadata["control_period_s"]
     print(f"\nOutput: the command [{unit}] of {len(metadata['command']['limits'])} tendons, {rate:g} times a second.")
-    found = compare(path, policy, env)
     print(f"Largest difference of commands on {found.observations:,} observations, and median time of an action; {machine()}\n")
     exported = ("onnxruntime", *map(number, (found.command, found.of_range, 1e3 * found.seconds)))
     original = ("original", "", "", number(1e3 * found.original_seconds))

@@ -48,7 +48,7 @@ def run(arguments: Sequence[str]) -> None:
             page.write(f"sweep {task}", table)
         except ValueError as error:
             raise UserError(describe(error)) from error
-    for folder, error in failed.items():
-        print(f"\nfailed: {folder}\n{error}", file=sys.stderr)
+    for folder, text in failed.items():
+        print(f"\nfailed: {folder}\n{text}", file=sys.stderr)
     if failed or not tables:
         sys.exit(1)

@@ -59,7 +59,8 @@ class _ControlPeriod(torch.nn.Module):
 
     def __init__(self, episodes: Episodes, agent: NetworkPolicy, integral: IntegralPolicy | None) -> None:
         super().__init__()
-        self.network, self.normalise = getattr(agent.network, "policy", agent.network), agent.normalise
+        self.network, normalise = getattr(agent.network, "policy", agent.network), agent.normalise
+        self.normalise = normalise if isinstance(normalise, Normalization) else None
         self.episodes, self.integral = episodes, integral
         self.observation, self.scale = TensorObservation(episodes, torch.float32), TensorActuation(episodes.actuation).scale
         start = as_tensors(episodes.start_command, episodes.actuation.start_action)
@@ -93,9 +94,10 @@ class _ControlPeriod(torch.nn.Module):
             grown = self.integral.share * torch.where(way.abs().amax(1, keepdim=True) <= NEAR, way, 0.0)
             total = (given["integral"] + grown).clamp(-MOST, MOST)
             parts[key] = (parts[key].double() + total @ self.shift).float()
-        for key, of in self.normalise.moments.items() if self.normalise else ():  # as Normalization
-            mean, deviation = as_tensors(of.mean, np.sqrt(of.variance + self.normalise.epsilon))
-            parts[key] = ((parts[key] - mean) / deviation).clamp(-self.normalise.clip, self.normalise.clip).float()
+        if (by := self.normalise) is not None:
+            for key, of in by.moments.items():
+                mean, deviation = as_tensors(of.mean, np.sqrt(of.variance + by.epsilon))
+                parts[key] = ((parts[key] - mean) / deviation).clamp(-by.clip, by.clip).float()
         action = self.network._predict(parts.get(BOX, parts), deterministic=True).clamp(-1.0, 1.0).double()
         sent = torch.minimum(torch.maximum(self.scale.wanted(action, command), self.scale.least), self.scale.greatest)
         found = [action, given["started"].clamp(min=1.0), sent, 1.0 * action, past, total]
@@ -128,9 +130,9 @@ def export_agent(policy: Policy, env: gym.Env[Any, Any], origin: Mapping[str, An
         raise ValueError(f"policy should be a trained agent without recurrence, as load_agent gives it, not {type(agent).__name__}")
     check_groups(episodes, arm_tensors(episodes.arms), *as_tensors(episodes.observed.action, episodes.actuation.command))
     module = _ControlPeriod(episodes, agent, integral).eval()
-    names: dict[str, Any] = {"input_names": [*module.inputs], "output_names": module.outputs}
+    options: dict[str, Any] = {"input_names": [*module.inputs], "output_names": module.outputs, "opset_version": OPSET, "dynamo": False}
     with warnings.catch_warnings(action="ignore"), torch.no_grad():  # of the tracer, that sizes are constants: they are
-        torch.onnx.export(module, (*module.inputs.values(),), file, opset_version=OPSET, dynamo=False, **names)
+        torch.onnx.export(module, (*module.inputs.values(),), file, **options)  # type: ignore[arg-type] # takes files too
     model = onnx.load_from_string(file.getvalue())
     used = {name for node in model.graph.node for name in node.input}
     for unused in [of for of in model.graph.input if of.name not in used]:

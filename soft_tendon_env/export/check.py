@@ -1,5 +1,6 @@
 """Check of exported agents: their commands beside those of the original, on what is measured while the original acts."""
 
+import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +13,7 @@ import onnxruntime
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS
 from soft_tendon_env.evaluation.play import play_steps
-from soft_tendon_env.export.agent import measurements
+from soft_tendon_env.export.agent import METADATA, measurements
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.types import Array
 
@@ -22,13 +23,14 @@ ALLOWED = 1e-4
 
 
 class Comparison(NamedTuple):
-    """Largest difference of commands, in their unit and as a share of their range; median times [s] of an action."""
+    """Largest difference of commands, in their unit and as a share of their range; median times [s] of an action; what the file says."""
 
     observations: int
     command: float
     of_range: float
     seconds: float
     original_seconds: float
+    metadata: dict[str, Any]
 
 
 def compare(path: Path, policy: Policy, env: gym.Env[Any, Any], seeds: Sequence[int] = SEEDS, steps: int = STEPS) -> Comparison:
@@ -56,6 +58,7 @@ def compare(path: Path, policy: Policy, env: gym.Env[Any, Any], seeds: Sequence[
             started = time.perf_counter()
             after = dict(zip(names, session.run(names, given), strict=True))
             seconds = time.perf_counter() - started
+    said = json.loads(session.get_modelmeta().custom_metadata_map[METADATA])
     actions, largest = episodes.actuation.actions, np.max(found, axis=0)
     share = largest / (actions.greatest - actions.least)
-    return Comparison(len(found), float(largest.max()), float(share.max()), *np.median(times, axis=0).tolist())
+    return Comparison(len(found), float(largest.max()), float(share.max()), *np.median(times, axis=0).tolist(), said)

@@ -130,7 +130,7 @@ class APG(BaseAlgorithm):
         rows.episodes.arms.check_adjoint()
         return rows
 
-    def learn(self, total_timesteps: int, callback: MaybeCallback = None, log_interval: int = 10, **others: Any) -> "APG":
+    def learn(self, total_timesteps: int, callback: MaybeCallback = None, log_interval: int = 10, **others: Any) -> "APG":  # type: ignore[override]
         """Learn for so many steps of all rows together; log_interval: windows between entries of the log; see `BaseAlgorithm.learn`.
 
         Raises as the class says.

@@ -188,7 +188,7 @@ class DAgger(BaseAlgorithm):
         self._leads = np.ones(self.n_envs, dtype=bool)
         return Teacher(unwrapped(self.env).env.episodes, self.settings.settling_time)
 
-    def learn(self, total_timesteps: int, callback: MaybeCallback = None, log_interval: int = 1, **others: Any) -> Self:
+    def learn(self, total_timesteps: int, callback: MaybeCallback = None, log_interval: int = 1, **others: Any) -> Self:  # type: ignore[override]
         """Learn from what the teacher says in so many steps of all arms together; see `BaseAlgorithm.learn`. A round ends with a row of
         the log, every `log_interval`-th."""
         reset, bar = others.get("reset_num_timesteps", True), others.get("progress_bar", False)

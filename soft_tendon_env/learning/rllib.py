@@ -72,7 +72,9 @@ def make_config(training: Training, runners: int, done: int = 0) -> PPOConfig:
     trains another, and where the arms cannot be shared out among the runners (0: the process that learns has them)."""
     arguments = inspect.signature(algorithm_class("PPO").__init__).parameters
     value = {name: argument.default for name, argument in arguments.items()} | training.hyperparameters
-    strange = [("hyperparameters", name) for name in training.hyperparameters if name not in (*COUNTERPARTS, *ELSEWHERE)]
+    strange: list[tuple[str, ...]] = [
+        ("hyperparameters", name) for name in training.hyperparameters if name not in (*COUNTERPARTS, *ELSEWHERE)
+    ]
     strange += [("algorithm",)] * (training.algorithm != "PPO") + [("normalise", "observations")] * training.normalise.observations
     problems = [Problem(key, "has no counterpart in RLlib's PPO: leave it out, or train with Stable-Baselines3") for key in strange]
     if training.arms % max(runners, 1):

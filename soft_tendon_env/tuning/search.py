@@ -1,6 +1,6 @@
-"""What is searched for: parameters of a controller or keys of a training, as a file such as configs/tune_predictive.toml says.
+"""Searches: parameters of a controller or keys of a training, as a file such as configs/tune_predictive.toml says.
 
-Either way a trial makes a policy of values, and its cost [m] is that of `validation_error` over episodes.
+Either way a trial makes a policy, and its cost [m] is `validation_error` on the tuning seeds.
 """
 
 import json
@@ -74,7 +74,7 @@ class Parameter(Configuration):
 
 
 Plan = tuple[Callable[[Any], Policy], list[dict[str, Any]], str, float, float]
-"""What makes the policy in an environment, options of the environment by condition, task, seconds of an episode, and those left out."""
+"""Maker of a policy in an environment, options of the environment by condition, task, seconds of an episode, and those left out."""
 
 
 class Search(Configuration, ABC):

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from soft_tendon_env.envs import IDS
@@ -24,12 +23,10 @@ def envs(task="TipPose", rows=8, **options):
     return make_sb3_vec_env(IDS[task], rows, threads=1, **{**FAST, "action": "increment", "max_episode_steps": 40, **options})
 
 
-RANDOMISED = {"observation": OBSERVED, "randomize": {"latency": [0.0, 0.03], "stiffness": [0.9, 1.1], "noise": {"position": 1e-4}}}
-
-
-@pytest.mark.parametrize("options", [{"observation": OBSERVED, "history": 2}, RANDOMISED], ids=["nominal", "randomised"])
-def test_errors_fall(options):
+def test_errors_fall():
     """To less than a third within 25,000 steps, at which PPO has not begun to learn."""
+    drawn = {"latency": [0.0, 0.03], "stiffness": [0.9, 1.1], "noise": {"position": 1e-4}}
+    options = {"observation": OBSERVED, "history": 2, "randomize": drawn}
     agent = APG("MlpPolicy", envs(rows=16, **options), learning_rate=2e-3, **SMALL)
     before = error_of(agent, options)
     agent.learn(25_000)
@@ -71,7 +68,6 @@ def test_it_is_saved_loaded_and_goes_on_and_two_seeds_are_alike(tmp_path):
     np.testing.assert_array_equal(loaded.predict(observation, deterministic=True)[0], wanted)
     loaded.learn(256, reset_num_timesteps=False)
     assert loaded.num_timesteps == 768 and not np.array_equal(loaded.predict(observation, deterministic=True)[0], wanted)
-    assert np.isfinite(evaluate_policy(loaded, envs(rows=2), n_eval_episodes=2)[0])
 
 
 class Record(BaseCallback):
@@ -92,13 +88,6 @@ def test_callbacks_are_called_as_by_other_algorithms_and_returns_are_logged():
     assert record.steps == [8 * (period + 1) for period in range(24)] and record.rollouts == 3
     assert [episode["l"] for episode in agent.ep_info_buffer] == [8] * 16
     assert all(0.0 <= episode["r"] <= 8.0 for episode in agent.ep_info_buffer)
-
-
-def test_a_cost_of_ones_own_is_minimised():
-    env = envs(observation=OBSERVED)
-    agent = APG("MlpPolicy", env, learning_rate=1e-2, cost=lambda found: (found.action - 0.5).square().mean(), **SMALL)
-    agent.learn(160 * 8 * 16)
-    assert np.abs(agent.predict(env.reset(), deterministic=True)[0] - 0.5).mean() < 0.05
 
 
 def test_the_cost_grows_as_a_square_near_the_target_and_as_a_logarithm_far_off():

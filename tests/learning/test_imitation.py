@@ -3,10 +3,9 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-import torch
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.learning import config, imitation, monitor, train
+from soft_tendon_env.learning import config, imitation, train
 from soft_tendon_env.learning.vec_env import unwrapped
 
 ARM = {"scene": "three_tendon", "fidelity": "fast"}
@@ -54,13 +53,6 @@ def test_teacher_tracks_on_every_arm_as_drawn(task, action):
     assert (rms < 0.02).all(), "in the second episode too, on other arms"
 
 
-@pytest.mark.parametrize("task", ["TipPose", "Reach"])
-def test_teacher_holds_targets_of_the_tip(task):
-    """With increments of tension, late by what was drawn."""
-    options = {"action": "increment", "tension_rate": 50.0, "preview": [0.2], "target": "hold", "randomize": {"latency": [0.0, 0.05]}}
-    assert np.sqrt(np.mean(taught(task, **options)[-15:-1] ** 2)) < 5e-3
-
-
 def test_teacher_makes_up_for_the_delay_that_was_drawn(monkeypatch):
     late = {"latency": 0.06}
     aware = taught("TipPose", randomize=late)[-25:-1].max()
@@ -82,17 +74,6 @@ def test_teacher_needs_tensions_that_act_and_targets_that_are_known(training):
         imitation.Teacher(unwrapped(env).env.episodes, 0.2).actions()
 
 
-def test_loss_forgives_means_beyond_the_bounds_where_the_teacher_is_at_them():
-    wanted = torch.tensor([1.0, -1.0, 0.5])
-    assert imitation.loss(torch.tensor([3.0, -2.0, 0.5]), wanted) == 0.0
-    for index in range(3):  # and pulls from everywhere else
-        means = torch.tensor([3.0, -2.0, 0.5])
-        means[index] = -3.0 * wanted[index]
-        means.requires_grad = True
-        imitation.loss(means, wanted).backward()
-        assert means.grad[index] * wanted[index] < 0.0 and means.grad.count_nonzero() == 1
-
-
 @pytest.mark.parametrize("task", [*(pytest.param(task, marks=pytest.mark.slow) for task in ("TipPose", "Shape")), "Reach"])
 def test_agent_comes_to_track_as_its_teacher_does(training, tmp_path, task):
     chosen = training(
@@ -107,22 +88,6 @@ def test_agent_comes_to_track_as_its_teacher_does(training, tmp_path, task):
     errors = []
     train.train(chosen, tmp_path, watch=lambda row: errors.append(next(row[name] for name in row if name.endswith("_rms"))))
     assert errors[-1] < 0.4 * errors[0]
-
-
-def test_a_training_goes_on_with_all_that_was_shown(tmp_path, training, monkeypatch):
-    """Killed after the first of two rounds."""
-    monkeypatch.setattr(monitor.TrainingCallback, "_on_rollout_end", lambda self: self.num_timesteps == 96 and exit())
-    chosen = training()
-    with pytest.raises(SystemExit):
-        train.train(chosen, tmp_path)
-    monkeypatch.undo()
-    checkpoint = train.checkpoint_to_resume(tmp_path, chosen, resume=True)
-    taught, sizes = imitation.DAgger._teach, []
-    monkeypatch.setattr(imitation.DAgger, "_teach", lambda self, rate: (sizes.append(len(self._shown)), taught(self, rate))[1])
-    model = train.train(chosen, tmp_path, checkpoint)
-    assert model.num_timesteps == 96 and sizes == [24], "control periods of four arms"
-    rows = (tmp_path / "evaluations.csv").read_text().splitlines()
-    assert [row.split(",")[0] for row in rows[1:]] == ["0", "48", "96"]
 
 
 def test_environments_of_others_are_refused():

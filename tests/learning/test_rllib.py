@@ -105,9 +105,9 @@ def test_a_training_leaves_what_one_of_stable_baselines3_does_and_goes_on(runnin
     policy = load_policy(str(tmp_path / "last"), gym.make(IDS[task], **chosen.options))
     action, _ = policy.predict(observation, None, np.ones(64, dtype=bool))
     np.testing.assert_allclose(action, np.clip(mean.numpy(), -1.0, 1.0), atol=1e-6)
-    more = training(task=task, steps=384)
+    more, before = training(task=task, steps=384), {name: value.clone() for name, value in done.network().state_dict().items()}
+    done.algorithm.stop()  # its runners have all processors
     again = RllibTraining(more, tmp_path, runners, checkpoint_to_resume(tmp_path, more, resume=True, engine="rllib"))
-    before = done.network().state_dict()
     assert all(torch.equal(value, before[name]) for name, value in again.network().state_dict().items())
     again.learn()
     with open(tmp_path / "evaluations.csv") as file:
