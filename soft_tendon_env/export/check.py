@@ -60,5 +60,5 @@ def compare(path: Path, policy: Policy, env: gym.Env[Any, Any], seeds: Sequence[
             seconds = time.perf_counter() - started
     said = json.loads(session.get_modelmeta().custom_metadata_map[METADATA])
     actions, largest = episodes.actuation.actions, np.max(found, axis=0)
-    share = largest / (actions.greatest - actions.least)
-    return Comparison(len(found), float(largest.max()), float(share.max()), *np.median(times, axis=0).tolist(), said)
+    share, (taken, original) = largest / (actions.greatest - actions.least), np.median(times, axis=0).tolist()
+    return Comparison(len(found), float(largest.max()), float(share.max()), taken, original, said)
