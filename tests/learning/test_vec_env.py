@@ -83,20 +83,6 @@ def test_rows_are_what_single_environments_are(id, options, ends, same):
     assert seen == ends
 
 
-def test_first_episodes_can_be_shorter_by_row():
-    env = make_sb3_vec_env(TIP_POSE, 3, max_episode_steps=10, **FAST)
-    env.set_options([{"episode_steps": 3}, {}, {"episode_steps": 6}])
-    for expected in ([(0, 3), (1, 10), (2, 6)], [(0, 10), (1, 10), (2, 10)]):  # options are of the next reset alone, as everywhere
-        env.reset()
-        lengths = {}
-        for _ in range(10):
-            for row, info in enumerate(env.step(np.zeros((3, 3)))[3]):
-                if "episode" in info:
-                    assert info["TimeLimit.truncated"] and info["terminal_observation"].shape == env.observation_space.shape
-                    lengths.setdefault(row, info["episode"]["l"])
-        assert sorted(lengths.items()) == expected
-
-
 def test_what_the_rows_share():
     env = make_sb3_vec_env(REACH, 3, reward="dense", **FAST)
     observation = env.reset()

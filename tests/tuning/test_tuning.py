@@ -30,6 +30,7 @@ CONTROLLER = {
     "search": {"settling_time": {"low": 0.1, "high": 0.8, "log": True}, "estimator.force": {"low": 5e-4, "high": 2e-2}},
 }
 SHORT = {"steps": 128, "arms": 4, "seconds": 0.4, "options.scene": "three_tendon", "evaluation": {"every": 64, "episodes": 2, "skip": 0.2}}
+SHORT |= {"hyperparameters.batch_size": 128}
 NETWORK = "hyperparameters.policy_kwargs.net_arch"
 TRAINING = {
     "training": "ppo_tip_pose",
