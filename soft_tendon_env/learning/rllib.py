@@ -1,7 +1,6 @@
 """Distributed training of PPO with RLlib (Ray), as a configuration says: environments in several processes, or on a Ray cluster.
 
-A run leaves in its folder what one of Stable-Baselines3 does, `tensorboard/` aside; `last/` has RLlib's own checkpoint in `rllib/`, from
-which it goes on. Evaluations are by this package, in the process that learns.
+A run leaves what one of Stable-Baselines3 does, `tensorboard/` aside, and RLlib's own checkpoint in `last/rllib/`, from which it goes on.
 """
 
 import inspect
@@ -35,6 +34,7 @@ COUNTERPARTS |= {"gamma": "gamma", "max_grad_norm": "grad_clip", "n_epochs": "nu
 """Arguments of `PPOConfig.training` by those of PPO of Stable-Baselines3 that mean the same."""
 ELSEWHERE = ("n_steps", "policy_kwargs", "target_kl")
 """Hyperparameters that go into the size of a batch, into the network, and into RLlib's penalty on the divergence of policies."""
+BY_ROWS: Any = "vector_entry_point"
 RLLIB = "rllib"
 """Name of the engine, and of the folder of RLlib's own checkpoint in a checkpoint."""
 
@@ -47,7 +47,7 @@ class RunnerEnv(VectorWrapper):
         self._first_seed = seed
 
     def reset(self, *, seed: Any = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
-        """New episodes. RLlib's seeds are one apart from runner to runner: most arms would be there twice, so that any becomes ours."""
+        """New episodes. RLlib's seeds are one apart from runner to runner, so that most arms would be there twice: any becomes ours."""
         return self.env.reset(seed=None if seed is None else self._first_seed, options=options)[0], {}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -58,10 +58,11 @@ class RunnerEnv(VectorWrapper):
 def make_runner_env(context: Mapping[str, Any]) -> VectorEnv[Any, Any, Any]:
     """Environment of a runner: `training` of the context, `num_envs` of its rows and RLlib's `worker_index`."""
     training: Training = context["training"]
-    rows, index, options = context.get("num_envs", 1), max(getattr(context, "worker_index", 0) - 1, 0), dict(training.options)
+    rows, index = context.get("num_envs", 1), max(getattr(context, "worker_index", 0) - 1, 0)
     size: dict[str, Any] = {"num_envs": rows, "max_episode_steps": training.episode_steps, "threads": 1}
-    env = gym.make_vec(IDS[training.task], vectorization_mode="vector_entry_point", **size, **options)
-    arms = RunnerEnv(env, context["seed"] + rows * index)
+    arms = RunnerEnv(
+        gym.make_vec(IDS[training.task], vectorization_mode=BY_ROWS, **size, **training.options), context["seed"] + rows * index
+    )
     if not training.normalise.rewards:
         return arms
     return ClipReward(NormalizeReward(arms, gamma=training.hyperparameters.get("gamma", 0.99)), -10.0, 10.0)  # as VecNormalize
@@ -87,15 +88,12 @@ def make_config(training: Training, runners: int, done: int = 0) -> PPOConfig:
     arms = {"training": training, "seed": training.arm_seed(done)}
     config = PPOConfig().learners(num_learners=0).rl_module(rl_module_spec=module).debugging(seed=seed, log_level="ERROR")
     config.environment("soft_tendon_env", env_config=arms, clip_actions=True, normalize_actions=False)  # as Stable-Baselines3 does
-    config.env_runners(
-        num_env_runners=runners,
-        num_envs_per_env_runner=training.arms // max(runners, 1),
-        gym_env_vectorize_mode="vector_entry_point",
-        rollout_fragment_length=value["n_steps"],
-    )
+    share, length = training.arms // max(runners, 1), value["n_steps"]
+    sizes: dict[str, Any] = {"num_env_runners": runners, "num_envs_per_env_runner": share, "rollout_fragment_length": length}
+    config.env_runners(**sizes, gym_env_vectorize_mode=BY_ROWS)
     return config.training(
         **{name: value[own] for own, name in COUNTERPARTS.items()},
-        train_batch_size_per_learner=value["n_steps"] * training.arms,
+        train_batch_size_per_learner=length * training.arms,
         lr=rate if isinstance(rate, float) else [[0, rate[0]], [training.steps, rate[1]]],
         grad_clip_by="global_norm",
         use_kl_loss=target_kl is not None,
@@ -105,7 +103,7 @@ def make_config(training: Training, runners: int, done: int = 0) -> PPOConfig:
 
 
 class ActorCriticModule(TorchRLModule, ValueFunctionAPI):
-    """RLlib's module around the actor-critic network of Stable-Baselines3, as `policy`: agents are saved as any other, without Ray."""
+    """RLlib's module around the actor-critic network of Stable-Baselines3, as `policy`, so that agents are saved as any other."""
 
     def setup(self) -> None:
         """Makes the network."""
@@ -131,7 +129,7 @@ class RllibTraining(TrainingMonitor):
         self.algorithm: PPO = make_config(training, runners, self._done).build_algo()
         if checkpoint is not None:
             self.algorithm.restore_from_path(str((checkpoint / RLLIB).absolute()))
-        architecture = Architecture(training.algorithm, training.hyperparameters.get("policy_kwargs") or {})
+        architecture = Architecture("PPO", training.hyperparameters.get("policy_kwargs") or {})
         self._network = new_network(architecture, envs.single_observation_space, envs.single_action_space)
 
     def steps_done(self) -> int:
@@ -153,9 +151,6 @@ class RllibTraining(TrainingMonitor):
 
     def learn(self) -> None:
         """Learn all that is left to learn. Raises UserError, and Ray's errors, after which --resume goes on from the last checkpoint."""
-        if self._done >= self.training.steps:
-            print(f"done before: {self._done} steps")
-            return
         self.begin({**config_record(self.training, episodes_of(self.envs)), "engine": RLLIB, "runners": self.runners})
         try:
             while self._done < self.training.steps:
