@@ -60,9 +60,8 @@ def make_runner_env(context: Mapping[str, Any]) -> VectorEnv[Any, Any, Any]:
     training: Training = context["training"]
     rows, index = context.get("num_envs", 1), max(getattr(context, "worker_index", 0) - 1, 0)
     size: dict[str, Any] = {"num_envs": rows, "max_episode_steps": training.episode_steps, "threads": 1}
-    arms = RunnerEnv(
-        gym.make_vec(IDS[training.task], vectorization_mode=BY_ROWS, **size, **training.options), context["seed"] + rows * index
-    )
+    envs = gym.make_vec(IDS[training.task], vectorization_mode=BY_ROWS, **size, **training.options)
+    arms = RunnerEnv(envs, context["seed"] + rows * index)
     if not training.normalise.rewards:
         return arms
     return ClipReward(NormalizeReward(arms, gamma=training.hyperparameters.get("gamma", 0.99)), -10.0, 10.0)  # as VecNormalize
@@ -73,10 +72,9 @@ def make_config(training: Training, runners: int, done: int = 0) -> PPOConfig:
     trains another, and where the arms cannot be shared out among the runners (0: the process that learns has them)."""
     arguments = inspect.signature(algorithm_class("PPO").__init__).parameters
     value = {name: argument.default for name, argument in arguments.items()} | training.hyperparameters
-    strange: list[tuple[str, ...]] = [
-        ("hyperparameters", name) for name in training.hyperparameters if name not in (*COUNTERPARTS, *ELSEWHERE)
-    ]
-    strange += [("algorithm",)] * (training.algorithm != "PPO") + [("normalise", "observations")] * training.normalise.observations
+    unknown = sorted(training.hyperparameters.keys() - COUNTERPARTS.keys() - {*ELSEWHERE})
+    strange: list[tuple[str, ...]] = [("algorithm",)] * (training.algorithm != "PPO") + [("hyperparameters", name) for name in unknown]
+    strange += [("normalise", "observations")] * training.normalise.observations + [("hindsight",)] * bool(training.hindsight)
     problems = [Problem(key, "has no counterpart in RLlib's PPO: leave it out, or train with Stable-Baselines3") for key in strange]
     if training.arms % max(runners, 1):
         problems.append(Problem(("arms",), f"is {training.arms}: it should be a multiple of the {runners} runners, which share them"))
