@@ -6,9 +6,7 @@ from typing import Any
 
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation.benchmark import Benchmark, results_of
-from soft_tendon_env.evaluation.benchmark_tables import benchmark_tables
-from soft_tendon_env.evaluation.comparison import shipped_notes
+from soft_tendon_env.evaluation.benchmark import Benchmark, benchmark_tables, standings_by_regime
 from soft_tendon_env.evaluation.conditions import SETTINGS
 from soft_tendon_env.evaluation.experiment import Experiment
 from soft_tendon_env.evaluation.pages import Page
@@ -45,23 +43,22 @@ def run(arguments: Sequence[str]) -> None:
     with parser.mistakes():
         require("pictures")
         out, marker = Path(settings.out), f"arena {settings.task}"
-        settings, notes = settings.present()
-        page = Page(settings.write_docs, [marker])
-        experiment = Experiment(settings.cells(), out / "cells")
+        page, (cells, notes) = Page(settings.write_docs, [marker]), settings.cells()
+        experiment = Experiment(cells, out / "cells")
         check_cluster(settings.cluster)
         writable_folder(out)
     what = f"{settings.episodes} episodes of {settings.seconds:g} s"
-    for note in (*notes, *shipped_notes([entrant.policy_name for entrant in settings.entrants], settings.task)):
+    for note in notes:
         print(f"note: {note}")
     print(f"{len(experiment.cells)} cells, {len(experiment.missing())} of them to be played, {what} each; {machine()}", flush=True)
     experiment.play("arena", settings.workers, settings.cluster)
     from soft_tendon_env.evaluation.pictures import draw_errors
 
-    found = results_of(settings, experiment)
-    text, legend = benchmark_tables(found), "\n".join(f"- `{name}`: {SETTINGS[name].description}." for name in settings.settings)
+    found = standings_by_regime(settings, experiment)
+    text, legend = benchmark_tables(settings, found), "\n".join(f"- `{name}`: {SETTINGS[name].description}." for name in settings.settings)
     print(f"\n{legend}\n\n{text}\n")
-    write_csv(out / "arena.csv", [{"regime": regime, **row} for regime, of in found.of.items() for row in records(of)])
-    panels = {f"information: {regime}": of for regime, of in found.of.items()}
+    write_csv(out / "arena.csv", [{"regime": regime, **row} for regime, of in found.items() for row in records(of)])
+    panels = {f"information: {regime}": of for regime, of in found.items()}
     draw_errors(panels, out / "arena.png")
     if settings.write_docs is not None:
         picture = Path(settings.write_docs).with_suffix(".png")

@@ -6,20 +6,11 @@ from typing import Any
 
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation.comparison import (
-    TIME,
-    compare,
-    comparison_tables,
-    models_of,
-    print_caveats,
-    results_record,
-    shared_arms,
-    standings_of,
-)
+from soft_tendon_env.evaluation import comparison
 from soft_tendon_env.evaluation.entrants import agents_of, every_file
 from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.evaluation.provenance import machine, origin, write_json
-from soft_tendon_env.evaluation.settings import Comparison, TableSettings
+from soft_tendon_env.evaluation.settings import Comparison, Settings
 from soft_tendon_env.evaluation.tables import records, write_csv
 from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.parallel import check_cluster
@@ -27,7 +18,7 @@ from soft_tendon_env.tools.parallel import check_cluster
 STOPPED = "stopped: the same command goes on"
 
 
-class Compare(Comparison, TableSettings):
+class Compare(Comparison):
     """Print errors by policy and model error, resuming where it was stopped, and write JSON with every episode, CSV, and a picture.
 
     Attributes:
@@ -46,28 +37,34 @@ def run(arguments: Sequence[str]) -> None:
     parser = Parser("compare", Compare)
     settings = parser.read(arguments, read_comparison)
     with parser.mistakes():
-        require("pictures")
-        out = Path(settings.out)
-        files = {task: agents_of(task, settings.policies) for task in settings.tasks}
-        arms = {task: shared_arms(settings, task, every_file(of_task)) for task, of_task in files.items()}
-        experiments = {task: compare(settings, task, of_task, out / "cells") for task, of_task in arms.items()}
         page = Page(settings.write_docs, [f"compare {task}" for task in settings.tasks])
-        check_cluster(settings.cluster)
-        writable_folder(out)
-        print_caveats(settings, arms)
+    play(parser, settings, {task: task for task in settings.tasks}, settings.policies, settings.out, page)
 
+
+def play(parser: Parser[Any], settings: Settings, stems: Mapping[str, str], policies: Sequence[str], out: str, page: Page) -> None:
+    """Play policies under every model error, print tables by task, and write them, JSON, CSV and a picture into files of these stems."""
+    folder = Path(out)
+    with parser.mistakes():
+        require("pictures")
+        files = {task: agents_of(task, policies) for task in stems}
+        arms = {task: comparison.shared_arms(settings, task, every_file(of_task)) for task, of_task in files.items()}
+        experiments = {task: comparison.compare(settings, task, of_task, folder / "cells") for task, of_task in arms.items()}
+        check_cluster(settings.cluster)
+        writable_folder(folder)
+        comparison.print_caveats(settings, arms)
     from soft_tendon_env.evaluation.pictures import draw_errors
 
     what = f"{len(settings.seeds)} episodes of {settings.seconds:g} s"
     print(f"{what}; {machine()}")
     for task, experiment in experiments.items():
         experiment.play(f"{task}: policies x model errors", settings.workers, settings.cluster)
-        found = standings_of(experiment, files[task])
-        tables = comparison_tables(found, models_of(task, files[task]), settings.all)
+        found, summaries = comparison.standings_of(experiment, files[task])
+        tables = comparison.comparison_tables(task, files[task], found, summaries)
         print(f"\n## {task}\n\n{tables}\n")
-        write_json(out / f"{task}.json", {**origin(), **results_record(settings, task, arms[task], found)})
-        write_csv(out / f"{task}.csv", records(found))
-        draw_errors({task: {key: found[key] for key in found if key[1] != TIME}}, out / f"{task}.png")
+        stem = folder / stems[task]
+        write_json(stem.with_suffix(".json"), {**origin(), **comparison.results_record(settings, task, arms[task], found, summaries)})
+        write_csv(stem.with_suffix(".csv"), records(found))
+        draw_errors({task: found}, stem.with_suffix(".png"))
         page.write(f"compare {task}", f"{what.capitalize()}.\n\n{tables}")
 
 

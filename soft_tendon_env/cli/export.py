@@ -11,7 +11,6 @@ from pydantic import Field
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.evaluation.comparison import shipped_notes
 from soft_tendon_env.evaluation.provenance import machine, origin
 from soft_tendon_env.evaluation.settings import TaskName
 from soft_tendon_env.evaluation.tables import markdown_table, number
@@ -58,8 +57,6 @@ def run(arguments: Sequence[str]) -> None:
         policy = load_agent(settings.agent, env)
         model = export_agent(policy, env, {"agent": {"name": settings.agent, "weights_sha256": digest(files.weights)}, "record": origin()})
         writable_folder(path.parent)
-    for line in shipped_notes([settings.agent], settings.task):
-        print(line)
     path.write_bytes(model.SerializeToString())
     print(f"written: {path} ({path.stat().st_size / 1e6:.2f} MB)\n")
     compare_with_original(policy, env, path)

@@ -23,8 +23,8 @@ def test_an_agent_is_evaluated_under_every_error_asked_for(tmp_path, agent, comm
         assert {episode["steps"] for episode in result["episodes"]} == {10}
         assert 0.0 < result["summary"]["errors"]["position_error"]["rms"] < 1.0
         assert result["summary"]["diverged"] == 0
-        assert 0.0 < result["summary"]["action_time"]["median"] <= result["summary"]["action_time"]["percentile_99"]
-        effort[result["model_error"]] = result["summary"]["effort"]
+        assert 0.0 < result["summary"]["action_time"]
+        effort[result["model_error"]] = result["summary"]["metrics"]["effort"]
     assert effort["tension+10%"] == pytest.approx(1.1 * effort["nominal"], rel=0.02)
     record = json.loads(png.with_suffix(".json").read_text())
     (environment,) = record["environments"].values()

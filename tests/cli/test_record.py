@@ -20,7 +20,7 @@ def test_policies_are_arms_that_begin_every_episode_together(command, agent, rec
     assert list(found) == ["feedforward", str(file)] and found["feedforward"][0] != found[str(file)][0]
     assert [cells[-1] for cells in found.values()] == ["controller", "none"], "the model in the loop"
     assert "seeds 3, 4" in printed and f"`rerun {out}`" in printed
-    assert recorded(out) == {"feedforward": list(range(22)), "best/model": list(range(22))}, "two episodes of a reset and ten steps"
+    assert recorded(out) == {"feedforward": list(range(22)), str(file): list(range(22))}, "two episodes of a reset and ten steps"
 
 
 def test_scores_are_those_of_evaluate(command, recorded, tmp_path, capsys):
@@ -37,16 +37,10 @@ def test_a_controller_acts_on_the_arm_of_the_agent_beside(command, agent, record
     said = capsys.readouterr()
     arm = "scene = 'three_tendon', fidelity = 'fast', control_period = 0.04"
     assert f"note: TipPose: on the arm of the agents, {arm}" in said.err
-    assert recorded(tmp_path / "borrowed.rrd") == {"tracking": list(range(6)), "best/model": list(range(6))}
+    assert recorded(tmp_path / "borrowed.rrd") == {"tracking": list(range(6)), str(file): list(range(6))}
     command("record", "tracking", file, *SHORT, *QUICK, "--options", '{"control_period": 0.04}', "--out", tmp_path / "given.rrd")
     given = capsys.readouterr()
     assert "on the arm of" not in given.err and rows(given.out)["tracking"][:-2] == rows(said.out)["tracking"][:-2], "all but times"
-
-
-def test_arms_of_agents_with_the_same_short_name_have_their_whole_names(command, agent, recorded, tmp_path):
-    one, other = agent(), agent()
-    command("record", one, other, *SHORT, "--out", tmp_path / "agents.rrd")
-    assert set(recorded(tmp_path / "agents.rrd")) == {str(one), str(other)}
 
 
 def test_policies_of_different_episodes_are_not_put_side_by_side(refused, agent):

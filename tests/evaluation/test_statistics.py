@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import trim_mean
 
+from soft_tendon_env.evaluation import summaries
 from soft_tendon_env.evaluation.summaries import Tails, bootstrap_interval, interquartile_mean
 
 
@@ -37,8 +38,9 @@ def test_a_run_without_a_number_is_the_worst():
     assert low == 1.0 and math.isnan(high)
 
 
-def test_seeds_and_episodes_are_drawn_apart():
+def test_seeds_and_episodes_are_drawn_apart(monkeypatch):
     # Two seeds, 0 and 100, with episodes of +0 and +1. A resample has one of 0 and 100 twice in 1/2, both in 1/2; its episodes likewise.
     values = [[0.0, 1.0], [100.0, 101.0]]
     assert bootstrap_interval(values, axes=2) == (0.0, 101.0)
-    assert bootstrap_interval(values, axes=2, confidence=0.4) == (50.0, 51.0), "of both seeds, of either episode"
+    monkeypatch.setattr(summaries, "CONFIDENCE", 0.4)
+    assert bootstrap_interval(values, axes=2) == (50.0, 51.0), "of both seeds, of either episode"
