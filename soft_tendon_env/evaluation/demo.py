@@ -11,6 +11,7 @@ from pydantic import Field
 from soft_tendon_env.evaluation.comparison import TIME, compare, record_side_by_side, shared_arms, standings_of
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, NOMINAL
 from soft_tendon_env.evaluation.entrants import model_in_the_loop
+from soft_tendon_env.evaluation.experiment import Experiment
 from soft_tendon_env.evaluation.settings import Settings, Workers
 from soft_tendon_env.evaluation.summaries import Standing
 from soft_tendon_env.evaluation.tables import summary_table
@@ -54,16 +55,15 @@ def run_demo(settings: Demonstration, file: Any, out: Path) -> str:
     """
     from soft_tendon_env.evaluation.pictures import draw_errors
 
-    shared = {"seconds": settings.seconds, "skip": 0.1 * settings.seconds, "errors": (NOMINAL,)}
-    targets = {"circle": ("circle", 1), f"{settings.episodes} random targets": ("random", settings.episodes)}
-    of_target = {
-        label: Settings(**shared, episodes=episodes, options={**ARM, "target": target}) for label, (target, episodes) in targets.items()
-    }
     names, tables, standings = settings.policies, list[str](), dict[tuple[str, str], Standing]()
-    files = {name: {None: policy} for policy, name in names.items()}
+    files: dict[str, dict[int | None, str]] = {name: {None: policy} for policy, name in names.items()}
     models = {name: model_in_the_loop(PolicyName.parse(policy, TASK)) for policy, name in names.items()}
-    arms = {label: shared_arms(own, TASK, names) for label, own in of_target.items()}
-    experiments = {label: compare(own, TASK, arms[label], out / "cells") for label, own in of_target.items()}
+    experiments = dict[str, Experiment[tuple[str, str]]]()
+    for target, episodes in (("circle", 1), ("random", settings.episodes)):
+        length = {"seconds": settings.seconds, "skip": 0.1 * settings.seconds}
+        own = Settings.parse({**length, "errors": (NOMINAL,), "episodes": episodes, "options": {**ARM, "target": target}}, "demo")
+        label = target if target == "circle" else f"{episodes} random targets"
+        experiments[label] = compare(own, TASK, shared_arms(own, TASK, names), out / "cells")
     with file:
         for label, experiment in experiments.items():
             players = {name: experiment.cells[policy, TIME].open() for policy, name in names.items()}

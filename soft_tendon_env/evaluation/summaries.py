@@ -25,13 +25,6 @@ RESAMPLES = 5000
 CONFIDENCE = 0.95
 
 
-class Interval(NamedTuple):
-    """Lower and upper bound of a confidence interval; numbers, or arrays of the number's shape."""
-
-    low: float | Array
-    high: float | Array
-
-
 def interquartile_mean(values: ArrayLike, axis: int = 0) -> float | Array:
     """Mean of the middle half along an axis, NaN where no value remains that is one: a quarter of the count is cut at either end, rounded
     down. Raises ValueError without any."""
@@ -60,7 +53,7 @@ class Tails(NamedTuple):
         return cls(float(given.mean()), float(np.percentile(given, HIGH, method="lower") if np.isnan(high) else high))
 
 
-def bootstrap_interval(values: ArrayLike, axes: int = 1, statistic: Callable[..., Any] = interquartile_mean) -> Interval:
+def bootstrap_interval(values: ArrayLike, axes: int = 1, statistic: Callable[..., Any] = interquartile_mean) -> tuple[Any, Any]:
     """Interval of a statistic at CONFIDENCE by the percentile bootstrap.
 
     values (n_1, ..., n_axes, ...): along each of the first `axes` (seeds of training, episodes) entries are drawn again as a whole, with
@@ -77,7 +70,7 @@ def bootstrap_interval(values: ArrayLike, axes: int = 1, statistic: Callable[...
     found = np.sort(np.asarray(statistic(given[index].reshape(RESAMPLES, -1, *rest), axis=1)), axis=0)
     tail = (1.0 - CONFIDENCE) / 2.0
     low, high = (found[math.ceil(share * RESAMPLES) - 1] for share in (tail, 1.0 - tail))
-    return Interval(low, high) if found.ndim > 1 else Interval(float(low), float(high))
+    return (low, high) if found.ndim > 1 else (float(low), float(high))
 
 
 @dataclass(frozen=True)
