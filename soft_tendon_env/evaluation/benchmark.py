@@ -25,6 +25,8 @@ from soft_tendon_env.tools.types import NotNegative, Positive
 
 PLANT = "fine"
 """Fidelity of the arm that the benchmark is played on."""
+TARGET = {"type": "random", "fraction": 0.4, "knot_period": 0.6}
+"""Target that all follow."""
 
 
 class BenchmarkPolicy(Configuration):
@@ -77,7 +79,6 @@ class Benchmark(Workers):
         entrants: tables of the policies that are compared, see soft_tendon_env.evaluation.benchmark.BenchmarkPolicy.
         settings: names of model errors and loads, see soft_tendon_env.evaluation.conditions.
         regimes: names of sensor sets that policies observe, see soft_tendon_env.policies.regimes.
-        target: the environment's option: what all follow.
         episodes: number of episodes of every policy in every condition, on the first of the test seeds.
         seconds: length of an episode [s].
         skip: time at the beginning of an episode that errors leave out [s].
@@ -88,7 +89,6 @@ class Benchmark(Workers):
     entrants: tuple[BenchmarkPolicy, ...] = Field(min_length=1)
     settings: SettingNames = tuple(SETTINGS)
     regimes: RegimeNames = tuple(REGIMES)
-    target: dict[str, Any] = Field(default={"type": "random", "fraction": 0.4, "knot_period": 0.6})
     episodes: int = Field(default=20, ge=1, le=len(SEEDS["arena"]))
     seconds: Positive = 6.0
     skip: NotNegative = 1.0
@@ -98,7 +98,7 @@ class Benchmark(Workers):
         labels = [entrant.label for entrant in self.entrants]
         if twice := [label for label in dict.fromkeys(labels) if labels.count(label) > 1]:
             raise ConfigurationError([Problem(("entrants",), f"has {twice[0]!r} several times: give each a name of its own")])
-        episode_steps(self.seconds, self.skip, {"target": self.target})
+        episode_steps(self.seconds, self.skip, {"target": TARGET})
         return self
 
     def cells(self) -> tuple[dict[Label, Cell], list[str]]:
@@ -124,7 +124,7 @@ class Benchmark(Workers):
                     continue
                 plays, noise = True, {"noise": dict(REGIMES[regime].noise)}
                 for setting in (name for name in self.settings if name in (entrant.settings or self.settings)):
-                    given = {**observed, "scene": self.scene, "fidelity": PLANT, "target": self.target, "randomize": noise}
+                    given = {**observed, "scene": self.scene, "fidelity": PLANT, "target": TARGET, "randomize": noise}
                     told = {"scene": self.scene, **(SETTINGS[setting].scene(load_scene(self.scene)) if entrant.told else {})}
                     options = SETTINGS[setting].options(given)
                     cell = Cell(self.task, policy.text, options, episodes, self.seconds, self.skip, told=told)
