@@ -85,8 +85,8 @@ def standings_of(experiment: Experiment[tuple[str, str]], files: Files) -> tuple
 
 
 def comparison_tables(task: str, files: Files, found: Standings, summaries: Summaries) -> str:
-    """Of a single policy, a row per model error. Of several, errors by policy and model error; below, all numbers on the arm of the model,
-    or on the first that there is. Raises ValueError, OSError."""
+    """Tables of a task: a row per model error of a single policy; errors of several by policy and model error, and below all numbers on the
+    arm of the model, or on the first that there is. Raises ValueError, OSError."""
     models = {policy: model_in_the_loop(PolicyName.parse(next(iter(of.values())), task)) for policy, of in files.items()}
     errors = [error for _, error in found]
     if len(files) == 1:
