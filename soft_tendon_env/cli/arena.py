@@ -7,9 +7,7 @@ from typing import Any
 from pydantic import Field
 
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
-from soft_tendon_env.evaluation.benchmark import Benchmark, results_of
-from soft_tendon_env.evaluation.benchmark_tables import benchmark_tables
-from soft_tendon_env.evaluation.comparison import shipped_notes
+from soft_tendon_env.evaluation.benchmark import Benchmark, benchmark_tables, standings_by_regime
 from soft_tendon_env.evaluation.conditions import SETTINGS
 from soft_tendon_env.evaluation.experiment import Experiment
 from soft_tendon_env.evaluation.pages import Page
@@ -44,26 +42,24 @@ def run(settings: Arena) -> None:
     with mistakes():
         require("pictures")
         out, marker = Path(settings.out), f"arena {settings.task}"
-        settings, notes = settings.present()
-        plays = [entrant.policy_name for entrant in settings.entrants]
-        page = Page(settings.write_docs, [marker])
-        experiment = Experiment(settings.cells(), out / "cells")
+        page, (cells, notes) = Page(settings.write_docs, [marker]), settings.cells()
+        experiment = Experiment(cells, out / "cells")
         check_cluster(settings.cluster)
         writable_folder(out)
     what = f"{settings.episodes} episodes of {settings.seconds:g} s"
-    print(*(f"note: {note}" for note in (*notes, *shipped_notes(plays, settings.task))), sep="\n")
+    for note in notes:
+        print(f"note: {note}")
     print(f"{len(experiment.cells)} cells, {len(experiment.missing())} of them to be played, {what} each; {machine()}", flush=True)
     experiment.play("arena", settings.workers, settings.cluster)
     from soft_tendon_env.evaluation.pictures import draw_errors
 
-    found = results_of(settings, experiment)
-    text, picture = (
-        benchmark_tables(found),
-        out / "arena.png" if settings.write_docs is None else Path(settings.write_docs).with_suffix(".png"),
-    )
+    found, picture = standings_by_regime(settings, experiment), out / "arena.png"
+    if settings.write_docs is not None:
+        picture = Path(settings.write_docs).with_suffix(".png")
+    text = benchmark_tables(settings, found)
     legend = "\n".join(f"- `{name}`: {SETTINGS[name].description}." for name in settings.settings)
     print(f"\n{legend}\n\n{text}\n")
-    write_csv(out / "arena.csv", [{"regime": regime, **row} for regime, of in found.of.items() for row in records(of)])
-    draw_errors({f"information: {regime}": of for regime, of in found.of.items()}, picture)
+    write_csv(out / "arena.csv", [{"regime": regime, **row} for regime, of in found.items() for row in records(of)])
+    draw_errors({f"information: {regime}": of for regime, of in found.items()}, picture)
     parts = [f"{what.capitalize()}.", *(f"Note: {note}." for note in notes), text]
     page.write(marker, "\n\n".join([*parts, f"![Errors of all policies by setting and regime]({picture.name})"]))

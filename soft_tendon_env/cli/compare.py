@@ -11,8 +11,7 @@ from soft_tendon_env.evaluation import comparison, tables
 from soft_tendon_env.evaluation.entrants import agents_of, every_file
 from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.evaluation.provenance import machine, origin, write_json
-from soft_tendon_env.evaluation.settings import Comparison, Settings, TableSettings
-from soft_tendon_env.policies.load import ALL
+from soft_tendon_env.evaluation.settings import Comparison, Settings
 from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.parallel import check_cluster
 
@@ -21,7 +20,7 @@ EPISODES = {"episodes", "seeds"}
 """Keys that say which episodes there are: one of them on the command line overrides both in a file."""
 
 
-class Compare(Comparison, TableSettings):
+class Compare(Comparison):
     """Print errors by policy and model error, resuming where it was stopped, and write JSON with every episode, CSV, and a picture."""
 
     config: str | None = Field(default=None, description=CONFIG)
@@ -41,11 +40,11 @@ def run(settings: Compare) -> None:
     with mistakes():
         markers = [f"compare {task}" for task in settings.tasks]
         page = Page(settings.write_docs, markers)
-    for task, text in play(settings, settings.tasks, settings.policies, settings.out, settings.all).items():
+    for task, text in play(settings, settings.tasks, settings.policies, settings.out).items():
         page.write(f"compare {task}", text)
 
 
-def play(settings: Settings, tasks: Sequence[str], policies: tuple[str, ...], out: str, all: bool) -> dict[str, str]:
+def play(settings: Settings, tasks: Sequence[str], policies: tuple[str, ...], out: str) -> dict[str, str]:
     """Play policies under every model error, print and write results; returns tables by task. Raises Mistake."""
     folder = Path(out)
     with mistakes():
@@ -62,14 +61,11 @@ def play(settings: Settings, tasks: Sequence[str], policies: tuple[str, ...], ou
     print(f"{what}; {machine()}")
     for task, experiment in experiments.items():
         experiment.play(f"{task}: policies x model errors", settings.workers, settings.cluster)
-        found, models = comparison.standings_of(experiment, files[task]), comparison.models_of(task, files[task])
-        shown = comparison.comparison_tables(found, models, all)
-        if len(policies) == 1 and policies != (ALL,):
-            by_error = {error: summary for (_, error), summary in comparison.summaries_of(found).items()}
-            shown = tables.summary_table("model error", by_error, all, dict.fromkeys(by_error, models[policies[0]]))
+        found, summaries = comparison.standings_of(experiment, files[task])
+        shown = comparison.comparison_tables(task, files[task], found, summaries)
         print(f"\n## {task}\n\n{shown}\n")
         texts[task] = f"{what.capitalize()}.\n\n{shown}"
-        write_json(folder / f"{task}.json", {**origin(), **comparison.results_record(settings, task, arms[task], found)})
+        write_json(folder / f"{task}.json", {**origin(), **comparison.results_record(settings, task, arms[task], found, summaries)})
         tables.write_csv(folder / f"{task}.csv", tables.records(found))
-        draw_errors({task: {key: own for key, own in found.items() if key[1] != comparison.TIME}}, folder / f"{task}.png")
+        draw_errors({task: found}, folder / f"{task}.png")
     return texts

@@ -3,12 +3,12 @@
 from pydantic import Field
 
 from soft_tendon_env.cli.compare import play
-from soft_tendon_env.evaluation.settings import Settings, TableSettings, TaskName
+from soft_tendon_env.evaluation.settings import Settings, TaskName
 
 POLICY = "a controller's name; an agent's folder or .zip file; ppo, sac, dagger or apg, which ship for the task; agent, the best of these"
 
 
-class Evaluate(Settings, TableSettings):
+class Evaluate(Settings):
     """Print a row per model error, resuming where it was stopped, and write JSON with every episode, CSV, and a picture."""
 
     policy: str = Field(description=POLICY)
@@ -18,4 +18,4 @@ class Evaluate(Settings, TableSettings):
 
 def run(settings: Evaluate) -> None:
     """Evaluate, print and write."""
-    play(settings, (settings.task,), (settings.policy,), settings.out, settings.all)
+    play(settings, (settings.task,), (settings.policy,), settings.out)

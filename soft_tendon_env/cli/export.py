@@ -9,7 +9,6 @@ from pydantic import Field
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import provenance, tables
-from soft_tendon_env.evaluation.comparison import shipped_notes
 from soft_tendon_env.evaluation.settings import TaskName
 from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.policies.agent_files import AgentName, find_agent, read_config
@@ -44,7 +43,7 @@ def run(settings: Export) -> None:
         model = export_agent(policy, env, {"agent": about, "record": provenance.origin()})
         writable_folder(path.parent)
     path.write_bytes(model.SerializeToString())
-    print(*shipped_notes([settings.agent], settings.task), f"written: {path} ({path.stat().st_size / 1e6:.2f} MB)\n", sep="\n")
+    print(f"written: {path} ({path.stat().st_size / 1e6:.2f} MB)\n")
     found = compare(path, policy, env)
     metadata = found.metadata
     inputs = [(name, str(tuple(of["shape"])), of["unit"]) for name, of in metadata["inputs"].items()]

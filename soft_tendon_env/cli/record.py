@@ -6,11 +6,11 @@ from pydantic import Field
 
 from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import mistakes, require
-from soft_tendon_env.evaluation.comparison import alone, arm_names, make_cell, opening_hint, print_caveats, record_side_by_side, shared_arms
+from soft_tendon_env.evaluation.comparison import alone, make_cell, opening_hint, print_caveats, record_side_by_side, shared_arms
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, NOMINAL
 from soft_tendon_env.evaluation.entrants import agents_of, every_file, model_in_the_loop
 from soft_tendon_env.evaluation.provenance import machine
-from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TableSettings, TaskName
+from soft_tendon_env.evaluation.settings import EpisodeSettings, Seeds, TaskName
 from soft_tendon_env.evaluation.summaries import summarise
 from soft_tendon_env.evaluation.tables import summary_table
 from soft_tendon_env.policies.names import PolicyName
@@ -19,12 +19,12 @@ POLICIES = "names of controllers, folders or .zip files of agents; ppo, sac, dag
 SEEDS = "seeds of the episodes, which are played one after another"
 
 
-class Record(EpisodeSettings, TableSettings):
+class Record(EpisodeSettings):
     """Print the errors of policies, and write a file for the Rerun viewer in which each has an arm of its name."""
 
     policies: tuple[str, ...] = Field(min_length=1, description=POLICIES)
     task: TaskName = Field(default="TipPose", description="name of the task: TipPose, Shape, Reach, or one that was registered")
-    seeds: tuple[Seed, ...] = Field(default=EVALUATION_SEEDS[:1], min_length=1, description=SEEDS)
+    seeds: Seeds = Field(default=EVALUATION_SEEDS[:1], min_length=1, description=SEEDS)
     out: str = Field(default="out/side_by_side.rrd", description="file of the recording")
 
 
@@ -34,12 +34,12 @@ def run(settings: Record) -> None:
     with mistakes():
         require("recording")
         arms = shared_arms(settings, task, every_file(agents_of(task, settings.policies)))
-        players = [alone(make_cell(settings, settings.seeds, task, *arm, NOMINAL)).open() for arm in arms.items()]
+        players = {name: alone(make_cell(settings, settings.seeds, task, name, own, NOMINAL)).open() for name, own in arms.items()}
         print_caveats(settings, {task: arms})
         file = recording.RerunFile(out)
     print(f"{task}, episodes of {settings.seconds:g} s from seeds {', '.join(map(str, settings.seeds))}; {machine()}\n")
     with file:
-        scores = record_side_by_side(players, file, arm_names([*arms]), settings.seeds, settings.skip)
-    summaries = {policy: summarise(of_policy) for policy, of_policy in zip(arms, scores, strict=True)}
+        scores = record_side_by_side(players, file, settings.seeds, settings.skip)
+    summaries = {policy: summarise(of_policy) for policy, of_policy in scores.items()}
     models = {policy: model_in_the_loop(PolicyName.parse(policy, task)) for policy in summaries}
-    print(f"{summary_table('policy', summaries, settings.all, models)}\n\n{opening_hint(out)}")
+    print(f"{summary_table('policy', summaries, models)}\n\n{opening_hint(out)}")

@@ -1,22 +1,20 @@
-"""Benchmark of policies on arms that none of them was made for: the same task, information and episodes for all, as cells of an experiment.
-
-The conditions stand in conditions.py, the statistics in summaries.py.
-"""
+"""Benchmark of policies on arms that none of them was made for: the same task, information and episodes for all."""
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 from pydantic import Field, model_validator
 
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.options import groups_of, resolved_scene
 from soft_tendon_env.envs.tasks import TASKS
-from soft_tendon_env.evaluation.conditions import AND, SEEDS, SETTINGS, condition
-from soft_tendon_env.evaluation.entrants import agents_of
+from soft_tendon_env.envs.tracking import error_unit
+from soft_tendon_env.evaluation.conditions import SEEDS, SETTINGS
+from soft_tendon_env.evaluation.entrants import agents_of, model_in_the_loop
 from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.settings import RegimeNames, SettingNames, TaskName, Workers, episode_steps
-from soft_tendon_env.evaluation.summaries import Duel, Standing, Standings, compared
+from soft_tendon_env.evaluation.summaries import Standing, Standings, difference
+from soft_tendon_env.evaluation.tables import error_table, number
 from soft_tendon_env.policies.agent_checks import CLOCK
 from soft_tendon_env.policies.agent_files import INTERFACE
 from soft_tendon_env.policies.names import Agent, Controller, PolicyName
@@ -27,17 +25,16 @@ from soft_tendon_env.tools.types import NotNegative, Positive
 
 PLANT = "fine"
 """Fidelity of the arm that the benchmark is played on."""
+TARGET = {"type": "random", "fraction": 0.4, "knot_period": 0.6}
+"""Target that all follow."""
 
 
 class BenchmarkPolicy(Configuration):
     """One policy of the benchmark.
 
     Attributes:
-        policy: a controller with a state estimator, such as filtered:predictive or adaptive:tracking@fast, see `load_policy`; the folder
-            or .zip file of an agent, or agent, ppo, sac, dagger or apg, of those that ship; a folder of runs seed_0, seed_1, ..., as
-            `soft-tendon sweep` leaves them; or `module:name`.
-        seeds: a folder of runs that takes the place of `policy` if it exists.
-        optional: leave the policy out, with a note, if its files are missing or no regime suffices for it; otherwise that is an error.
+        policy: a controller with a state estimator, such as filtered:predictive or adaptive:tracking@fast; the folder or .zip file of an
+            agent, or agent, ppo, sac, dagger or apg, of those that ship; a folder of runs of `soft-tendon sweep`; or `module:name`.
         name: in tables, by default `policy`.
         regimes: in which it is evaluated, by default all whose observations suffice for it.
         settings: in which it is evaluated, by default all.
@@ -46,8 +43,6 @@ class BenchmarkPolicy(Configuration):
     """
 
     policy: str
-    seeds: str | None = None
-    optional: bool = False
     name: str = ""
     regimes: RegimeNames = ()
     settings: SettingNames = ()
@@ -58,14 +53,9 @@ class BenchmarkPolicy(Configuration):
         """Its name in tables."""
         return self.name or self.policy
 
-    @property
-    def policy_name(self) -> str:
-        """Name of what plays: `seeds` where there is such a folder, else `policy`."""
-        return self.policy if self.seeds is None or not Path(self.seeds).is_dir() else self.seeds
-
     def members(self, task: str) -> dict[int | None, PolicyName]:
         """Policies of which it consists, by seed of training; None: the only one. Raises ValueError, OSError for what is none."""
-        (files,) = agents_of(task, [self.policy_name]).values()
+        (files,) = agents_of(task, [self.policy]).values()
         return {seed: PolicyName.parse(file, task) for seed, file in files.items()}
 
 
@@ -89,10 +79,7 @@ class Benchmark(Workers):
         entrants: tables of the policies that are compared, see soft_tendon_env.evaluation.benchmark.BenchmarkPolicy.
         settings: names of model errors and loads, see soft_tendon_env.evaluation.conditions.
         regimes: names of sensor sets that policies observe, see soft_tendon_env.policies.regimes.
-        target: the environment's option: what all follow.
         episodes: number of episodes of every policy in every condition, on the first of the test seeds.
-        episodes_per_seed: least number of these episodes that each training seed is evaluated on, in turn, so that the seeds together cover
-            all; None: every seed is evaluated on all.
         seconds: length of an episode [s].
         skip: time at the beginning of an episode that errors leave out [s].
     """
@@ -102,9 +89,7 @@ class Benchmark(Workers):
     entrants: tuple[BenchmarkPolicy, ...] = Field(min_length=1)
     settings: SettingNames = tuple(SETTINGS)
     regimes: RegimeNames = tuple(REGIMES)
-    target: dict[str, Any] = Field(default={"type": "random", "fraction": 0.4, "knot_period": 0.6})
     episodes: int = Field(default=20, ge=1, le=len(SEEDS["arena"]))
-    episodes_per_seed: int | None = Field(default=None, ge=1)
     seconds: Positive = 6.0
     skip: NotNegative = 1.0
 
@@ -113,48 +98,35 @@ class Benchmark(Workers):
         labels = [entrant.label for entrant in self.entrants]
         if twice := [label for label in dict.fromkeys(labels) if labels.count(label) > 1]:
             raise ConfigurationError([Problem(("entrants",), f"has {twice[0]!r} several times: give each a name of its own")])
-        episode_steps(self.seconds, self.skip, {"target": self.target})
+        episode_steps(self.seconds, self.skip, {"target": TARGET})
         return self
 
-    def present(self) -> tuple[Self, list[str]]:
-        """The benchmark without policies of other regimes or settings and optional ones that cannot play, and a line for each of the latter
-        and for everyone who plays without its seeds of training. Raises as `cells`, ValueError where nobody is left."""
-        entrants, notes = list[BenchmarkPolicy](), list[str]()
+    def cells(self) -> tuple[dict[Label, Cell], list[str]]:
+        """All that is to be played; and a line for every policy that is left out, since its files are missing or no regime suffices for it.
+        Raises ValueError where nobody is left."""
+        cells, notes = dict[Label, Cell](), list[str]()
         for entrant in self.entrants:
             try:
-                if not list(self._cells_of(entrant)):
-                    continue  # its regimes or settings are none of the chosen ones
+                cells |= dict(self._cells_of(entrant))
             except (ValueError, OSError) as error:
-                if not entrant.optional:
-                    raise
                 notes.append(f"{entrant.label} is left out: {error}")
-                continue
-            entrants.append(entrant)
-            if entrant.seeds not in (None, entrant.policy_name):
-                notes.append(f"{entrant.label} is a single training, {entrant.policy_name}: there is no folder {entrant.seeds} of several")
-        if not entrants:
+        if not cells:
             raise ValueError(f"nobody can play: {'; '.join(notes) or 'all entrants are for other regimes or settings'}")
-        return self.model_copy(update={"entrants": tuple(entrants)}), notes
-
-    def cells(self) -> dict[Label, Cell]:
-        """All that is to be played. Raises ValueError, OSError for policies that cannot play, or cannot play anywhere."""
-        return {label: cell for entrant in self.entrants for label, cell in self._cells_of(entrant)}
+        return cells, notes
 
     def _cells_of(self, entrant: BenchmarkPolicy) -> Iterator[tuple[Label, Cell]]:
-        members, reasons, plays = entrant.members(self.task), dict[str, None](), False
-        own = max(self.episodes_per_seed or self.episodes, -(-self.episodes // len(members)))
-        for place, (seed, policy) in enumerate(members.items()):
-            episodes = tuple(SEEDS["arena"][(place * own + k) % self.episodes] for k in range(min(own, self.episodes)))
+        reasons, plays, episodes = dict[str, None](), False, tuple(SEEDS["arena"][: self.episodes])
+        for seed, policy in entrant.members(self.task).items():
             for regime in (name for name in self.regimes if name in (entrant.regimes or self.regimes)):
                 observed = interface_options(policy, regime)
                 if reason := misfit(policy, {"scene": self.scene, **observed}, regime):
                     reasons[f"{regime}: {reason}"] = None
                     continue
-                plays = True
+                plays, noise = True, {"noise": dict(REGIMES[regime].noise)}
                 for setting in (name for name in self.settings if name in (entrant.settings or self.settings)):
-                    given = {**observed, "scene": self.scene, "fidelity": PLANT, "target": self.target}
-                    options = condition(f"{regime}{AND}{setting}").options(given)
+                    given = {**observed, "scene": self.scene, "fidelity": PLANT, "target": TARGET, "randomize": noise}
                     told = {"scene": self.scene, **(SETTINGS[setting].scene(load_scene(self.scene)) if entrant.told else {})}
+                    options = SETTINGS[setting].options(given)
                     cell = Cell(self.task, policy.text, options, episodes, self.seconds, self.skip, told=told)
                     yield Label(entrant.label, seed, regime, setting), cell
         if reasons and not plays:
@@ -186,32 +158,33 @@ def misfit(policy: PolicyName, options: Mapping[str, Any], regime: str) -> str:
     return f"it has {count} strain sensors" if "strain" in groups and count > allowed.sensors else ""
 
 
-class Results(NamedTuple):
-    """Results of a benchmark: standings by policy and setting, of every regime; which policies are controllers."""
-
-    benchmark: Benchmark
-    controllers: frozenset[str]
-    of: Mapping[str, Standings]
-
-    def best(self, regime: str, setting: str, learned: bool) -> tuple[str, Standing] | None:
-        """Policy with the least error under a condition, among those that have learned or that have not; None: nobody plays there."""
-        found = [(name, own) for (name, of), own in self.of[regime].items() if of == setting and (name not in self.controllers) == learned]
-        return min(found, key=lambda own: own[1].mean(f"{own[1].error}_rms").value, default=None)
-
-    def duels(self) -> Iterator[tuple[str, str, tuple[str, Standing], tuple[str, Standing], Duel]]:
-        """Under every condition where both kinds play: the best that has learned, the best controller, and how they compare."""
-        for regime, of in self.of.items():
-            for setting in dict.fromkeys(setting for _, setting in of):
-                learned, other = (self.best(regime, setting, own) for own in (True, False))
-                if learned is not None and other is not None:
-                    yield regime, setting, learned, other, compared(learned[1], other[1], f"{other[1].error}_rms")
-
-
-def results_of(benchmark: Benchmark, experiment: Experiment[Label]) -> Results:
-    """Results of an experiment that was played. Raises ValueError, OSError."""
+def standings_by_regime(benchmark: Benchmark, experiment: Experiment[Label]) -> dict[str, Standings]:
+    """Standings by policy and setting, of every regime, once the experiment was played. Raises ValueError, OSError."""
     scores: dict[str, dict[tuple[str, str], list[Any]]] = {}
     for label in sorted(experiment.cells, key=lambda label: benchmark.settings.index(label.setting)):
         scores.setdefault(label.regime, {}).setdefault((label.policy, label.setting), []).append(experiment.scores(label))
-    kinds = {entrant.label: next(iter(entrant.members(benchmark.task).values())) for entrant in benchmark.entrants}
-    controllers = frozenset(name for name, policy in kinds.items() if isinstance(policy, Controller))
-    return Results(benchmark, controllers, {regime: {key: Standing(own) for key, own in of.items()} for regime, of in scores.items()})
+    return {regime: {key: Standing(own) for key, own in of.items()} for regime, of in scores.items()}
+
+
+def benchmark_tables(benchmark: Benchmark, found: Mapping[str, Standings]) -> str:
+    """A table per regime: errors by policy and setting, and the gap between the best that has learned and the best controller."""
+    played = {name for of in found.values() for name, _ in of}
+    first = {own.label: (next(iter(own.members(benchmark.task).values())), own.told) for own in benchmark.entrants if own.label in played}
+    models = {label: model_in_the_loop(*policy) for label, policy in first.items()}
+    learned, texts = {label for label, (policy, _) in first.items() if not isinstance(policy, Controller)}, list[str]()
+    for regime, of in found.items():
+        texts.append(f"### {regime}\n\n{REGIMES[regime].description.capitalize()}.\n\n{error_table(of, models, [gaps(of, learned)])}")
+    legend = "The last row has the interquartile mean of the paired difference with its interval; both are chosen by these episodes."
+    return "\n\n".join([*texts, legend])
+
+
+def gaps(of: Standings, learned: set[str]) -> dict[str, str]:
+    """Row of the errors of the best learned policy less those of the best controller, by setting where both kinds play."""
+    row = {"": "best learned less best controller"}
+    for setting in dict.fromkeys(setting for _, setting in of):
+        kinds = [[own for (name, at), own in of.items() if at == setting and (name in learned) == kind] for kind in (True, False)]
+        if all(kinds):
+            one, other = (min(kind, key=lambda own: own.mean(f"{own.error}_rms").value) for kind in kinds)
+            factor = error_unit(one.error).factor
+            row[setting] = "{} ({} to {})".format(*(number(factor * value) for value in difference(one, other, f"{one.error}_rms")))
+    return row

@@ -1,32 +1,21 @@
-"""Conditions of an evaluation: what differs from the arm that policies know, and the seeds of the episodes.
-
-To add a condition, add an entry to MODEL_ERRORS or SETTINGS, here or from your own module.
-"""
+"""Conditions of an evaluation: what differs from the arm that policies know, and the seeds of the episodes."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from soft_tendon_env.envs.options import given_scene
-from soft_tendon_env.policies.regimes import NOISE, REGIMES
+from soft_tendon_env.policies.regimes import NOISE
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import not_among, plain
 
 NOMINAL = "nominal"
-"""Condition of an arm that is as its model says."""
-AND = ","
-"""Separator between the names of conditions that hold together."""
+AND = ","  # between the names of conditions that hold together
 
 
 @dataclass(frozen=True)
 class Condition:
-    """Difference of an arm from nominal, unknown to the policy.
-
-    Attributes:
-        description: in words.
-        randomize: values of the environment's option, fixed or drawn anew for every episode.
-        scene: changes of the scene by dotted keys, such as effects, as a function of the scene.
-    """
+    """Difference of an arm from nominal, unknown to the policy: values of `randomize`, and changes of the scene by dotted keys."""
 
     description: str = ""
     randomize: Mapping[str, Any] = field(default_factory=dict)
@@ -58,18 +47,19 @@ MODEL_ERRORS: dict[str, Condition] = {
 def _pushes(scene: Scene) -> dict[str, Any]:
     """Three pushes at the tip and in the middle, each a fifth of a second or more."""
     length = rod_length(scene)
-    pulses = (length, 1.5, 0.2), (0.5 * length, 3.0, 0.4), (length, 4.5, 0.6)
-    signals = [(place, {"type": "pulse", "start": start, "duration": duration}) for place, start, duration in pulses]
-    return {"effects.disturbance.loads": [{"at": place, "force": [0.0, 0.0, 0.0], "signal": signal} for place, signal in signals]}
+    loads = [
+        {"at": place, "force": [0.0, 0.0, 0.0], "signal": {"type": "pulse", "start": start, "duration": duration}}
+        for place, start, duration in ((length, 1.5, 0.2), (0.5 * length, 3.0, 0.4), (length, 4.5, 0.6))
+    ]
+    return {"effects.disturbance.loads": loads}
 
 
 def _obstacles(scene: Scene) -> dict[str, Any]:
     """Two balls that swing through the middle of the arm's space, one along y, one along z, and begin beside it."""
-    length = rod_length(scene)
-    balls = []
-    for place, amplitude, often in ((0.4, (0.0, 0.25 * length, 0.0), 0.3), (0.6, (0.0, 0.0, 0.25 * length), 0.4)):
-        ball = {"type": "sphere", "radius": 0.05 * length, "position": [place * length, 0.0, 0.0]}
-        balls.append({**ball, "amplitude": [*amplitude], "frequency": often, "phase": 90.0})
+    length, balls = rod_length(scene), list[dict[str, Any]]()
+    for place, amplitude, often in ((0.4, [0.0, 0.25 * length, 0.0], 0.3), (0.6, [0.0, 0.0, 0.25 * length], 0.4)):
+        swing = {"amplitude": amplitude, "frequency": often, "phase": 90.0}
+        balls.append({"type": "sphere", "radius": 0.05 * length, "position": [place * length, 0.0, 0.0], **swing})
     return {"effects.contact": {"obstacles": balls}}
 
 
@@ -110,27 +100,18 @@ SETTINGS: dict[str, Condition] = {
 
 
 def model_error(names: str) -> Condition:
-    """Condition of a name of MODEL_ERRORS, or of several together, "stiffness+20%,payload-20g". Raises as `condition`."""
-    return condition(names, MODEL_ERRORS)
-
-
-def condition(names: str, known: Mapping[str, Condition] | None = None) -> Condition:
-    """Condition of a name, by default of SETTINGS or REGIMES (their noise), or of several together, "sensors,water".
-
-    Raises ValueError for unknown names, and where two set the same value.
-    """
-    regimes = {name: Condition(regime.description, {"noise": dict(regime.noise)}) for name, regime in REGIMES.items()}
-    known, parts = known or {**SETTINGS, **regimes}, list[Condition]()
+    """Condition of a name of MODEL_ERRORS, or of several together, "stiffness+20%,payload-20g". Raises ValueError for unknown names, and
+    where two set the same value."""
+    parts = list[Condition]()
     for name in names.split(AND):
-        if name not in known:
-            raise ValueError(f"names {name!r}: {not_among(name, known)}; several at once with {AND!r} between them")
-        parts.append(known[name])
-    keys = [key for part in parts for key, value in part.randomize.items() if value]
+        if name not in MODEL_ERRORS:
+            raise ValueError(f"names {name!r}: {not_among(name, MODEL_ERRORS)}; several at once with {AND!r} between them")
+        parts.append(MODEL_ERRORS[name])
+    keys = [key for part in parts for key in part.randomize]
     if twice := sorted({key for key in keys if keys.count(key) > 1}):
         raise ValueError(f"names {names!r}, in which {', '.join(twice)} is said twice")
     randomize = {key: value for part in parts for key, value in part.randomize.items()}
-    description = "; ".join(part.description for part in parts if part.description)
-    return Condition(description, randomize, lambda scene: {key: own for part in parts for key, own in part.scene(scene).items()})
+    return Condition(names, randomize, lambda scene: {key: own for part in parts for key, own in part.scene(scene).items()})
 
 
 SEEDS = {
@@ -140,12 +121,9 @@ SEEDS = {
     "validation": range(3_000_000, 3_000_100),
     "training": range(2**32, 2**32 + 2**48),
 }
-"""Ranges of seeds of `reset` by purpose. No two share a seed, which is asserted: policies are not judged on what chose them. Parameters of
-controllers are tuned on "tuning"; `evaluate`, `compare` and `demo` judge on "evaluation", `arena` on "arena"; learning curves are measured,
-and the best agent of a training chosen, on "validation"; arms that agents train on draw theirs from "training"."""
-
-_ordered = sorted(SEEDS.values(), key=lambda seeds: seeds.start)
-assert all(one.stop <= other.start for one, other in zip(_ordered, _ordered[1:], strict=False)), "every seed has one purpose"
+"""Ranges of seeds of `reset` by purpose, which share none: policies are not judged on what chose them. Parameters of controllers are tuned
+on "tuning"; `evaluate`, `compare` and `demo` judge on "evaluation", `arena` on "arena"; agents of a training are chosen on "validation";
+arms that agents train on draw theirs from "training"."""
 
 EVALUATION_SEEDS = tuple(SEEDS["evaluation"])
 """Fixed list of episodes on which agents and controllers are compared."""

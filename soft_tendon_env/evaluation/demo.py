@@ -1,38 +1,34 @@
 """The demo: the paper's controller, model-based controllers, PPO and the best agent, on the paper's arm, its circle and random targets.
 
-All arms are recorded side by side, first along the circle, then along one of the random targets. Errors count from a tenth of an episode
-on. Times per action are those of the recorded episodes, which run in one process with nothing beside it.
+All arms are recorded side by side, first along the circle, then along one of the random targets, which also gives the times per action.
 """
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from pydantic import Field
 
-from soft_tendon_env.evaluation.comparison import alone, make_cell, record_side_by_side, shared_arms
+from soft_tendon_env.evaluation.comparison import TIME, compare, record_side_by_side, shared_arms, standings_of
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, NOMINAL
 from soft_tendon_env.evaluation.entrants import model_in_the_loop
-from soft_tendon_env.evaluation.experiment import Cell, Experiment
-from soft_tendon_env.evaluation.settings import EpisodeSettings, TableSettings, Workers
-from soft_tendon_env.evaluation.summaries import summarise
+from soft_tendon_env.evaluation.experiment import Experiment
+from soft_tendon_env.evaluation.settings import Settings, Workers
+from soft_tendon_env.evaluation.summaries import Standing
 from soft_tendon_env.evaluation.tables import summary_table
 from soft_tendon_env.policies.agent_files import AGENT, AgentName, shipped_for
 from soft_tendon_env.policies.names import Agent, PolicyName
-from soft_tendon_env.recording import Rollout
 from soft_tendon_env.tools.types import Positive
 
 TASK = "TipPose"
 SHOWN = {"paper": "paper (printed law)", "tracking": "tracking (sampled law)", "predictive": "predictive (MPC)"}
 """Controllers that are shown, with their names there."""
 ARM = {"scene": "paper", "fidelity": "standard"}
-NOTES = """The tendons of this arm pull, with 0 to 60 N, and cannot push. The poses that they hold at rest lie a few millimetres off
-those of the circle, which is no lower limit of the error of a moving arm. Random targets are poses that the arm can hold. The law (39)
-of the paper is continuous in time and takes tendons that push as well: as printed, held for 20 ms and cut off at 0 N, it is unstable.
-`tracking` is the same law for sampled commands and tendons that only pull; `soft-tendon reproduce-paper` shows it as the paper has it."""
+NOTES = """The tendons of this arm pull, with 0 to 60 N, and cannot push. The law (39) of the paper is continuous in time and takes tendons
+that push as well: as printed, held for 20 ms and cut off at 0 N, it is unstable. `tracking` is the same law for sampled commands and
+tendons that only pull; `soft-tendon reproduce-paper` shows it as the paper has it."""
 
 
-class Demonstration(Workers, TableSettings):
+class Demonstration(Workers):
     """Episodes of the demo, and the agent in it.
 
     Attributes:
@@ -48,31 +44,8 @@ class Demonstration(Workers, TableSettings):
     @property
     def policies(self) -> dict[str, str]:
         """Policies that are shown, and their names there, which say what they are. Raises ValueError, OSError."""
-        names = {Agent(name, TASK).files.path: name for name in (*(["ppo"] if "ppo" in shipped_for(TASK) else []), self.agent)}
-        trained = {name: Agent(name, TASK).training.partition(",")[0] for name in names.values()}
-        return SHOWN | {name: f"agent ({own})" if name == self.agent else own for name, own in trained.items()}
-
-    def cells(self, target: str) -> dict[str, Cell]:
-        """Every policy on a target, by its name in tables. Raises ValueError, OSError for what is none."""
-        settings = EpisodeSettings(seconds=self.seconds, skip=0.1 * self.seconds, options={**ARM, "target": target})
-        names, seeds = self.policies, EVALUATION_SEEDS[: self.episodes]
-        arms = shared_arms(settings, TASK, names)
-        return {names[policy]: make_cell(settings, seeds, TASK, policy, options, NOMINAL) for policy, options in arms.items()}
-
-
-class FirstEpisodes:
-    """An open RerunFile that keeps the first episode of every arm too, as a rollout."""
-
-    def __init__(self, file: Any) -> None:
-        self._file, self.rollouts = file, dict[str, Rollout]()
-
-    def write(self, rollout: Rollout, arm: str, *, continues: bool) -> None:
-        """Writes an episode, see RerunFile.write."""
-        self._file.write(rollout, arm, continues=continues)
-        self.rollouts.setdefault(arm, rollout)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._file, name)
+        trained = Agent(self.agent, TASK).training.partition(",")[0]
+        return {**SHOWN, **({"ppo": "PPO"} if "ppo" in shipped_for(TASK) else {}), self.agent: f"agent ({trained})"}
 
 
 def run_demo(settings: Demonstration, file: Any, out: Path) -> str:
@@ -80,22 +53,25 @@ def run_demo(settings: Demonstration, file: Any, out: Path) -> str:
 
     Raises ValueError, OSError.
     """
-    from soft_tendon_env.evaluation.pictures import draw_demo
+    from soft_tendon_env.evaluation.pictures import draw_errors
 
-    circle, random = settings.cells("circle"), settings.cells("random")
-    pieces = {(name, seed): cell._replace(seeds=(seed,)) for name, cell in random.items() for seed in cell.seeds}
-    experiment, players = Experiment(pieces, out / "cells"), [[alone(cell).open() for cell in of.values()] for of in (circle, random)]
-    names, seeds, skip = [*random], EVALUATION_SEEDS[:1], 0.1 * settings.seconds
+    names, tables, standings = settings.policies, list[str](), dict[tuple[str, str], Standing]()
+    files: dict[str, dict[int | None, str]] = {name: {None: policy} for policy, name in names.items()}
+    models = {name: model_in_the_loop(PolicyName.parse(policy, TASK)) for policy, name in names.items()}
+    experiments = dict[str, Experiment[tuple[str, str]]]()
+    for target, episodes in (("circle", 1), ("random", settings.episodes)):
+        length = {"seconds": settings.seconds, "skip": 0.1 * settings.seconds}
+        own = Settings.parse({**length, "errors": (NOMINAL,), "episodes": episodes, "options": {**ARM, "target": target}}, "demo")
+        label = target if target == "circle" else f"{episodes} random targets"
+        experiments[label] = compare(own, TASK, shared_arms(own, TASK, names), out / "cells")
     with file:
-        kept = FirstEpisodes(file)
-        on_circle, first = (record_side_by_side(own, kept, names, seeds, skip, new=k == 0) for k, own in enumerate(players))
-    experiment.play("random targets: policies x episodes", settings.workers, settings.cluster)
-    on_random = {name: [experiment.scores((name, seed))[0] for seed in cell.seeds] for name, cell in random.items()}
-    draw_demo(kept.rollouts, on_random, out / "demo.png")
-    times = {name: summarise(scores).action_time for name, scores in zip(names, first, strict=True)}
-    tables = {
-        "circle": {name: summarise(scores) for name, scores in zip(names, on_circle, strict=True)},
-        f"{settings.episodes} random targets": {name: replace(summarise(on_random[name]), action_time=times[name]) for name in names},
-    }
-    models = {name: model_in_the_loop(PolicyName.parse(policy, TASK)) for policy, name in settings.policies.items()}
-    return "\n\n".join(summary_table(label, summaries, settings.all, models) for label, summaries in tables.items())
+        for label, experiment in experiments.items():
+            players = {name: experiment.cells[policy, TIME].open() for policy, name in names.items()}
+            record_side_by_side(players, file, EVALUATION_SEEDS[:1], 0.0, new=label == "circle")
+    for label, experiment in experiments.items():
+        experiment.play(label, settings.workers, settings.cluster)
+        found, summaries = standings_of(experiment, files)
+        tables.append(summary_table(label, {name: summaries[name, NOMINAL] for name in files}, models))
+        standings |= {(name, label): standing for (name, _), standing in found.items()}
+    draw_errors({TASK: standings}, out / "demo.png")
+    return "\n\n".join(tables)

@@ -25,14 +25,13 @@ def seed_files(folder: Path, task: str) -> dict[int | None, str]:
     """Best agents of the runs of a folder by seed; none of what is no such folder. Raises ValueError, OSError unless all were trained on
     the task, and alike."""
     runs = seed_folders(folder) if any(folder.glob("seed_*")) else {}
-    configs = {run: read_run(run) for run in runs.values()}
-    first = next(iter(configs.values()), {})
-    for run, config in configs.items():
-        for key in ALIKE:
-            if config.get(key) != first.get(key):
-                raise ValueError(f"{run} has {key} = {config.get(key)!r}, the first seed has {first.get(key)!r}: compare them apart")
-        if config.get("task") != task:
-            raise ValueError(f"{run} was trained on {config.get('task')}, not on {task}")
+    first: dict[str, Any] = {"task": task}
+    for run in runs.values():
+        config = read_run(run)
+        first = {**{key: config.get(key) for key in ALIKE}, **first}
+        if other := [key for key in ALIKE if config.get(key) != first[key]]:
+            found = ", ".join(f"{key} = {config.get(key)!r}, not {first[key]!r}" for key in other)
+            raise ValueError(f"{run} has {found}: compare it apart")
         if not (run / BEST).is_dir():
             raise FileNotFoundError(f"{run} has no agent in {BEST}: finish its training with `soft-tendon sweep`, or take it away")
     return {seed: str(run / BEST) for seed, run in runs.items()}

@@ -1,7 +1,6 @@
 """Experiments: policies x conditions x seeds, as cells that are played once, kept in a file each, and so go on where they were stopped.
 
-`evaluate`, `compare`, `demo` and `arena` are lists of cells. A cell's file is named after a digest of the cell, with its scenes and the
-policy's files, and of the sources: what changes is played again.
+A cell's file is named after a digest of the cell, its scenes, the policy's files, and the sources: what changes is played again.
 """
 
 import hashlib
@@ -10,7 +9,6 @@ import sys
 import sysconfig
 import warnings
 from collections.abc import Hashable, Iterator, Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -19,7 +17,7 @@ import gymnasium as gym
 from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.envs import IDS, Options
 from soft_tendon_env.envs.options import resolved_scene
-from soft_tendon_env.evaluation.metrics import EpisodeScore, score
+from soft_tendon_env.evaluation.metrics import EpisodeScore, record, restored, score
 from soft_tendon_env.evaluation.play import play
 from soft_tendon_env.evaluation.provenance import machine, origin
 from soft_tendon_env.evaluation.settings import episode_steps
@@ -34,17 +32,14 @@ from soft_tendon_env.tools.parallel import run_all
 BELIEF = "standard"
 """Fidelity of the model that controllers are told of, unless their name says another, as in filtered:predictive@fast."""
 Label = TypeVar("Label", bound=Hashable)
-Opened = tuple[Policy, Any]
-"""A policy and its environment, single or vector."""
 
 
 class Cell(NamedTuple):
     """Unit of work: a policy under a condition, over its episodes. Plain values, which other processes and machines can get.
 
-    options: of the environment: arm, condition, observation, target. seconds: length of an episode; errors count from `skip` [s] on.
-    alone: played with nothing beside it, for times per action. rows: episodes are side by side, else one after another. told: option
-    `scene` of the arm that controllers believe in, at BELIEF unless their name says another fidelity, while agents may have been trained
-    with other effects; None: the environment's own model.
+    options: of the environment. seconds: length of an episode; errors count from `skip` [s] on. alone: played with nothing beside it, for
+    times per action. rows: episodes are side by side, else one after another. told: option `scene` of the arm that controllers believe in,
+    while agents may have been trained with other effects; None: the environment's own model.
     """
 
     task: str
@@ -57,13 +52,13 @@ class Cell(NamedTuple):
     rows: bool = True
     told: Mapping[str, Any] | None = None
 
-    def open(self) -> Opened:
+    def open(self) -> tuple[Policy, Any]:
         """The policy and its environment: a single one, or with a row per seed. Raises ConfigurationError, ValueError, OSError."""
         given = {"max_episode_steps": episode_steps(self.seconds, self.skip, self.options), **self.options}
         policy = PolicyName.parse(self.policy, self.task)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", TrainingWarning)  # what the commands print says it once
-            if self.told is not None:  # fields made for other loads are taken as they are: the page of the results says so
+            if self.told is not None:  # fields made for other loads are taken as they are
                 warnings.simplefilter("ignore", FieldsWarning)
             rows: dict[str, Any] = {"num_envs": len(self.seeds), "threads": 1}
             env: Any = gym.make_vec(IDS[self.task], **rows, **given) if self.rows else gym.make(IDS[self.task], **given)
@@ -72,16 +67,15 @@ class Cell(NamedTuple):
     def key(self, code: str) -> str:
         """Digest of all that the result depends on, with the sources' `code`. Raises ConfigurationError, ValueError, OSError."""
         options, policy = Options.parse(self.options, "options"), PolicyName.parse(self.policy, self.task)
-        believed = believed_scene(policy, self.told)
-        scenes = [scene.model_dump(mode="json") for scene in (resolved_scene(options), believed) if scene is not None]
+        both = resolved_scene(options), believed_scene(policy, self.told)
+        scenes = [scene.model_dump(mode="json") for scene in both if scene is not None]
+        known = {"policy": policy.fingerprint(), "files": {path: digest(Path(path)) for path in _files_in(scenes)}, "code": code}
         content = {
             **self._asdict(),
             "options": options.model_dump(mode="json"),
-            "policy": policy.fingerprint(),
             "told": scenes,
-            "files": {path: digest(Path(path)) for path in _files_in(scenes)},
-            "code": code,
-            "machine": machine() if self.alone else None,
+            **known,
+            "machine": self.alone and machine(),
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
 
@@ -100,7 +94,7 @@ def _files_in(value: Any) -> Iterator[str]:
     if isinstance(value, Mapping | list):
         for inner in value.values() if isinstance(value, Mapping) else value:
             yield from _files_in(inner)
-    elif isinstance(value, str) and value and "\0" not in value and len(value) < 4096 and Path(value).is_file():
+    elif isinstance(value, str) and value and Path(value).is_file():
         yield value
 
 
@@ -112,9 +106,9 @@ def code_digest() -> str:
     return " ".join([sources_digest("**/*.py", "**/*.toml", "**/*.json", "**/*.npz"), *sorted(map(digest, users))])
 
 
-def measure(cell: Cell, opened: Opened | None = None) -> list[EpisodeScore]:
-    """Scores of a cell, one per seed. Raises ValueError, OSError. opened: see `Cell.open`, which is called by default."""
-    policy, env = cell.open() if opened is None else opened
+def measure(cell: Cell) -> list[EpisodeScore]:
+    """Scores of a cell, one per seed. Raises ValueError, OSError."""
+    policy, env = cell.open()
     try:
         together = [cell.seeds] if cell.rows else [(seed,) for seed in cell.seeds]
         return [score(episode, cell.skip) for seeds in together for episode in play(policy, env, seeds)]
@@ -129,11 +123,13 @@ class Experiment(Generic[Label]):
     """
 
     def __init__(self, cells: Mapping[Label, Cell], folder: Path) -> None:
-        """The policies of cells that are played alone are loaded: what is wrong with one is said before anything takes long."""
+        """Cells that are played alone are opened: what is wrong with a policy is said before anything takes long."""
         code = code_digest()
         self.cells, self._folder = cells, folder
         self._paths = {label: folder / f"{cell.key(code)}.json" for label, cell in cells.items()}
-        self._opened = {label: cell.open() for label, cell in cells.items() if cell.alone}
+        for cell in cells.values():
+            if cell.alone:
+                cell.open()[1].close()
 
     def missing(self) -> list[Label]:
         """Labels of cells that have no result yet, one for all cells that are alike."""
@@ -146,19 +142,19 @@ class Experiment(Generic[Label]):
 
         def keep(label: Label, scores: list[EpisodeScore]) -> None:
             with replacing(self._paths[label]) as path:  # NaN and infinity stand in the file, as json has them
-                path.write_text(json.dumps({"cell": self.cells[label]._asdict(), **where, "scores": [asdict(own) for own in scores]}))
+                path.write_text(json.dumps({"cell": self.cells[label]._asdict(), **where, "scores": [*map(record, scores)]}))
 
         for label in left:
             if self.cells[label].alone:
-                keep(label, measure(self.cells[label], self._opened.pop(label)))
+                keep(label, measure(self.cells[label]))
         others = [label for label in left if not self.cells[label].alone]
-        runs, done = [self.cells[label] for label in others], lambda place, scores: keep(others[place], scores)
-        run_all(measure, runs, workers, title, unit="cell", cluster=cluster, done=done)
+        runs = [self.cells[label] for label in others]
+        run_all(measure, runs, workers, title, unit="cell", cluster=cluster, done=lambda place, scores: keep(others[place], scores))
 
     def scores(self, label: Label) -> list[EpisodeScore]:
         """Scores of a cell's episodes. Raises ValueError for a damaged result, OSError."""
         path = self._paths[label]
         try:
-            return [EpisodeScore.restored(record) for record in read_json(path)["scores"]]
+            return [*map(restored, read_json(path)["scores"])]
         except (KeyError, TypeError) as error:
             raise ValueError(f"{path} is no result of an experiment: take it away, and it is played again") from error

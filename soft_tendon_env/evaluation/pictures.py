@@ -1,4 +1,4 @@
-"""Pictures of evaluations: errors of policies by condition, the demo's, and errors against times of settings of a model."""
+"""Pictures of evaluations: errors of policies by condition, and errors against times of settings of a model."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,14 +16,8 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from soft_tendon_env.accuracy.pareto import Point
 from soft_tendon_env.drawing.palette import styles
 from soft_tendon_env.envs.tracking import error_unit
-from soft_tendon_env.evaluation.metrics import EpisodeScore
 from soft_tendon_env.evaluation.summaries import Standings
 from soft_tendon_env.policies.load import short_name
-from soft_tendon_env.recording import Rollout
-
-ROOM, HEADROOM, PALE = 1.3, 2.0, 0.35
-"""Room around the circle of the demo, times its radius, and above the errors of all but the first policy, the paper's law as printed, which
-goes far and wide; and that one's opacity."""
 
 
 def draw_errors(panels: Mapping[str, Standings], path: Path) -> None:
@@ -65,37 +59,6 @@ def set_log_scale(axes: Axes, axis: Axis) -> None:
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(NullFormatter())
-
-
-def draw_demo(on_circle: Mapping[str, Rollout], on_random: Mapping[str, Sequence[EpisodeScore]], path: Path) -> None:
-    """Draw the circle as it was followed, the errors on it, and those on random targets, by the names of policies. Raises OSError."""
-    figure, all_axes = plt.subplots(1, 3, figsize=(16, 5.4), constrained_layout=True)
-    paths, times, episodes = all_axes
-    target = next(iter(on_circle.values())).target_pose
-    assert target is not None, "a circle is made of poses"
-    reach, above = ROOM * np.abs(target[:, 1:3, 3]).max(), list[float]()
-    for k, (name, own) in enumerate(styles(on_circle).items()):
-        rollout, colour = on_circle[name], (*own.rgb, 1.0 if k else PALE)
-        way, errors = rollout.tip_pose[:, 1:3, 3], 1e3 * rollout.scalars["position_error"]
-        outside = np.abs(way).max(axis=1) > reach
-        end = 1 + int(outside.argmax()) if k == 0 and outside.any() else None
-        paths.plot(*way[:end].T, color=colour, linewidth=1.2, label=name)
-        times.plot(rollout.period * np.arange(rollout.samples), errors, color=colour, linewidth=1.2)
-        values = [1e3 * score.errors["position_error"].rms for score in on_random[name]]
-        episodes.plot(range(1, len(values) + 1), values, "o-", color=colour, linewidth=1.0)
-        above += [np.nanmax([*values, errors[rollout.samples // 10 :].max()])] if k else []
-    paths.plot(*target[:, 1:3, 3].T, "--", color="black", linewidth=1.0, label="circle")
-    paths.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel="y [m]", ylabel="z [m]", title="the tip along the circle")
-    times.set(xlabel="time [s]", ylabel="position error [mm]", title="error on the circle")
-    episodes.set(xlabel="random target", ylabel="position error [mm], RMS of an episode", title="errors on random targets")
-    episodes.locator_params(axis="x", integer=True)
-    for axes in (times, episodes):
-        set_log_scale(axes, axes.yaxis)
-        axes.set_ylim(top=HEADROOM * max(above))
-    for axes in all_axes:
-        axes.grid(alpha=0.3, which="both")
-    figure.legend(frameon=False, loc="outside lower center", ncols=len(on_circle) + 1)
-    save_figure(figure, path)
 
 
 def draw_front(title: str, costs: Sequence[tuple[Point, float]], tolerance: float | None, path: Path) -> None:

@@ -19,15 +19,14 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.single import TendonRodEnv
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
-from soft_tendon_env.evaluation.metrics import STILL, Episode, EpisodeScore, score
+from soft_tendon_env.evaluation.metrics import Episode, EpisodeScore, score
 from soft_tendon_env.evaluation.settings import episode_steps
-from soft_tendon_env.policies.controller_policy import RowMemory
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.checks import checked_type
 from soft_tendon_env.tools.types import Array
 
-ROUND_OFF = 1e-6
-"""Share of the range of actions and tensions by which they may exceed their bounds: float32 has less."""
+STILL = 1e-9
+"""Greatest change of a target's pose [m, or of its rotation's entries] in a control period of a target that holds still."""
 Env = gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]
 
 
@@ -56,12 +55,8 @@ def evaluate_rows(policy: Policy, envs: gym.vector.VectorEnv[Any, Any, Any], see
 def validation_scores(
     make: Callable[[Any], Policy], task: str, options: Mapping[str, Any], seeds: Sequence[int], seconds: float = 3.0, skip: float = 1.0
 ) -> list[EpisodeScore]:
-    """Scores of a policy over the episodes of these seeds, side by side.
-
-    make: the policy for an environment, which has a row per seed. options: of the environment, among them `randomize`, the condition.
-    """
-    steps = episode_steps(seconds, skip, options)
-    envs = gym.make_vec(IDS[task], num_envs=len(seeds), max_episode_steps=steps, **options)
+    """Scores of a policy, made for an environment with a row per seed and these options, over the episodes of these seeds."""
+    envs = gym.make_vec(IDS[task], num_envs=len(seeds), max_episode_steps=episode_steps(seconds, skip, options), **options)
     try:
         return evaluate_rows(make(envs), envs, seeds, skip)
     finally:
@@ -69,11 +64,8 @@ def validation_scores(
 
 
 class Step(NamedTuple):
-    """One control period of all rows: the actions, the state that `predict` returned with them, rewards (rows,), rows that ended (rows,),
-    and the time [s] that each action took."""
+    """One control period of all rows: rewards (rows,), rows that ended (rows,), and the time [s] that each action took."""
 
-    action: Any
-    state: Any
     reward: Array
     ended: NDArray[np.bool_]
     seconds: float
@@ -85,55 +77,36 @@ def play_steps(policy: Policy, env: Env, seeds: Sequence[int]) -> Iterator[Step]
     rows, many = len(seeds), isinstance(env, gym.vector.VectorEnv)
     observation, _ = env.reset(seed=list(seeds) if many else seeds[0])  # type: ignore[arg-type] # an int means others
     state, ended = None, np.ones(rows, dtype=bool)
-    yield Step(None, None, np.zeros(rows), np.zeros(rows, dtype=bool), 0.0)
+    yield Step(np.zeros(rows), np.zeros(rows, dtype=bool), 0.0)
     while True:
         started = time.perf_counter()
         action, state = policy.predict(observation, state, ended, deterministic=True)
         seconds = (time.perf_counter() - started) / rows
         observation, reward, terminated, truncated, _ = env.step(action)
         ended = np.atleast_1d(np.logical_or(terminated, truncated))
-        yield Step(action, state, np.atleast_1d(np.asarray(reward, dtype=float)), ended, seconds)
+        yield Step(np.atleast_1d(np.asarray(reward, dtype=float)), ended, seconds)
 
 
 def play(policy: Policy, env: Env, seeds: Sequence[int]) -> list[Episode]:
     """Episodes of these seeds, played to their ends; a row that ends waits for the others."""
-    episodes, rows = episodes_of(env), range(len(seeds))
-    course: list[tuple[Array, ...]] = []  # reward, violation, seconds, target, tension, errors of all rows, after every step
+    episodes, rows = episodes_of(env), len(seeds)
+    course: list[tuple[Array, ...]] = []  # reward, seconds, target, tension, errors of all rows, after every step
     ends: dict[int, dict[str, Any]] = {}
     for k, step in enumerate(play_steps(policy, env, seeds)):
-        memories = step.state if isinstance(step.state, tuple) and len(step.state) == len(rows) else (None,) * len(rows)
-        action = np.atleast_2d(step.action)
-        violation = [k > 0 and row not in ends and asks_too_much(action[row], memories[row], episodes.limits) for row in rows]
-        errors, seconds = np.array([*episodes.errors.values()]), np.full(len(rows), step.seconds)
-        course.append((step.reward, np.array(violation), seconds, episodes.target_pose.copy(), episodes.tension.copy(), errors.T))
+        target, errors = episodes.target_pose.copy(), np.array([*episodes.errors.values()]).T
+        course.append((step.reward, np.full(rows, step.seconds), target, episodes.tension.copy(), errors))
         for row in map(int, np.flatnonzero(step.ended)):
             cause = episodes.cause(row) if episodes.diverged[row] else None
             there = cause is None and bool(episodes.errors["position_error"][row] <= episodes.threshold) if episodes.task.goal else None
             ends.setdefault(row, {"steps": k, "cause": cause, "reached": there})
-        if len(ends) == len(rows):
+        if len(ends) == rows:
             break
 
     def episode(row: int, seed: int, steps: int, **end: Any) -> Episode:
         own = zip(*(tuple(values[row] for values in sample) for sample in course[: steps + 1]), strict=True)
-        reward, violation, seconds, target, tension, errors = map(np.array, own)
-        moved = np.abs(np.diff(target, axis=0, prepend=target[:1])).max(axis=(1, 2)) > STILL
+        reward, seconds, target, tension, errors = map(np.array, own)
         named = dict(zip(episodes.errors, errors.T.copy(), strict=True))
-        length = episodes.model.length
-        return Episode(seed, episodes.period, length, named, reward[1:], tension, violation[1:], seconds[1:], moved, **end)
+        jumped = (np.abs(np.diff(target[-3:], axis=0)) > STILL).any(axis=(1, 2)).tolist() == [False, True]
+        return Episode(seed, episodes.period, episodes.model.length, named, reward[1:], tension, seconds[1:], jumped, **end)
 
     return [episode(row, seed, **ends[row]) for row, seed in enumerate(seeds)]
-
-
-def asks_too_much(action: Any, memory: Any, limits: Array) -> bool:
-    """True if an action (n_a,) is beyond [-1, 1], or its controller decided on tensions beyond their limits (n_a, 2) [N].
-
-    memory: of the state that `predict` returned with the action: what a `ControllerPolicy` decided, before it made an action of it.
-    """
-    if np.abs(action).max() > 1.0 + 2.0 * ROUND_OFF:
-        return True
-    if not isinstance(memory, RowMemory) or memory.decision is None:
-        return False
-    least, greatest = limits.T
-    slack = ROUND_OFF * (greatest - least)
-    tension = memory.decision.tension
-    return bool((tension < least - slack).any() or (tension > greatest + slack).any())

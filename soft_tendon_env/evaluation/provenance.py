@@ -20,10 +20,7 @@ PACKAGES = {"soft_tendon_env", "numpy", "scipy", "numba", "gymnasium", "daqp", "
 
 def origin() -> dict[str, Any]:
     """Provenance of a result: command, time, commit, machine, versions."""
-    name = Path(sys.argv[0]).name
-    called = ["python", "-m", "soft_tendon_env"] if name == "__main__.py" else [name]
-    created = datetime.now(UTC).isoformat(timespec="seconds")
-    command = shlex.join([*called, *sys.argv[1:]])
+    command, created = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]), datetime.now(UTC).isoformat(timespec="seconds")
     return {"command": command, "created": created, "commit": commit(), "machine": machine(), "versions": versions()}
 
 

@@ -4,14 +4,14 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator
 
 from soft_tendon_env.envs import IDS, Options
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, MODEL_ERRORS, SETTINGS, model_error
 from soft_tendon_env.policies.agent_files import EnvironmentOptions
 from soft_tendon_env.policies.load import ALL
 from soft_tendon_env.policies.regimes import REGIMES
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
+from soft_tendon_env.tools.configuration import Configuration, not_among
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 
@@ -28,12 +28,10 @@ def _one_of(what: str, valid: Mapping[str, Any]) -> AfterValidator:
 
 ONCE = AfterValidator(lambda names: tuple(dict.fromkeys(names)))
 TaskName = Annotated[str, _one_of("a task", IDS)]
-"""Name of a registered task."""
 SettingNames = Annotated[tuple[Annotated[str, _one_of("a setting", SETTINGS)], ...], ONCE]
 RegimeNames = Annotated[tuple[Annotated[str, _one_of("an information regime", REGIMES)], ...], ONCE]
-"""Names of settings and information regimes, each once."""
 Seed = Annotated[int, Field(ge=0)]
-"""Seed of `reset`."""
+Seeds = Annotated[tuple[Seed, ...], ONCE]
 
 
 class Workers(Configuration):
@@ -46,16 +44,6 @@ class Workers(Configuration):
 
     workers: int = Field(default=2, ge=1)
     cluster: str | None = None
-
-
-class TableSettings(Configuration):
-    """Columns of printed tables.
-
-    Attributes:
-        all: every number in tables, in place of errors, settled, chatter, the time of an action and the model in the loop.
-    """
-
-    all: bool = False
 
 
 class EpisodeSettings(Configuration):
@@ -84,8 +72,8 @@ class Settings(EpisodeSettings, Workers):
     """
 
     errors: tuple[str, ...] = Field(default=tuple(MODEL_ERRORS), min_length=1)
-    episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1)
-    seeds: tuple[Seed, ...] = Field(default_factory=lambda given: EVALUATION_SEEDS[: given.get("episodes", 0)], min_length=1)
+    episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1, le=len(EVALUATION_SEEDS))
+    seeds: Seeds = Field(default_factory=lambda given: EVALUATION_SEEDS[: given.get("episodes", 0)], min_length=1)
 
     @field_validator("errors")
     @classmethod
@@ -94,21 +82,6 @@ class Settings(EpisodeSettings, Workers):
         for name in every:
             model_error(name)
         return tuple(dict.fromkeys(every))
-
-    @model_validator(mode="before")
-    @classmethod
-    def _counted(cls, values: dict[str, Any]) -> dict[str, Any]:
-        """Sets the number of episodes to that of the seeds that are given."""
-        seeds = values.get("seeds")
-        return {"episodes": len(seeds), **values} if isinstance(seeds, tuple) and seeds else values
-
-    @model_validator(mode="after")
-    def _fit(self) -> "Settings":
-        if self.episodes != (count := len({*self.seeds})):  # each counts once
-            given = "seeds" in self.model_fields_set
-            allowed = f"{count}, as there are seeds" if given else f"at most {count}, or seeds should be given in its place"
-            raise ConfigurationError([Problem(("episodes",), f"is {self.episodes}: it should be {allowed}")])
-        return self
 
 
 MOST_STEPS = 1_000_000

@@ -3,11 +3,10 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.wrappers import TimeLimit
 
 from soft_tendon_env.envs import IDS, TipPoseEnv
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, MODEL_ERRORS, evaluate, evaluate_rows, model_error
-from soft_tendon_env.evaluation.play import asks_too_much, play
+from soft_tendon_env.evaluation.play import play
 from soft_tendon_env.policies import make_policy
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -35,11 +34,8 @@ def test_a_constant_pull_is_scored_as_it_acts():
     action = np.array([-0.5, 0.0, 0.5])
     wanted = least + 0.5 * (greatest - least) * (action + 1.0)
     (found,) = evaluate(Constant(*action), env, [3], skip=0.0)
-    assert found.effort == pytest.approx(np.sqrt(np.mean(wanted**2)))
-    jump = np.sqrt(np.mean((wanted - env.unwrapped.episodes.start_tension) ** 2) / STEPS) / 0.02
-    assert found.tension_rate == pytest.approx(jump), "one jump, then nothing"
-    assert (found.seed, found.steps, found.bound_violations, found.diverged, found.reached) == (3, STEPS, 0, None, None)
-    assert 0.0 < found.action_time.median <= found.action_time.percentile_99
+    assert found.metrics["effort"] == pytest.approx(np.sqrt(np.mean(wanted**2)))
+    assert (found.seed, found.steps, found.diverged, found.reached) == (3, STEPS, None, None) and found.action_time > 0.0
 
 
 def make_rows(task="TipPose", rows=3, **options):
@@ -57,7 +53,7 @@ def test_rows_live_through_the_episodes_of_single_environments(task):
         assert (one.seed, one.reached, one.cause, one.period, one.length) == (row.seed, row.reached, row.cause, row.period, row.length)
         for name in one.errors:
             np.testing.assert_array_equal(one.errors[name], row.errors[name])
-        for name in ("reward", "tension", "violation"):
+        for name in ("reward", "tension"):
             np.testing.assert_array_equal(getattr(one, name), getattr(row, name))
         assert len(row.seconds) == STEPS and (row.seconds > 0.0).all()
 
@@ -92,18 +88,12 @@ def test_environments_that_cannot_be_evaluated_are_refused(play_on, make_env, se
         play_on(Constant(0.0, 0.0, 0.0), make_env(), seeds)
 
 
-def target_of(seed, **options):
-    env = make(**options)
-    env.reset(seed=seed)
-    return env.unwrapped.target_at([0.0, 0.7, 3.0]).tip_pose
-
-
-@pytest.mark.cases(
-    "options", [{"preview": [0.02], "action": "increment"}, *({"randomize": error.randomize} for error in MODEL_ERRORS.values())]
-)
-def test_a_seed_has_the_same_target_whatever_the_arm_has_and_the_policy_looks_at(options):
-    seed = EVALUATION_SEEDS[0]
-    np.testing.assert_array_equal(target_of(seed, **options), target_of(seed))
+@pytest.mark.cases("error", MODEL_ERRORS)
+def test_a_seed_has_the_same_target_whatever_the_arm_has(error):
+    env, nominal = make(randomize=MODEL_ERRORS[error].randomize, preview=[0.02], action="increment"), make()
+    for own in (env, nominal):
+        own.reset(seed=EVALUATION_SEEDS[0])
+    np.testing.assert_array_equal(*(own.unwrapped.target_at([0.0, 0.7, 3.0]).tip_pose for own in (env, nominal)))
 
 
 def test_an_arm_has_several_model_errors_at_once():
@@ -116,17 +106,8 @@ def test_an_arm_has_several_model_errors_at_once():
         model_error("noise,payload-20")
 
 
-@pytest.mark.parametrize("action, too_much", [((1.0, -1.0, 0.0), False), ((1.0, -1.001, 0.0), True), ((np.float32(0.1) * 10,) * 3, False)])
-def test_actions_beyond_one_ask_too_much(action, too_much):
-    assert asks_too_much(np.array(action), None, np.array([[0.0, 20.0]] * 3)) == too_much
-
-
 @pytest.mark.parametrize("rows", [False, True])
-@pytest.mark.cases("target, jumps", [({"type": "steps", "duration": 0.1}, [5, 10]), ("random", []), ("hold", [])])
-def test_jumps_are_those_of_the_target(target, jumps, rows):
-    env = (make_rows if rows else make)(target=target)
-    limited = env if rows else TimeLimit(env.unwrapped, 12)
-    seeds = [0, 1, 2] if rows else [0]
-    still = Constant(*(np.full((3, 3), -1.0) if rows else np.full(3, -1.0)))
-    for episode in play(still, limited, seeds):
-        assert episode.jumps.tolist() == [jump for jump in jumps if jump <= len(episode.reward)]
+@pytest.mark.cases("target, jumped", [({"type": "steps", "duration": 0.08}, True), ("random", False), ("hold", False)])
+def test_a_jump_in_the_last_step_is_that_of_the_target(target, jumped, rows):
+    env, still = (make_rows if rows else make)(target=target), Constant(*(np.full((3, 3), -1.0) if rows else np.full(3, -1.0)))
+    assert {episode.jumped for episode in play(still, env, [0, 1, 2] if rows else [0])} == {jumped}

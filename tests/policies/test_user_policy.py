@@ -57,7 +57,7 @@ def scores_of(monkeypatch, rows=False, task="TipPose", mine=None, **members):
     else:
         env = gym.make(IDS[task], max_episode_steps=10, **options)
         scores = evaluate(load_policy("policies_of_mine:mine", env), env, SEEDS, 0.1)
-    return [{key: value for key, value in score.record().items() if key != "action_time"} for score in scores]
+    return [{key: value for key, value in vars(score).items() if key != "action_time"} for score in scores]
 
 
 def zero_observation(self, observation):
