@@ -16,6 +16,7 @@ from soft_tendon_env.tools.types import Array
 FAST = 10.0  # [Hz] above which changes of tension are chatter: no arm of this kind moves as fast
 SETTLED = 0.01  # share of the rod's length below which the task's first error stays once an episode has settled
 STAY = 1.0  # [s] for which it has to stay there, up to the end of the episode
+BAD = 0.02  # share of the rod's length above which the first error makes an episode a bad one
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +80,11 @@ class EpisodeScore:
     diverged: str | None
     action_time: float
     length: float
+
+    @property
+    def bad(self) -> bool:
+        """Whether the episode diverged, or its first error is above BAD times the rod's length as root mean square."""
+        return self.diverged is not None or not next(iter(self.errors.values())).rms <= BAD * self.length
 
     @property
     def numbers(self) -> dict[str, float]:

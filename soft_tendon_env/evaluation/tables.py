@@ -6,14 +6,19 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from soft_tendon_env.envs.tracking import error_unit
-from soft_tendon_env.evaluation.metrics import METRICS
+from soft_tendon_env.evaluation.metrics import BAD, METRICS
 from soft_tendon_env.evaluation.summaries import HIGH, Standing, Standings, Summary, Tails
 
 MODEL = "model in the loop"
 FLAG = "!"
 LEGEND = f"{FLAG}: episodes diverged; errors and metrics are those of the episodes that lived."
-ERRORS_LEGEND = f"Root mean square of an episode: interquartile mean (95 % bootstrap interval) / mean / {HIGH}th percentile."
+ERRORS_LEGEND = (
+    f"Root mean square of an episode: interquartile mean (95 % bootstrap interval) / mean / {HIGH}th percentile / share of bad episodes: "
+    f"they diverged, or have more than {100 * BAD:g} % of the rod's length."
+)
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -52,7 +57,8 @@ def error_text(standing: Standing) -> str:
     """Root mean squares of the task's first error in words, see ERRORS_LEGEND."""
     factor, key = error_unit(standing.error).factor, f"{standing.error}_rms"
     value, low, high, mean, tail = (number(factor * value) for value in (*standing.mean(key), *Tails.of(standing.values(key))))
-    return f"{value} ({low}-{high}) / {mean} / {tail}"
+    bad = np.mean([score.bad for score in standing.episodes])
+    return f"{value} ({low}-{high}) / {mean} / {tail} / {100 * bad:.0f} %"
 
 
 def error_table(found: Standings, models: Mapping[str, str] | None = None, more: Sequence[Mapping[str, str]] = ()) -> str:
@@ -89,7 +95,7 @@ def records(found: Standings) -> list[dict[str, Any]]:
     rows = []
     for (policy, condition), standing in found.items():
         row: dict[str, Any] = {"policy": policy, "condition": condition}
-        row |= {"members": len(standing.scores), "episodes": len(standing.episodes)}
+        row |= {"members": len(standing.scores), "episodes": len(standing.episodes), "bad": sum(own.bad for own in standing.episodes)}
         for key in standing.episodes[0].numbers:
             row |= dict(zip((key, f"{key}_low", f"{key}_high"), standing.mean(key), strict=True))
         rows.append(row)
