@@ -81,12 +81,6 @@ def test_python_blocks_run(page, tmp_path, monkeypatch):
             exec(compile(source, str(page), "exec"), namespace)
 
 
-def test_every_fence_is_read():
-    for page in PAGES:
-        text = page.read_text(encoding="utf-8")
-        assert 2 * len(blocks_of(text)) == len(re.findall("^```", text, re.MULTILINE)), name_of(page)
-
-
 def command_lines(text: str) -> list[str]:
     """Commands that a page names: lines of blocks without language, and code in the text that begins with one of COMMANDS."""
     shell = "\n".join(block.text for block in blocks_of(text) if block.language in ("", "bash", "sh"))
@@ -139,19 +133,11 @@ def check_options(line: str, words: list[str], script: bool) -> None:
             assert re.search(rf"{re.escape(word.split('=')[0])}\b", text), f"{line}: no option {word}"
         elif word.startswith(("configs/", "agents/")):
             assert (ROOT / word).exists(), line
-    for name in configurations(own, given):
-        assert (ROOT / "configs" / f"{name}.toml").is_file() or name.isupper() or "." in name, f"{line}: there is no configs/{name}.toml"
-
-
-PREFIXES = {"train": "", "sweep": "", "tune": "tune_"}
-"""Commands that take configurations as their first words, and what the names of their files begin with."""
-
-
-def configurations(command: str, given: list[str]) -> list[str]:
-    """Names of configurations among the words of a command: those before options of trainings and searches, and that of --config."""
-    before = itertools.takewhile(lambda word: not word.startswith("-"), given) if command in PREFIXES else ()
-    first = [f"{PREFIXES[command]}{name}" for name in before]
-    return [*first, *(name for option, name in itertools.pairwise(given) if option == "--config")]
+    if own in ("train", "sweep"):
+        for name in itertools.takewhile(lambda word: not word.startswith("-"), given):
+            assert (ROOT / "configs" / f"{name}.toml").is_file() or name.isupper() or "." in name, (
+                f"{line}: there is no configs/{name}.toml"
+            )
 
 
 @pytest.mark.cases("page", [page for page in PAGES if command_lines(page.read_text(encoding="utf-8"))])
@@ -168,15 +154,12 @@ def test_files_that_pages_show_are_examples_that_run():
 
 
 @pytest.mark.cases("page", PAGES)
-def test_links_lead_somewhere(page):
-    for target in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", page.read_text(encoding="utf-8"))):
+def test_links_lead_somewhere_and_configurations_exist(page):
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", text)):
         path = target.partition("#")[0]
         assert "://" in target or not path or (page.parent / path).exists() or path.endswith(("contributing.md", "changelog.md")), target
-
-
-@pytest.mark.cases("page", PAGES)
-def test_configurations_that_are_named_exist(page):
-    for path in re.findall(r"\bconfigs/[\w/]+\.(?:toml|yml)\b", page.read_text(encoding="utf-8")):
+    for path in re.findall(r"\bconfigs/[\w/]+\.(?:toml|yml)\b", text):
         assert (ROOT / path).is_file(), path
 
 

@@ -6,7 +6,7 @@ Options that are not given are left to a file, or to the class's defaults. What 
 import types
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
-from typing import Annotated, Any, Required, TypedDict, TypeVar, get_args
+from typing import Annotated, Any, Required, TypedDict, TypeVar, get_args, get_origin
 
 import docstring_parser
 import tyro
@@ -51,7 +51,7 @@ def read(command: str, kind: type[Kind], arguments: Sequence[str], file: Callabl
     Ends the process with help, or with status 2 where tyro refuses the arguments. Raises Mistake.
     """
     names = [word.partition("=")[0] for word in arguments if word.startswith("--")]
-    if twice := next((name for name in names if names.count(name) > 1), None):
+    if twice := next((name for name in names if names.count(name) > 1), None):  # of which tyro would take the last alone
         raise Mistake(f"{twice} is given twice: give it once, with all its values behind it")
     about = " ".join((kind.__doc__ or "").partition("Attributes:")[0].split())
     given: Given = tyro.cli(_arguments(kind), prog=f"soft-tendon {command}", description=about, args=list(arguments))
@@ -82,12 +82,9 @@ def configure(kind: type[Kind], given: Given, file: Given) -> Kind:
     """The configuration of what was given, which overrides what stands in a file. Raises ConfigurationError, ValueError."""
     values = {name: value for name, value in given.items() if name in kind.model_fields}
     if "options" in kind.model_fields:
-        own = {name: given[name] for name in SHORTCUTS if name in given and name != "set"}
-        changes, table = parsed_changes(given.get("set", ())), deepcopy({**file.get("options", {}), **own})
-        if twice := sorted(own.keys() & changes.keys()):
-            raise ValueError(f"--set has {', '.join(twice)}, and so has --{twice[0]}: give it once")
+        table = deepcopy({**file.get("options", {}), **{name: given[name] for name in SHORTCUTS if name in given and name != "set"}})
         try:
-            override(table, changes)
+            override(table, parsed_changes(given.get("set", ())))
         except ConfigurationError as error:
             raise ConfigurationError(error.problems, "--set") from error
         values |= {"options": table} if table else {}
@@ -121,8 +118,9 @@ def descriptions(kind: type[Configuration]) -> dict[str, str]:
 
 
 def is_table(field: FieldInfo) -> bool:
-    """Whether a field is an array of tables, which has no option."""
-    return any(isinstance(kind, type) and issubclass(kind, Configuration) for kind in get_args(field.annotation)[:1])
+    """Whether a field is a table or an array of tables, which has no option."""
+    members = get_args(field.annotation)[:1]
+    return get_origin(field.annotation) is dict or any(isinstance(kind, type) and issubclass(kind, Configuration) for kind in members)
 
 
 def _plain(annotation: Any) -> Any:

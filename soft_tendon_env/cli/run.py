@@ -16,9 +16,8 @@ from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName, episode_steps
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.recording import RecordRollout
-from soft_tendon_env.robots.environment import PATIENCE, SETTLE, RobotEnv, robot_of
+from soft_tendon_env.robots.environment import SETTLE, RobotEnv, robot_of
 from soft_tendon_env.robots.log import check_log
-from soft_tendon_env.robots.measured_arm import REST, Rest
 from soft_tendon_env.robots.protocol import DryRobot, Robot, load_robot
 from soft_tendon_env.robots.run import rehearse, run_policy
 from soft_tendon_env.robots.simulated import OF_ARM
@@ -40,9 +39,6 @@ class Run(EpisodeSettings):
     seed: Seed = Field(default=0, description="of the target")
     rate: Positive | None = Field(default=None, description="greatest change of a command in a second [N/s], or [m/s]; any by default")
     settle: NotNegative = Field(default=SETTLE, description="time [s] to bring the arm to the pretension; 0 where it is there")
-    rest_speed: Positive = Field(default=REST.speed, description="greatest speed of the tip at rest, in lengths of the arm per second")
-    rest_wait: NotNegative = Field(default=REST.wait, description="longest time [s] for which rest is waited for")
-    patience: int = Field(default=PATIENCE, ge=1, description="periods without a reading, or late, after which the tendons go slack")
     dry_run: bool = Field(default=False, description="send nothing to the robot, and read alone")
     record: str | None = Field(default=None, description="file for the Rerun viewer: the measured tip over the simulated arm")
     out: str = Field(default="out/run.csv", description="log, a new .csv file; the report is the .json file beside it")
@@ -64,11 +60,7 @@ def run(settings: Run) -> None:
         loaded = load_robot(settings.robot, {**of_arm, **parsed_changes(settings.robot_options)})
         on_error.callback(loaded.close)
         robot: Robot = DryRobot(loaded) if settings.dry_run else loaded
-        rest = Rest(speed=settings.rest_speed, wait=settings.rest_wait)
-        limits = {"rate": settings.rate, "settle": settings.settle, "patience": settings.patience}
-        real: gym.Env[Any, Any] = RobotEnv(env, robot, rest=rest, log=settings.out, **limits)  # type: ignore[arg-type] # each is of its type
-        on_error.pop_all()
-        on_error.callback(real.close)
+        real: gym.Env[Any, Any] = RobotEnv(env, robot, rate=settings.rate, settle=settings.settle, log=settings.out)
         if settings.record:
             real = RecordRollout(real, settings.record, flush_period=None)  # writing meanwhile would take longer than a period
         on_error.pop_all()
