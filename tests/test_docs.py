@@ -60,13 +60,12 @@ def name_of(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
-LONG = ("how_to/controllers.md", "how_to/gradients.md", "how_to/record_and_compare.md", "tutorials/robot.md", "README.md")
-"""Pages whose blocks take more than a second."""
 PYTHON = [
-    pytest.param(page, marks=[pytest.mark.slow] if name_of(page).endswith(LONG) else [], id=name_of(page))
+    pytest.param(page, marks=[] if "tutorials" in page.parts and page.stem != "robot" else [pytest.mark.slow], id=name_of(page))
     for page in PAGES
     if "```python" in page.read_text(encoding="utf-8")
 ]
+"""Pages with blocks of Python: tutorials are tried first, but for that of the robot, which takes longer."""
 
 
 @pytest.mark.parametrize("page", PYTHON)

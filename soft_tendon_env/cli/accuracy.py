@@ -16,7 +16,6 @@ from soft_tendon_env.evaluation.tables import markdown_table, number, write_csv
 from soft_tendon_env.scene.file import save_scene
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.messages import say
 from soft_tendon_env.tools.types import GivenLength, length_text
 
 HEADER = ("strain field", "coordinates", "intervals", "tolerance [um]", "evaluations", "CPU [ms]", "model [ms]", "tip [mm]")
@@ -32,11 +31,9 @@ class Accuracy(ArmSettings):
 def run(settings: Accuracy) -> None:
     """Calibrate, print, draw and write. Raises ConfigurationError where no setting is within the tolerance."""
     with mistakes():
-        named, tolerance, out = settings.changed_scene(), settings.within, writable_folder(Path(settings.out))
-        calibration.refuse_obstacles(named)
-        scene = named.replace({"effects": named.effects.on_arm()})
-        if scene != named:
-            say(f"{scene.name!r} is measured under given tensions, without what lies between commands and tensions")
+        scene, tolerance, out = settings.changed_scene(), settings.within, writable_folder(Path(settings.out))
+        calibration.refuse_obstacles(scene)
+        scene = scene.replace({"effects": scene.effects.on_arm()})  # without what lies between commands and tensions
         if tolerance is not None:
             calibration.check_tolerance(scene, tolerance)
         inputs = calibration.usual_inputs(scene)
@@ -51,7 +48,9 @@ def run(settings: Accuracy) -> None:
     records = [record(*cost) for cost in costs]
     bar = number(1e3 * max(filter(np.isfinite, found.reference.tip_errors), default=np.nan))
     print(f"{scene.name}: largest distance from full physics on {len(inputs)} motions, per simulated second; {machine()}.")
-    print(f"Error bar of the reference: {bar} mm at the tip.\n\n{table(records)}\n")
+    values = [[*row.values()] for row in records]
+    cells = [[*map(str, own[:3]), f"{1e6 * own[3]:.3g}", f"{own[4]:.0f}", *(number(1e3 * value) for value in own[5:])] for own in values]
+    print(f"Error bar of the reference: {bar} mm at the tip.\n\n{markdown_table(HEADER, cells)}\n")
     write_csv(out / f"{scene.name}.csv", records)
     if is_installed("pictures"):
         from soft_tendon_env.evaluation.pictures import draw_front
@@ -67,13 +66,6 @@ def record(point: pareto.Point, time: float) -> dict[str, Any]:
     setting = {"strain_field": point.setting.name, "coordinates": point.coordinates, "intervals": point.setting.intervals}
     costs = {"tolerance": point.setting.tolerance, "evaluations": point.evaluations, "cpu_time": time, "cost": point.cost}
     return {**setting, **costs, "tip_error": point.tip_error}
-
-
-def table(records: list[dict[str, Any]]) -> str:
-    """The Pareto front and the presets."""
-    values = [[*row.values()] for row in records]
-    cells = [[*map(str, own[:3]), f"{1e6 * own[3]:.3g}", f"{own[4]:.0f}", *(number(1e3 * value) for value in own[5:])] for own in values]
-    return markdown_table(HEADER, cells)
 
 
 def write_recommended(setting: Setting, scene: Scene, fields: PassiveFields | None, path: Path) -> None:

@@ -4,7 +4,8 @@ Options that are not given are left to a file, or to the class's defaults. What 
 """
 
 import types
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from copy import deepcopy
 from typing import Annotated, Any, Required, TypedDict, TypeVar, get_args, get_origin
 
@@ -39,10 +40,17 @@ class ArmSettings(Configuration):
     def changed_scene(self) -> Scene:
         """The scene with the changes of --set. Raises ConfigurationError, ValueError."""
         scene = load_scene(self.scene)
-        try:
+        with from_set():
             return scene.replace(parsed_changes(self.set)) if self.set else scene
-        except ConfigurationError as error:
-            raise ConfigurationError(error.problems, "--set") from error
+
+
+@contextmanager
+def from_set() -> Iterator[None]:
+    """Context in which mistakes are those of --set. Raises ConfigurationError."""
+    try:
+        yield
+    except ConfigurationError as error:
+        raise ConfigurationError(error.problems, "--set") from error
 
 
 def read(command: str, kind: type[Kind], arguments: Sequence[str], file: Callable[[Given], Given] = lambda given: {}) -> Kind:
@@ -56,7 +64,16 @@ def read(command: str, kind: type[Kind], arguments: Sequence[str], file: Callabl
     about = " ".join((kind.__doc__ or "").partition("Attributes:")[0].split())
     given: Given = tyro.cli(_arguments(kind), prog=f"soft-tendon {command}", description=about, args=list(arguments))
     with mistakes():
-        return configure(kind, given, file(given))
+        values = {**file(given), **{name: value for name, value in given.items() if name in kind.model_fields}}
+        if "options" in kind.model_fields:
+            table = deepcopy(values.get("options", {})) | {name: given[name] for name in given if name in SHORTCUTS and name != "set"}
+            with from_set():
+                override(table, parsed_changes(given.get("set", ())))
+            values |= {"options": table} if table else {}
+        try:
+            return kind(**values)
+        except ConfigurationError as error:
+            raise ValueError("\n".join(f"{_as_given(kind, key, given)} {text}".strip() for key, text in error.problems)) from error
 
 
 def _arguments(kind: type[Configuration]) -> Any:
@@ -76,22 +93,6 @@ def _option(annotation: Any, flag: str, text: str, default: str) -> Any:
         return Annotated[annotation, tyro.conf.arg(name=flag.removeprefix("--"), help=text, help_behavior_hint=default)]
     about = tyro.conf.arg(metavar=flag.upper(), help=text, help_behavior_hint=default)
     return tyro.conf.Positional[Annotated[annotation, about]]  # type: ignore[misc]
-
-
-def configure(kind: type[Kind], given: Given, file: Given) -> Kind:
-    """The configuration of what was given, which overrides what stands in a file. Raises ConfigurationError, ValueError."""
-    values = {name: value for name, value in given.items() if name in kind.model_fields}
-    if "options" in kind.model_fields:
-        table = deepcopy({**file.get("options", {}), **{name: given[name] for name in SHORTCUTS if name in given and name != "set"}})
-        try:
-            override(table, parsed_changes(given.get("set", ())))
-        except ConfigurationError as error:
-            raise ConfigurationError(error.problems, "--set") from error
-        values |= {"options": table} if table else {}
-    try:
-        return kind(**{**file, **values})
-    except ConfigurationError as error:
-        raise ValueError("\n".join(f"{_as_given(kind, key, given)} {text}".strip() for key, text in error.problems)) from error
 
 
 def _as_given(kind: type[Configuration], key: Key, given: Given) -> str:

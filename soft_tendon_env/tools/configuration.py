@@ -19,8 +19,6 @@ from pydantic_core import ErrorDetails
 from soft_tendon_env.tools.files import read_bytes
 
 Key = tuple[str | int, ...]
-OF_ANOTHER_KIND: dict[str, tuple[type, ...]] = {"tuple_type": (int, float), "float_type": (tuple,)}
-"""Errors of pydantic by which a union's member refuses what the other one is for."""
 
 
 class Problem(NamedTuple):
@@ -189,8 +187,6 @@ def _problems(table: type[Configuration], error: ErrorDetails) -> list[Problem]:
     cause = context.get("error")
     if isinstance(cause, ConfigurationError):
         return [Problem(key + inner, text) for inner, text in cause.problems]
-    if len(location) > 1 and isinstance(location[-1], str) and isinstance(value, OF_ANOTHER_KIND.get(kind, ())):
-        return []  # that of the member which it is for says what is wrong
     if kind == "default_factory_not_called":
         return []  # a default that depends on other keys, of which some are wrong
     if kind == "extra_forbidden":

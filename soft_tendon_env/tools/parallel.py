@@ -44,9 +44,9 @@ def run_all(
     import joblib
     from tqdm import tqdm  # not for everyone who imports an environment
 
-    results = dict[int, Result]()
+    results, workers = dict[int, Result](), max(min(workers, len(runs)), 1)
     jobs = [joblib.delayed(_run)(call, extensions(), place, run) for place, run in enumerate(runs)]
-    with tqdm(total=len(runs), desc=label, unit=unit, leave=False, disable=QUIET) as bar, _backend(workers, cluster, threads, len(runs)):
+    with tqdm(total=len(runs), desc=label, unit=unit, leave=False, disable=QUIET) as bar, _backend(workers, cluster, threads):
         with contextlib.closing(joblib.Parallel(batch_size=1, return_as="generator_unordered")(jobs)) as found:
             for place, result in found:
                 results[place] = result
@@ -63,11 +63,10 @@ def _run(call: Callable[[Run], Result], names: list[str], place: int, run: Run) 
 
 
 @contextlib.contextmanager
-def _backend(workers: int, cluster: str | None, threads: bool, runs: int) -> Iterator[None]:
+def _backend(workers: int, cluster: str | None, threads: bool) -> Iterator[None]:
     """joblib's backend while runs go on."""
     import joblib
 
-    workers = max(min(workers, runs), 1)
     kind, options = ("threading", {}) if workers == 1 or threads else ("loky", {"inner_max_num_threads": 1})
     with contextlib.ExitStack() as stack:
         if cluster is not None:

@@ -2,7 +2,6 @@
 
 import csv
 import json
-import math
 import re
 import shutil
 from pathlib import Path
@@ -11,9 +10,7 @@ import gymnasium as gym
 import pytest
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.evaluation import comparison, entrants, settings, tables
-from soft_tendon_env.evaluation.metrics import ActionTime, ErrorScore
-from soft_tendon_env.evaluation.summaries import Summary
+from soft_tendon_env.evaluation import comparison, entrants, settings
 from soft_tendon_env.policies.agent import save_agent
 
 CONFIGS = Path(__file__).parent.parent.parent / "configs"
@@ -97,17 +94,3 @@ def test_folders_that_are_no_sweep(runs, spoil, said):
     spoil(runs)
     with pytest.raises((ValueError, OSError), match=re.escape(said)):
         comparison.shared_arms(settings.EpisodeSettings(), "TipPose", entrants.every_file(entrants.agents_of("TipPose", [str(runs)])))
-
-
-def test_tables_flag_what_diverged():
-    errors = {"position_error": ErrorScore(0.0123, 0.02), "angle_error": ErrorScore(math.radians(3.0), 0.1)}
-    metrics = {"effort": 5.0, "tension_rate": 1234.0, "chatter": 0.25}
-
-    def summary(diverged):
-        return Summary(20, diverged, errors, 0, None, metrics, 0, 400.0, None, ActionTime(0.002, 0.004))
-
-    full = tables.summary_table("policy", {"a": summary(1)}, every=True)
-    assert "400.0 ! | 1/20" in full and "12.3 !" in full and tables.LEGEND in full, "beside the return"
-    usual = tables.summary_table("policy", {"a": summary(0)}).splitlines()[0]
-    headers = [name.strip() for name in usual.split("|")[1:-1]]
-    assert headers == ["policy", "position [mm] RMS", "angle [deg] RMS", "settled", "chatter [N]", "time [ms]"]
