@@ -129,7 +129,7 @@ class MeasuredArm(Arms):
                 break
             if period * k >= self._rest.wait and not is_still:
                 text = f"the arm does not come to rest: its tip moves at {speed:.3g} m/s, {period * k:g} s after the first command"
-                todo = "Wait longer or allow more, by Rest(wait=.., speed=..) or --rest-wait and --rest-speed, or damp the arm"
+                todo = "Wait longer or allow more, by RobotEnv(..., rest=Rest(wait=.., speed=..)), or damp the arm"
                 self.robot.fail(f"{text}; at rest it is at most {self._rest.speed:g} lengths a second, {bound:.3g} m/s. {todo}")
             was_still = is_still
         return [at for _, at in held]
