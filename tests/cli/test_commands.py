@@ -12,6 +12,7 @@ import pytest
 from soft_tendon_env.accuracy import calibration, proper_orthogonal_fields
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.cli.main import COMMANDS, register_command
+from soft_tendon_env.compiler.compilation import cache_folder
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.evaluation import demo
 from soft_tendon_env.scene.file import SHIPPED
@@ -58,12 +59,13 @@ QUICK = [
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch, tmp_path):
-    """Few and short motions of accuracy, few passive fields in a folder of their own, and the demo on a small arm."""
+    """A short motion of accuracy, few passive fields in a folder of their own, and the demo on a small arm."""
     monkeypatch.chdir(tmp_path)
+    cache_folder()  # of kernels, which stays as it is
     monkeypatch.setattr(user_cache, "cache_parents", lambda: [tmp_path / "cache"])
     for name, value in (("RUNS", 1), ("TESTS", 1), ("COUNTS", (0, 3))):
         monkeypatch.setattr(proper_orthogonal_fields, name, value)
-    monkeypatch.setattr(calibration, "usual_inputs", lambda scene: [motion_tensions(scene, "redrawn", seed, 0.2) for seed in (0, 1)])
+    monkeypatch.setattr(calibration, "usual_inputs", lambda scene: [motion_tensions(scene, "redrawn", 0, 0.2)])
     monkeypatch.setattr(demo, "ARM", {"scene": "three_tendon", "fidelity": "fast"})
     monkeypatch.setattr(demo, "shipped_for", lambda task: ())  # agents of another arm
 

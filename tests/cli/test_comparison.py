@@ -4,7 +4,6 @@ import csv
 import json
 import re
 import shutil
-from pathlib import Path
 
 import gymnasium as gym
 import pytest
@@ -13,7 +12,6 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import comparison, entrants, settings
 from soft_tendon_env.policies.agent import save_agent
 
-CONFIGS = Path(__file__).parent.parent.parent / "configs"
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 
 
