@@ -17,12 +17,16 @@ def checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) ->
     if given.dtype.kind not in "fiu":
         kind = f"{type(value).__name__} of {given.dtype}"
         raise TypeError(f"{name} should be an array of numbers of shape {_shown_shape(shape)}, not {kind}")
-    if given.ndim != len(shape) or any(size not in (None, found) for size, found in zip(shape, given.shape, strict=True)):
+    if given.shape != shape and not _fits(given.shape, shape):
         raise ValueError(f"{name} should have shape {_shown_shape(shape)}, not {given.shape}")
     if not np.isfinite(given).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(given))[0])
         raise ValueError(f"{name} should be finite, but {name}{list(where)} is {given[where]}")
     return np.array(given, dtype=np.float64, order="C")
+
+
+def _fits(given: tuple[int, ...], shape: tuple[int | None, ...]) -> bool:
+    return len(given) == len(shape) and all(size in (None, found) for size, found in zip(shape, given, strict=True))
 
 
 def _shown_shape(shape: tuple[int | None, ...]) -> str:
