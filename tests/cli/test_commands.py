@@ -47,10 +47,11 @@ QUICK = [
         ["demo.rrd", "demo.png"],
         marks=pytest.mark.slow,  # it draws
     ),
-    (
+    pytest.param(
         ("accuracy", "three_tendon", "--within", "5mm"),
         ["| (fine) ", "cheapest: "],
         ["accuracy/three_tendon_5mm.toml"],
+        marks=pytest.mark.slow,  # it calibrates
     ),
     (("fields", "three_tendon", "--within", "9cm"), ["three_tendon, digest ", 'passive = { type = "snapshots", fields = '], []),
     (("doctor", "--scene", "three_tendon"), ["TendonRod-Reach-v0 steps", "all is well\n"], []),
