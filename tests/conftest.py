@@ -3,7 +3,6 @@
 import functools
 import json
 import os
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -27,19 +26,12 @@ from soft_tendon_env.tools.files import PACKAGE
 
 DATA = Path(__file__).parent / "data"
 STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
+LOADED = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.005}
 ARMS = {
     "three_tendon": {"scene": "three_tendon", "fidelity": "fast"},
-    "loaded": {
-        "scene": {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.005},
-        "fidelity": "fast",
-    },
+    "loaded": {"scene": LOADED, "fidelity": "fast"},
     "loads inside": {
-        "scene": {
-            "scene": "three_tendon",
-            "effects.gravity.acceleration": [0.0, 0.0, -9.81],
-            "effects.tip_load.mass": 0.005,
-            "strain.include_loads": True,
-        },
+        "scene": {**LOADED, "strain.include_loads": True},
         "fidelity": "fast",
     },
     "explicit": {
@@ -143,39 +135,17 @@ def malice():
 
 
 @pytest.fixture
-def start(tmp_path):
-    """start(script, NAME="value"): a Python script in a process of its own, with a kernel cache of its own in `tmp_path / "cache"`."""
-    started = []
+def run(tmp_path):
+    """run(script, NAME="value"): a Python script in a process of its own, with a kernel cache of its own in `tmp_path / "cache"`."""
 
-    def start(script: str, stderr=subprocess.PIPE, **variables: str) -> subprocess.Popen[str]:
-        file = tmp_path / "script.py"
-        if not file.exists() or file.read_text() != script:  # another process may be reading it
-            file.write_text(script)
+    def run(script: str, **variables: str) -> subprocess.CompletedProcess[str]:
+        (tmp_path / "script.py").write_text(script)
         inherited = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "SOFT_TENDON_ENV_", "XDG_"))}
         environment = {**inherited, "PYTHONPATH": str(PACKAGE.parent), "XDG_CACHE_HOME": str(tmp_path / "cache"), **variables}
-        environment = {name: value for name, value in environment.items() if value is not None}
-        heard = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # which a shell's "&" would have ignored
-        process = subprocess.Popen(
-            [sys.executable, file], env=environment, stdout=subprocess.PIPE, stderr=stderr, text=True, preexec_fn=heard
-        )
-        started.append(process)
+        command = [sys.executable, tmp_path / "script.py"]
+        process = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+        assert process.returncode == 0, process.stderr
         return process
-
-    yield start
-    for process in started:
-        process.kill()
-        process.communicate()
-
-
-@pytest.fixture
-def run(start):
-    """run(script, NAME="value"): the same, run to its end, which should be a good one."""
-
-    def run(script: str, **options) -> subprocess.CompletedProcess[str]:
-        process = start(script, **options)
-        stdout, stderr = process.communicate(timeout=120)
-        assert process.returncode == 0, stderr
-        return subprocess.CompletedProcess(process.args, process.returncode, stdout, stderr or "")
 
     return run
 

@@ -2,12 +2,10 @@
 
 import csv
 import os
-import runpy
 import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 ROOT = Path(__file__).parent.parent
@@ -49,17 +47,3 @@ def test_benchmark_prints_a_table_and_writes_csv_and_picture(name, tmp_path):
         header, *rows = csv.reader(file)
     assert rows and all(len(row) == len(header) for row in rows)
     assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_the_best_settings_are_those_that_no_other_beats_in_both(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    peers = runpy.run_path(str(ROOT / "benchmarks" / "peers.py"))
-
-    def run(error, cpu, simulator="own"):
-        return peers["Measured"](simulator, f"{error} {cpu}", "step", 2.0, error, cpu, "", False)
-
-    cheap, accurate, beaten, broken = run(0.02, 1.0), run(0.001, 5.0), run(0.03, 2.0), run(np.inf, 0.1)
-    assert peers["front"]([accurate, broken, beaten, cheap]) == [cheap, accurate]
-    runs = [run(0.004, 0.002), run(0.03, 0.001), run(0.003, 0.2, "other"), run(0.04, 0.005, "other")]
-    rows = [[cell.strip() for cell in line.split("|")[2:-1]] for line in peers["summary"](runs, ["own", "other"]).splitlines()[2:]]
-    assert rows[0] == ["50", "1.00", "5.00 (5.0 times)"] and rows[-1] == ["5", "2.00", "200 (100 times)"]

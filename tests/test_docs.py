@@ -60,13 +60,12 @@ def name_of(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
-LONG = ("how_to/controllers.md", "how_to/gradients.md", "how_to/record_and_compare.md", "tutorials/robot.md", "README.md")
-"""Pages whose blocks take more than a second."""
 PYTHON = [
-    pytest.param(page, marks=[pytest.mark.slow] if name_of(page).endswith(LONG) else [], id=name_of(page))
+    pytest.param(page, marks=[] if "tutorials" in page.parts and page.stem != "robot" else [pytest.mark.slow], id=name_of(page))
     for page in PAGES
     if "```python" in page.read_text(encoding="utf-8")
 ]
+"""Pages with blocks of Python: tutorials are tried first, but for that of the robot, which takes longer."""
 
 
 @pytest.mark.parametrize("page", PYTHON)
@@ -79,12 +78,6 @@ def test_python_blocks_run(page, tmp_path, monkeypatch):
         if block.language == "python":
             source = "\n" * (block.line - 1) + block.tested  # a traceback names the line of the page
             exec(compile(source, str(page), "exec"), namespace)
-
-
-def test_every_fence_is_read():
-    for page in PAGES:
-        text = page.read_text(encoding="utf-8")
-        assert 2 * len(blocks_of(text)) == len(re.findall("^```", text, re.MULTILINE)), name_of(page)
 
 
 def command_lines(text: str) -> list[str]:
@@ -139,19 +132,11 @@ def check_options(line: str, words: list[str], script: bool) -> None:
             assert re.search(rf"{re.escape(word.split('=')[0])}\b", text), f"{line}: no option {word}"
         elif word.startswith(("configs/", "agents/")):
             assert (ROOT / word).exists(), line
-    for name in configurations(own, given):
-        assert (ROOT / "configs" / f"{name}.toml").is_file() or name.isupper() or "." in name, f"{line}: there is no configs/{name}.toml"
-
-
-PREFIXES = {"train": "", "sweep": "", "tune": "tune_"}
-"""Commands that take configurations as their first words, and what the names of their files begin with."""
-
-
-def configurations(command: str, given: list[str]) -> list[str]:
-    """Names of configurations among the words of a command: those before options of trainings and searches, and that of --config."""
-    before = itertools.takewhile(lambda word: not word.startswith("-"), given) if command in PREFIXES else ()
-    first = [f"{PREFIXES[command]}{name}" for name in before]
-    return [*first, *(name for option, name in itertools.pairwise(given) if option == "--config")]
+    if own in ("train", "sweep"):
+        for name in itertools.takewhile(lambda word: not word.startswith("-"), given):
+            assert (ROOT / "configs" / f"{name}.toml").is_file() or name.isupper() or "." in name, (
+                f"{line}: there is no configs/{name}.toml"
+            )
 
 
 @pytest.mark.cases("page", [page for page in PAGES if command_lines(page.read_text(encoding="utf-8"))])
@@ -168,15 +153,12 @@ def test_files_that_pages_show_are_examples_that_run():
 
 
 @pytest.mark.cases("page", PAGES)
-def test_links_lead_somewhere(page):
-    for target in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", page.read_text(encoding="utf-8"))):
+def test_links_lead_somewhere_and_configurations_exist(page):
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", text)):
         path = target.partition("#")[0]
         assert "://" in target or not path or (page.parent / path).exists() or path.endswith(("contributing.md", "changelog.md")), target
-
-
-@pytest.mark.cases("page", PAGES)
-def test_configurations_that_are_named_exist(page):
-    for path in re.findall(r"\bconfigs/[\w/]+\.(?:toml|yml)\b", page.read_text(encoding="utf-8")):
+    for path in re.findall(r"\bconfigs/[\w/]+\.(?:toml|yml)\b", text):
         assert (ROOT / path).is_file(), path
 
 

@@ -34,7 +34,6 @@ STILL = {
     "lines of the package": 37_800,
     "lines of the tests": 27_700,
     "lines of the largest folder": 6_700,
-    "lines of the longest file": 551,
     "words of the documentation": 68_900,
 }
 """Sizes that still exceed their limits: each may fall, none may grow."""

@@ -1,6 +1,5 @@
 """`soft-tendon accuracy`: what accuracy costs in time on an arm, against full physics, and the cheapest setting for a tolerance."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +8,7 @@ from pydantic import Field
 
 from soft_tendon_env.accuracy import calibration, pareto
 from soft_tendon_env.accuracy.fidelity import PRESETS, build_model
-from soft_tendon_env.accuracy.reference import Reference
 from soft_tendon_env.accuracy.settings import Setting
-from soft_tendon_env.accuracy.test_inputs import CALIBRATED, Motion
 from soft_tendon_env.cli.errors import is_installed, mistakes, writable_folder
 from soft_tendon_env.cli.options import ArmSettings
 from soft_tendon_env.evaluation.provenance import machine
@@ -19,9 +16,6 @@ from soft_tendon_env.evaluation.tables import markdown_table, number, write_csv
 from soft_tendon_env.scene.file import save_scene
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.checks import checked_array
-from soft_tendon_env.tools.files import read_numbers
-from soft_tendon_env.tools.messages import say
 from soft_tendon_env.tools.types import GivenLength, length_text
 
 HEADER = ("strain field", "coordinates", "intervals", "tolerance [um]", "evaluations", "CPU [ms]", "model [ms]", "tip [mm]")
@@ -30,8 +24,6 @@ HEADER = ("strain field", "coordinates", "intervals", "tolerance [um]", "evaluat
 class Accuracy(ArmSettings):
     """Accuracy against computing time of an arm under its loads: strain fields x quadrature x tolerance, against full physics."""
 
-    motion: tuple[Motion, ...] = Field(default=CALIBRATED, min_length=1, description="kinds of the motions that settings are judged by")
-    input: str | None = Field(default=None, description="CSV file in their place: a column of tensions [N] per tendon, 20 ms a row")
     within: GivenLength | None = Field(default=None, description="tolerance of the tip, such as 1mm, whose cheapest setting is written")
     out: str = Field(default="out/accuracy", description="folder for the table, the picture and the scene")
 
@@ -39,18 +31,12 @@ class Accuracy(ArmSettings):
 def run(settings: Accuracy) -> None:
     """Calibrate, print, draw and write. Raises ConfigurationError where no setting is within the tolerance."""
     with mistakes():
-        named, tolerance, out = settings.changed_scene(), settings.within, Path(settings.out)
-        calibration.refuse_obstacles(named)
-        scene = named.replace({"effects": named.effects.on_arm()})
-        if scene != named:
-            say(f"{scene.name!r} is measured under given tensions, without what lies between commands and tensions")
+        scene, tolerance, out = settings.changed_scene(), settings.within, writable_folder(Path(settings.out))
+        calibration.refuse_obstacles(scene)
+        scene = scene.replace({"effects": scene.effects.on_arm()})  # without what lies between commands and tensions
         if tolerance is not None:
             calibration.check_tolerance(scene, tolerance)
-        inputs = calibration.usual_inputs(scene, settings.motion)
-        if settings.input is not None:
-            rows = [[*row.values()] for row in read_numbers(Path(settings.input))]
-            inputs = [checked_array(settings.input, rows, (None, len(scene.tendons)))]
-        writable_folder(out)
+        inputs = calibration.usual_inputs(scene)
     fields = calibration.own_fields(scene) if tolerance is None else calibration.made_fields(scene)
     found = calibration.calibrate(scene, inputs, fields)
     points = [(point, build_model(point.setting.of(scene), "scene")) for point in found.front]
@@ -60,7 +46,11 @@ def run(settings: Accuracy) -> None:
         points.append((pareto.measure(model, preset, inputs, found.reference), model))
     costs = [(point, pareto.cpu_time(model, inputs[: max(1, len(inputs) // 2)])) for point, model in points]
     records = [record(*cost) for cost in costs]
-    print(report(scene.name, found.reference, records))
+    bar = number(1e3 * max(filter(np.isfinite, found.reference.tip_errors), default=np.nan))
+    print(f"{scene.name}: largest distance from full physics on {len(inputs)} motions, per simulated second; {machine()}.")
+    values = [[*row.values()] for row in records]
+    cells = [[*map(str, own[:3]), f"{1e6 * own[3]:.3g}", f"{own[4]:.0f}", *(number(1e3 * value) for value in own[5:])] for own in values]
+    print(f"Error bar of the reference: {bar} mm at the tip.\n\n{markdown_table(HEADER, cells)}\n")
     write_csv(out / f"{scene.name}.csv", records)
     if is_installed("pictures"):
         from soft_tendon_env.evaluation.pictures import draw_front
@@ -76,15 +66,6 @@ def record(point: pareto.Point, time: float) -> dict[str, Any]:
     setting = {"strain_field": point.setting.name, "coordinates": point.coordinates, "intervals": point.setting.intervals}
     costs = {"tolerance": point.setting.tolerance, "evaluations": point.evaluations, "cpu_time": time, "cost": point.cost}
     return {**setting, **costs, "tip_error": point.tip_error}
-
-
-def report(name: str, reference: Reference, rows: Sequence[dict[str, Any]]) -> str:
-    """The Pareto front and the presets as a table, per simulated second, and the accuracy of the reference."""
-    bar = number(1e3 * max(filter(np.isfinite, reference.tip_errors), default=np.nan))
-    what = f"{name}: largest distance from full physics on {len(reference.tips)} motions, per simulated second; {machine()}."
-    values = [[*row.values()] for row in rows]
-    cells = [[*map(str, own[:3]), f"{1e6 * own[3]:.3g}", f"{own[4]:.0f}", *(number(1e3 * value) for value in own[5:])] for own in values]
-    return f"{what}\nError bar of the reference: {bar} mm at the tip.\n\n{markdown_table(HEADER, cells)}\n"
 
 
 def write_recommended(setting: Setting, scene: Scene, fields: PassiveFields | None, path: Path) -> None:

@@ -9,13 +9,11 @@ from soft_tendon_env.cli.errors import Mistake
 from soft_tendon_env.effects import EFFECTS, Effect
 from soft_tendon_env.tools.configuration import Configuration, not_among
 
-NAME = "an effect, by its table in a scene; by default all of them"
-
 
 class Effects(Configuration):
     """List the registered effects: the table of a scene that switches each on, what it does, its parameters with units and defaults."""
 
-    name: str | None = Field(default=None, description=NAME, json_schema_extra={"flag": "name"})
+    name: str | None = Field(default=None, description="by default all of them", json_schema_extra={"flag": "name"})
 
 
 def run(settings: Effects) -> None:

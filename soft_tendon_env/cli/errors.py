@@ -5,7 +5,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -16,7 +16,6 @@ from soft_tendon_env.tools.messages import UserError, describe
 
 MISTAKES = (ValueError, TypeError, OSError, MemoryError, ModuleNotFoundError, DependencyNotInstalled)
 """Errors about options, files and folders, before anything runs."""
-PROBE = bytes(1 << 16)  # more than a full disk keeps in reserve for small files
 EXTRAS = {
     "agents": ("torch", "stable_baselines3", "sb3_contrib"),
     "recording": ("rerun", "pyarrow"),
@@ -44,8 +43,7 @@ def mistakes() -> Iterator[None]:
 
 @contextmanager
 def exit_in_one_line(program: str, stopped: str) -> Iterator[None]:
-    """End the process in one line on: a Mistake, with a line for each; a UserError, a file that cannot be written, memory, workers that
-    died, Ctrl-C, a closed pipe.
+    """End the process in one line on a Mistake, a UserError, a file that cannot be written, workers that died, Ctrl-C or a closed pipe.
 
     program: named in errors. stopped: what to say after Ctrl-C.
     """
@@ -58,8 +56,7 @@ def exit_in_one_line(program: str, stopped: str) -> Iterator[None]:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except Mistake as mistake:
-        for line in describe(mistake).splitlines():
-            print(f"{program}: error: {line}", file=sys.stderr)
+        print(*(f"{program}: error: {line}" for line in describe(mistake).splitlines()), sep="\n", file=sys.stderr)
         sys.exit(2)
     except BrokenProcessPool:
         sys.exit(f"{program}: error: a process of --workers was killed: it may have had too little memory, fewer --workers need less")
@@ -72,26 +69,20 @@ def exit_in_one_line(program: str, stopped: str) -> Iterator[None]:
 
 def is_installed(extra: str) -> bool:
     """Whether every module of an extra is there."""
-    with suppress(ValueError):  # of a module that was put out of the way: sys.modules has None
-        return all(find_spec(module) is not None for module in EXTRAS[extra])
-    return False
+    return all(find_spec(module) is not None for module in EXTRAS[extra])
 
 
 def require(*extras: str) -> None:
     """Checks that extras are installed. Raises ModuleNotFoundError with the pip command for those that are missing."""
-    if missing := [extra for extra in extras if not is_installed(extra)]:
-        what = f"the {'extra' if len(missing) == 1 else 'extras'} {', '.join(missing)}"
-        command = f'pip install "soft_tendon_env[{",".join(missing)}]"'
-        apart = ", in a virtual environment of its own, such as `make rllib` makes in a clone" if "rllib" in missing else ""
-        raise ModuleNotFoundError(f"{what} must be there: {command}{apart}")
+    if missing := ",".join(extra for extra in extras if not is_installed(extra)):
+        raise ModuleNotFoundError(f'extras must be there: pip install "soft_tendon_env[{missing}]"')
 
 
 def writable_folder(path: Path) -> Path:
-    """The folder, made if need be, in which there is room for a file. Raises ValueError."""
+    """The folder, made if need be, in which a file can be written. Raises ValueError."""
     try:
         path.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path) as file:
-            file.write(PROBE)
+        tempfile.TemporaryFile(dir=path).close()
     except OSError as error:
         raise ValueError(f"--out is {path}: it should be a folder that can be written, and there {describe(error)}") from error
     return path

@@ -5,14 +5,13 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
-from soft_tendon_env.accuracy.calibration import own_fields
 from soft_tendon_env.accuracy.proper_orthogonal_fields import KINDS, fields_path, make_passive_fields
 from soft_tendon_env.accuracy.test_inputs import USUAL
 from soft_tendon_env.cli.errors import mistakes
 from soft_tendon_env.cli.options import ArmSettings
 from soft_tendon_env.cli.scenes import coordinate_count
 from soft_tendon_env.evaluation.tables import markdown_table, number
-from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, read_fields
+from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.types import GivenLength
 
@@ -23,27 +22,23 @@ class Fields(ArmSettings):
     The loads of the scene, and smaller ones in all directions, act on half of the motions each.
     """
 
-    out: str | None = Field(default=None, description="the file to write; by default in the user's cache, where every scene finds it")
-    anew: bool = Field(default=False, description="make it again where there is one for this arm, these limits and loads")
+    out: str | None = Field(default=None, description="the .json file to write; by default in the user's cache, where every scene finds it")
     within: GivenLength | None = Field(default=None, description="tolerance of the tip, such as 1mm, to report the fewest fields for")
 
 
 def run(settings: Fields) -> None:
-    """Make them or find those of this very arm, its limits and loads, and report."""
+    """Make, write and report."""
     with mistakes():
         scene, out = settings.changed_scene(), settings.out
         if out is not None and not out.endswith(".json"):
             raise ValueError(f"--out is {out}: it should be the path of a .json file, such as {scene.name}{SUFFIX}")
-        fields = own_fields(scene) if out is None else read_fields(Path(out)) if Path(out).exists() else None
-    if settings.anew or fields is None or not fields.fits(scene) or fields.misfit(scene):
-        fields, path = make_passive_fields(scene), fields_path(scene) if out is None else Path(out)
-        fields.save(path)
-        print(f"written: {path}\n")
+    fields, path = make_passive_fields(scene), fields_path(scene) if out is None else Path(out)
+    fields.save(path)
     bare = {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders)}
-    print(report(scene, fields, coordinate_count(scene.replace({"strain": bare}))))
+    print(f"written: {path}\n\n{report(scene, fields, coordinate_count(scene.replace({'strain': bare})))}")
     if settings.within is not None:
         count = fields.needed(settings.within, USUAL)
-        file = "" if out is None else f', file = "{Path(out).name}"'
+        file = "" if out is None else f', file = "{path.name}"'
         entry = f'passive = {{ type = "snapshots", fields = {count}{file} }}'
         print(f"\n{'no number of fields is enough' if count is None else f'In the scene, under [strain]: {entry}'}")
 

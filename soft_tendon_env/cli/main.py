@@ -8,7 +8,10 @@ import importlib
 import importlib.metadata
 import sys
 from collections.abc import Callable, Sequence
-from typing import NoReturn, TypeVar, get_type_hints
+from typing import TypeVar, get_type_hints
+
+from soft_tendon_env.tools.configuration import not_among
+from soft_tendon_env.tools.extensions import import_extensions
 
 COMMANDS: dict[str, str] = {
     "demo": "controllers and the shipped agent side by side: a table, a picture, a recording",
@@ -27,8 +30,7 @@ COMMANDS: dict[str, str] = {
     "identify": "identify an arm from measured marker positions: parameters, intervals, held-out errors",
     "scenes": "list the scenes that ship, or print one as TOML",
     "effects": "list the effects that a scene can have, with their parameters and units",
-    "compile": "compile the kernels of scenes ahead of first use, with a bar",
-    "doctor": "check the installation: versions, extras, kernel cache, one step of every task",
+    "doctor": "check the installation: versions, extras, kernel cache, one step of every task of a scene, whose kernels it compiles",
 }
 PROGRAM = "soft-tendon"
 IMPORT = "--import"
@@ -51,18 +53,20 @@ def register_command(name: str, description: str) -> Callable[[Run], Run]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run a command; `arguments`: of the process by default. Ends the process with status 2 on mistakes, 1 where it cannot go on."""
-    given = _with_extensions(list(sys.argv[1:] if arguments is None else arguments))
-    if not given or given[0] in ("-h", "--help"):
-        print(usage())
-        sys.exit(0 if given else 2)
-    name, *rest = given
-    if name == "--version":
-        print(importlib.metadata.version("soft_tendon_env"))
-        return
+    given, imported = list(sys.argv[1:] if arguments is None else arguments), list[str]()
+    while given[:1] == [IMPORT]:
+        imported, given = [*imported, *given[1:2]], given[2:]
+    name, *rest = given or [""]
+    try:
+        import_extensions(imported)
+        if name not in (*COMMANDS, "", "-h", "--help", "--version"):
+            raise ValueError(f"{name!r} is no command: {not_among(name, COMMANDS)}")
+    except ValueError as error:
+        print(f"{PROGRAM}: error: {error}", file=sys.stderr)
+        sys.exit(2)
     if name not in COMMANDS:
-        from soft_tendon_env.tools.configuration import not_among
-
-        _refuse(f"{name!r} is no command: {not_among(name, COMMANDS)}")
+        print(importlib.metadata.version("soft_tendon_env") if name == "--version" else usage())
+        sys.exit(0 if name else 2)
     from soft_tendon_env.cli.errors import exit_in_one_line
 
     module = None if name in _own else importlib.import_module(f"soft_tendon_env.cli.{name.replace('-', '_')}")
@@ -74,27 +78,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
         file = {"file": module.read_file} if hasattr(module, "read_file") else {}
         module.run(read(name, get_type_hints(module.run)["settings"], rest, **file))
-
-
-def _with_extensions(given: list[str]) -> list[str]:
-    """Imports modules of the user's own, `--import MODULE` before the command, and returns the arguments behind them."""
-    from soft_tendon_env.tools.extensions import import_extensions
-
-    names: list[str] = []
-    while given[:1] == [IMPORT]:
-        if len(given) == 1:
-            _refuse(f"{IMPORT} should have the name of a module behind it")
-        names, given = [*names, given[1]], given[2:]
-    try:
-        import_extensions(names)
-    except ValueError as error:
-        _refuse(str(error))
-    return given
-
-
-def _refuse(text: str) -> NoReturn:
-    print(f"{PROGRAM}: error: {text}", file=sys.stderr)
-    sys.exit(2)
 
 
 def usage() -> str:

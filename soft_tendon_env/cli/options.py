@@ -4,9 +4,10 @@ Options that are not given are left to a file, or to the class's defaults. What 
 """
 
 import types
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from copy import deepcopy
-from typing import Annotated, Any, Required, TypedDict, TypeVar, get_args
+from typing import Annotated, Any, Required, TypedDict, TypeVar, get_args, get_origin
 
 import docstring_parser
 import tyro
@@ -39,10 +40,17 @@ class ArmSettings(Configuration):
     def changed_scene(self) -> Scene:
         """The scene with the changes of --set. Raises ConfigurationError, ValueError."""
         scene = load_scene(self.scene)
-        try:
+        with from_set():
             return scene.replace(parsed_changes(self.set)) if self.set else scene
-        except ConfigurationError as error:
-            raise ConfigurationError(error.problems, "--set") from error
+
+
+@contextmanager
+def from_set() -> Iterator[None]:
+    """Context in which mistakes are those of --set. Raises ConfigurationError."""
+    try:
+        yield
+    except ConfigurationError as error:
+        raise ConfigurationError(error.problems, "--set") from error
 
 
 def read(command: str, kind: type[Kind], arguments: Sequence[str], file: Callable[[Given], Given] = lambda given: {}) -> Kind:
@@ -51,12 +59,21 @@ def read(command: str, kind: type[Kind], arguments: Sequence[str], file: Callabl
     Ends the process with help, or with status 2 where tyro refuses the arguments. Raises Mistake.
     """
     names = [word.partition("=")[0] for word in arguments if word.startswith("--")]
-    if twice := next((name for name in names if names.count(name) > 1), None):
+    if twice := next((name for name in names if names.count(name) > 1), None):  # of which tyro would take the last alone
         raise Mistake(f"{twice} is given twice: give it once, with all its values behind it")
     about = " ".join((kind.__doc__ or "").partition("Attributes:")[0].split())
     given: Given = tyro.cli(_arguments(kind), prog=f"soft-tendon {command}", description=about, args=list(arguments))
     with mistakes():
-        return configure(kind, given, file(given))
+        values = {**file(given), **{name: value for name, value in given.items() if name in kind.model_fields}}
+        if "options" in kind.model_fields:
+            table = deepcopy(values.get("options", {})) | {name: given[name] for name in given if name in SHORTCUTS and name != "set"}
+            with from_set():
+                override(table, parsed_changes(given.get("set", ())))
+            values |= {"options": table} if table else {}
+        try:
+            return kind(**values)
+        except ConfigurationError as error:
+            raise ValueError("\n".join(f"{_as_given(kind, key, given)} {text}".strip() for key, text in error.problems)) from error
 
 
 def _arguments(kind: type[Configuration]) -> Any:
@@ -76,25 +93,6 @@ def _option(annotation: Any, flag: str, text: str, default: str) -> Any:
         return Annotated[annotation, tyro.conf.arg(name=flag.removeprefix("--"), help=text, help_behavior_hint=default)]
     about = tyro.conf.arg(metavar=flag.upper(), help=text, help_behavior_hint=default)
     return tyro.conf.Positional[Annotated[annotation, about]]  # type: ignore[misc]
-
-
-def configure(kind: type[Kind], given: Given, file: Given) -> Kind:
-    """The configuration of what was given, which overrides what stands in a file. Raises ConfigurationError, ValueError."""
-    values = {name: value for name, value in given.items() if name in kind.model_fields}
-    if "options" in kind.model_fields:
-        own = {name: given[name] for name in SHORTCUTS if name in given and name != "set"}
-        changes, table = parsed_changes(given.get("set", ())), deepcopy({**file.get("options", {}), **own})
-        if twice := sorted(own.keys() & changes.keys()):
-            raise ValueError(f"--set has {', '.join(twice)}, and so has --{twice[0]}: give it once")
-        try:
-            override(table, changes)
-        except ConfigurationError as error:
-            raise ConfigurationError(error.problems, "--set") from error
-        values |= {"options": table} if table else {}
-    try:
-        return kind(**{**file, **values})
-    except ConfigurationError as error:
-        raise ValueError("\n".join(f"{_as_given(kind, key, given)} {text}".strip() for key, text in error.problems)) from error
 
 
 def _as_given(kind: type[Configuration], key: Key, given: Given) -> str:
@@ -121,8 +119,9 @@ def descriptions(kind: type[Configuration]) -> dict[str, str]:
 
 
 def is_table(field: FieldInfo) -> bool:
-    """Whether a field is an array of tables, which has no option."""
-    return any(isinstance(kind, type) and issubclass(kind, Configuration) for kind in get_args(field.annotation)[:1])
+    """Whether a field is a table or an array of tables, which has no option."""
+    members = get_args(field.annotation)[:1]
+    return get_origin(field.annotation) is dict or any(isinstance(kind, type) and issubclass(kind, Configuration) for kind in members)
 
 
 def _plain(annotation: Any) -> Any:

@@ -12,7 +12,6 @@ from soft_tendon_env.tools.configuration import Configuration
 Figure = Literal[2, 3, 4, 5, 6]
 ALL: tuple[Figure, ...] = (2, 3, 4, 5, 6)
 LONGEST = 10.0  # [s] of all motions
-DOCS = "file in which all goes between <!-- figures --> and <!-- /figures -->"
 
 
 class ReproducePaper(Configuration):
@@ -20,21 +19,19 @@ class ReproducePaper(Configuration):
 
     figures: tuple[Figure, ...] = Field(default=ALL, min_length=1, description="figures to draw; 3 and 4 belong together, 5 and 6 too")
     seconds: Annotated[float, Field(ge=1.0, le=LONGEST, description="end every motion after this time [s], to try it out")] = LONGEST
-    write_docs: str | None = Field(default=None, description=DOCS)
+    write_docs: str | None = Field(default=None, description="file in which all goes between <!-- figures --> and <!-- /figures -->")
     out: str = Field(default="out/paper", description="folder of pictures and numbers")
 
 
 def run(settings: ReproducePaper) -> None:
     """Draw, print and write."""
-    out = Path(settings.out)
     with mistakes():
         require("pictures")
-        if settings.write_docs is not None and (settings.seconds < LONGEST or set(settings.figures) != set(ALL)):
+        if settings.write_docs is not None and (settings.seconds < LONGEST or {*settings.figures} != {*ALL}):
             raise ValueError(f"--write-docs needs all figures and {LONGEST:g} seconds")
-        page = Page(settings.write_docs, ["figures"])
-        writable_folder(out)
+        page, out = Page(settings.write_docs, ["figures"]), writable_folder(Path(settings.out))
     from soft_tendon_env.paper.reproduce import document, reproduce
 
     results = reproduce(settings.figures, settings.seconds, out)
-    if settings.write_docs is not None:  # of which all figures are there
+    if settings.write_docs is not None:
         page.write("figures", document(results))

@@ -14,7 +14,7 @@ from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.files import read_text
 
 INTERVALS = 6  # of a piece of the rod: how many coordinates there are does not depend on them
-NAME = "a scene that ships, or the path of a TOML file, which is checked; by default a table of those that ship"
+NAME = "a scene that ships, or the path of a TOML file; by default a table of those that ship"
 
 
 class Scenes(Configuration):
@@ -32,8 +32,7 @@ def run(settings: Scenes) -> None:
         return
     with mistakes():
         load_scene(settings.name)
-        text = read_text(Path(settings.name) if settings.name.endswith(".toml") else SHIPPED / f"{settings.name}.toml")
-    print(text, end="")
+        print(read_text(Path(settings.name) if settings.name.endswith(".toml") else SHIPPED / f"{settings.name}.toml"), end="")
 
 
 def coordinate_count(scene: Scene) -> int:

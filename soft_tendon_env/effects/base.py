@@ -15,7 +15,7 @@ from pydantic import ConfigDict
 
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import DIRECT, EffectTable, kernels_of
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, odd_keys, shown
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, shown
 from soft_tendon_env.tools.types import Array as Array
 
 
@@ -196,8 +196,8 @@ class Effects(Configuration):
 
     def __init__(self, /, **tables: Any):
         """Raises ConfigurationError."""
-        chosen, problems = {}, list(odd_keys(tables))
-        for name, table in tables.items() if not problems else ():
+        chosen, problems = {}, list[Problem]()
+        for name, table in tables.items():
             try:
                 if name not in EFFECTS:
                     problems.append(Problem((name,), f"is an unknown key (given {shown(table)}): {not_among(name, EFFECTS)}"))

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from soft_tendon_env.evaluation.provenance import commit, machine
-from soft_tendon_env.tools.files import PACKAGE, parse_json, read_text, replacing
+from soft_tendon_env.tools.files import PACKAGE, read_text, replacing
 
 ROOT = PACKAGE.parent
 """Folder of the clone, from which the paths of scripts count."""
@@ -41,9 +41,13 @@ class Stamp(NamedTuple):
 
     @classmethod
     def read(cls, text: str) -> "Stamp | None":
-        """The first stamp in a text, if there is one. Raises ValueError, KeyError where it is damaged."""
-        found = MADE.search(text)
-        return None if found is None else cls(*(parse_json(found[1])[name] for name in cls._fields))
+        """The first stamp in a text, if there is one. Raises ValueError where it is damaged."""
+        if (found := MADE.search(text)) is None:
+            return None
+        table = json.loads(found[1])
+        if not isinstance(table, dict) or not {*cls._fields} <= table.keys():
+            raise ValueError(f"a stamp should have {', '.join(cls._fields)}, not {found[1]}")
+        return cls(*(table[name] for name in cls._fields))
 
     def text(self) -> str:
         """The comment that programs read, and the line that people read, with this machine."""

@@ -26,12 +26,11 @@ def checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) ->
 
 
 def _fits(given: tuple[int, ...], shape: tuple[int | None, ...]) -> bool:
-    return len(given) == len(shape) and all(size is None or size == found for size, found in zip(shape, given, strict=True))
+    return len(given) == len(shape) and all(size in (None, found) for size, found in zip(shape, given, strict=True))
 
 
 def _shown_shape(shape: tuple[int | None, ...]) -> str:
-    sizes = ["any" if size is None else str(size) for size in shape]
-    return f"({sizes[0]},)" if len(sizes) == 1 else f"({', '.join(sizes)})"
+    return str(tuple("any" if size is None else size for size in shape)).replace("'", "")
 
 
 def dimensions(value: Any) -> int | None:

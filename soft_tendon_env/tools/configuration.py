@@ -10,20 +10,15 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
-from typing import Any, NamedTuple, Self, get_args, get_origin
+from typing import Any, NamedTuple, Self, get_origin
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
-from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from soft_tendon_env.tools.files import parse_toml, text_of
+from soft_tendon_env.tools.files import read_bytes
 
 Key = tuple[str | int, ...]
-ANY = "*"
-"""Part of a dotted key that stands for every entry of a table or an array."""
-OF_ANOTHER_KIND: dict[str, tuple[type, ...]] = {"tuple_type": (int, float), "float_type": (tuple,)}
-"""Errors of pydantic by which a union's member refuses what the other one is for."""
 
 
 class Problem(NamedTuple):
@@ -47,11 +42,6 @@ class ConfigurationError(ValueError):
         return "\n".join(": ".join((self.source, f"{dotted(key)} {text}".strip())) for key, text in self.problems)
 
 
-def _default(field: FieldInfo) -> Any:
-    """Value of a key that is left out, with all others left out too."""
-    return field.get_default(call_default_factory=True, validated_data={})
-
-
 class Configuration(BaseModel):
     """Base of every configuration class: frozen, strict, finite numbers only. Raises `ConfigurationError`.
 
@@ -61,8 +51,6 @@ class Configuration(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     def __init__(self, /, **values: Any):
-        if problems := list(odd_keys(values)):
-            raise ConfigurationError(problems, type(self).__name__)
         try:
             super().__init__(**{name: _frozen(value) for name, value in values.items()})
         except ValidationError as error:
@@ -71,7 +59,9 @@ class Configuration(BaseModel):
 
     def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
         """Keys that have other values than by default."""
-        return [(name, value) for name, value in super().__repr_args__() if value != _default(type(self).model_fields[str(name)])]
+        fields = type(self).model_fields
+        defaults = {name: field.get_default(call_default_factory=True, validated_data={}) for name, field in fields.items()}
+        return [(name, value) for name, value in super().__repr_args__() if value != defaults[str(name)]]
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], source: str) -> Self:
@@ -88,14 +78,6 @@ def _frozen(value: Any) -> Any:
     if isinstance(value, os.PathLike):
         value = os.fspath(value)
     return tuple(value) if isinstance(value, list) else value
-
-
-def odd_keys(values: Mapping[str, Any]) -> Iterable[Problem]:
-    """Tables whose keys are no strings, which pydantic cannot take."""
-    for name, value in values.items():
-        for key in value if isinstance(value, Mapping) else ():
-            if not isinstance(key, str):
-                yield Problem((name,), f"has the key {shown(key)}: keys should be strings")
 
 
 def plain(value: Any) -> Any:
@@ -118,10 +100,7 @@ def dotted(key: Key) -> str:
 
 def shown(value: Any) -> str:
     """A value as text for an error message: arrays in brackets, long ones cut."""
-    try:
-        text = repr(list(value) if isinstance(value, tuple) else value)
-    except RecursionError:
-        text = f"a {type(value).__name__} that is nested too deep"
+    text = repr(list(value) if isinstance(value, tuple) else value)
     return text if len(text) <= 80 else text[:76] + " ..."
 
 
@@ -135,7 +114,7 @@ def not_among(name: str, valid: Iterable[str]) -> str:
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """The tables of a TOML file. Raises ConfigurationError where it cannot be read or is not TOML."""
     try:
-        return parse_toml(text_of(path))
+        return tomllib.loads(read_bytes(path).decode("utf-8-sig"))
     except OSError as error:
         raise ConfigurationError([Problem((), f"cannot be read: {error.strerror}")], os.fspath(path)) from error
     except ValueError as error:  # TOMLDecodeError says the line; UnicodeDecodeError the byte
@@ -148,71 +127,49 @@ def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
     A `*` stands for every entry of a table or an array, `"segments.*.density"`. Absent tables are created, positions in arrays must exist;
     whether the keys are valid shows when the table is parsed. Raises `TypeError`, `ConfigurationError`.
     """
-    if not isinstance(changes, Mapping):
-        raise TypeError(f"changes should be a mapping from dotted keys to values, not {type(changes).__name__}")
     for path, value in changes.items():
         if not isinstance(path, str):
             raise TypeError(f"changes has the key {shown(path)}: keys should be strings such as 'quadrature.intervals'")
-        for own in matching(table, path):
-            _set(table, own, value)
+        _set(table, re.sub(r"\[(\d+|\*)\]", r".\1", path).split("."), value, "")
 
 
-def _set(table: dict[str, Any], path: str, value: Any) -> None:
-    parts = path.split(".")
-    node: Any = table
-    for depth, part in enumerate(parts):
-        where = ".".join(parts[:depth])
-        if isinstance(node, list) and not (part.isdecimal() and int(part) < len(node)):
-            valid = f"valid: 0 to {len(node) - 1}" if node else "it is empty"
-            raise ConfigurationError([Problem((path,), f"cannot be set: {part!r} is no position in {where}; {valid}")])
-        if not isinstance(node, dict | list):
-            raise ConfigurationError([Problem((path,), f"cannot be set: {where} is {shown(node)}, not a table")])
-        place: Any = int(part) if isinstance(node, list) else part
-        if depth < len(parts) - 1:
-            node = node.setdefault(place, {}) if isinstance(node, dict) else node[place]
-    try:
-        node[place] = deepcopy(value)
-    except RecursionError:
-        raise ConfigurationError([Problem((path,), f"is {shown(value)}")]) from None
-
-
-def matching(table: Mapping[str, Any], path: str) -> list[str]:
-    """Dotted keys of nested plain tables that a key with wildcards stands for, `"segments.*.density"`; without any the key itself.
-
-    Raises `ConfigurationError` where there is none.
-    """
-    parts = re.sub(r"\[(\d+|\*)\]", r".\1", path).split(".")
-    if ANY not in parts:
-        return [".".join(parts)]
-    found: list[tuple[str, Any]] = [("", table)]
-    for part in parts:
-        entries = [(key, node.items() if isinstance(node, Mapping) else enumerate(node)) for key, node in found if _is_nested(node)]
-        found = [(f"{key}.{own}", value) for key, own_entries in entries for own, value in own_entries if part in (ANY, str(own))]
-    if not found:
-        raise ConfigurationError([Problem((path,), "stands for no entry: there is none of such a name")])
-    return [key.removeprefix(".") for key, _ in found]
-
-
-def _is_nested(node: Any) -> bool:
-    return isinstance(node, Mapping | list | tuple)
+def _set(node: Any, parts: list[str], value: Any, where: str) -> None:
+    """Set the key of these parts in the table or array that stands at `where`."""
+    part, *below = parts
+    own, path = (
+        [*map(str, node if isinstance(node, dict) else range(len(node)))] if isinstance(node, dict | list) else [],
+        f"{where}.{part}",
+    )
+    problem = None
+    if not isinstance(node, dict | list):
+        problem = f"{where[1:]} is {shown(node)}, not a table"
+    elif part == "*" and not own:
+        problem = f"{where[1:]} is empty"
+    elif isinstance(node, list) and part not in ("*", *own):
+        problem = f"{part!r} is no position in {where[1:]}; valid: 0 to {len(own) - 1}"
+    if problem:
+        raise ConfigurationError([Problem((".".join([path, *below])[1:],), f"cannot be set: {problem}")])
+    for key in own if part == "*" else [part]:
+        place: Any = int(key) if isinstance(node, list) else key
+        if below:
+            _set(node.setdefault(place, {}) if isinstance(node, dict) else node[place], below, value, f"{where}.{key}")
+        else:
+            node[place] = deepcopy(value)
 
 
 def parsed_changes(changes: Iterable[str]) -> dict[str, Any]:
     """Values by key of texts "dotted.key=value", as in TOML or else the text itself. Raises ValueError, also for a key given twice."""
     found: dict[str, Any] = {}
     for change in changes:
-        key, equals, text = change.partition("=")
-        key = key.strip()
-        if not equals or not key:
+        key, _, text = map(str.strip, change.partition("="))
+        if not key or "=" not in change:
             raise ValueError(f"--set {change!r} should be KEY=VALUE, such as quadrature.intervals=12")
         if key in found:
             raise ValueError(f"--set has {key}, which is given twice")
         try:
-            found[key] = parse_toml(f"value = {text}")["value"]
+            found[key] = tomllib.loads(f"value = {text}")["value"]
         except tomllib.TOMLDecodeError:
             found[key] = text
-        except ValueError as error:
-            raise ValueError(f"--set {shown(change)}: {error}") from error
     return found
 
 
@@ -230,18 +187,17 @@ def _problems(table: type[Configuration], error: ErrorDetails) -> list[Problem]:
     cause = context.get("error")
     if isinstance(cause, ConfigurationError):
         return [Problem(key + inner, text) for inner, text in cause.problems]
-    if len(location) > 1 and isinstance(location[-1], str) and isinstance(value, OF_ANOTHER_KIND.get(kind, ())):
-        return []  # that of the member which it is for says what is wrong
     if kind == "default_factory_not_called":
         return []  # a default that depends on other keys, of which some are wrong
     if kind == "extra_forbidden":
         return [Problem(key, f"is an unknown key (given {shown(value)}): {not_among(str(key[-1]), table.model_fields)}")]
     if kind == "missing":
         return [Problem(key, "is missing: it is required")]
-    if kind.startswith("union_tag"):
-        types = [choice.model_fields["type"].default for choice in _choices(table.model_fields[str(key[0])].annotation)]
-        given = f"is {context['tag']!r}" if "tag" in context else "is missing"
-        return [Problem((*key, "type"), f"{given}: {not_among(str(context.get('tag')), types)}")]
+    if kind == "union_tag_not_found":
+        return [Problem((*key, "type"), "is missing: it is required")]
+    if kind == "union_tag_invalid":
+        types = re.findall(r"'(\w+)'", context["expected_tags"])
+        return [Problem((*key, "type"), f"is {context['tag']!r}: {not_among(context['tag'], types)}")]
     if kind == "too_short" and len(value) > context["actual_length"]:
         return []  # pydantic counts the valid items only; the others are reported by themselves
     if kind in ("model_type", "model_attributes_type"):
@@ -254,10 +210,3 @@ def _allowed(error: ErrorDetails) -> str:
         return str(error["ctx"]["error"])  # a validator's own words
     message = re.sub(r"^\w+ should", "should", error["msg"])
     return message.replace("tuple", "array").replace("a valid boolean", "true or false").replace(" after validation", "")
-
-
-def _choices(annotation: Any) -> list[type[Configuration]]:
-    """The configuration classes in a (nested) union."""
-    if isinstance(annotation, type) and issubclass(annotation, Configuration):
-        return [annotation]
-    return [choice for member in get_args(annotation) for choice in _choices(member)]

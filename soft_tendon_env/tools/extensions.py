@@ -13,7 +13,8 @@ VARIABLE = "SOFT_TENDON_ENV_IMPORT"
 
 def import_extensions(names: Iterable[str] = ()) -> None:
     """Import modules of these names, and those that VARIABLE names; the current folder is looked in too. Raises ValueError."""
-    for name in (every := list(dict.fromkeys([*extensions(), *names]))):
+    every = dict.fromkeys([*extensions(), *names])
+    for name in every:
         look_in_this_folder()
         try:
             importlib.import_module(name)

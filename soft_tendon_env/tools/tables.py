@@ -4,23 +4,21 @@ import contextlib
 import csv
 import math
 import warnings
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.tools.files import MOST_BINARY, read_text
+from soft_tendon_env.tools.files import read_text
 from soft_tendon_env.tools.types import Array
 
 LOGGED = "measured_time"
 """Column by which logs of robots are known, every row of which ends with a newline."""
-SEPARATORS, COMMENTS = ",;\t|", ("#", "%")
-"""Separators of cells, besides spaces; beginnings of lines that are skipped, but where NumPy and rostopic write the header in one."""
+SEPARATORS, COMMENTS = ",;\t", ("#", "%")
+"""Separators of cells; beginnings of lines that are skipped."""
 ABSENT = {"", "nan", "na", "n/a", "null", "none"}
 """Cells that hold no number."""
-PREAMBLE = 100
-"""Lines among which the header is looked for."""
 
 
 class Table(NamedTuple):
@@ -29,7 +27,6 @@ class Table(NamedTuple):
     where: str
     header: list[str]
     rows: list[tuple[str, list[str]]]
-    skipped: list[int]  # numbers of lines that were not read: comments, and what stands above the header
 
     def numbers(self, columns: Iterable[tuple[str, float]]) -> Array:
         """Numbers (rows, columns) of columns by name, times their factors; NaN where there are none. Raises ValueError for other text."""
@@ -48,60 +45,32 @@ def read_number(where: str, name: str, text: str, factor: float = 1.0) -> float:
     raise ValueError(f"{where}: {name} is {text!r}: it should be a finite number, or empty where there is none")
 
 
-def read_table(path: Path, names: Collection[str] = ()) -> Table:
-    """The table of a CSV file.
+def read_table(path: Path) -> Table:
+    """The table of a CSV file, separated by commas, semicolons or tabs.
 
-    Its header is the line with most of the `names`, by default the first that is no comment. Its separator is a comma, semicolon, tab,
-    bar or spaces. Blank lines and comments (#, %) are left out. Raises FileNotFoundError, and ValueError for a file that cannot be read.
+    Its header is the first line that is no comment (#, %). Blank lines and comments are left out. Raises FileNotFoundError, and ValueError
+    for a file that cannot be read.
     """
-    # minutes of a log have tens of megabytes; bytes that are no text are no numbers
-    lines = _whole_lines(path, read_text(path, MOST_BINARY, "replace"))
-    first, separator, header = _header(lines, {name.casefold() for name in names})
-    rows, skipped = [], [number for number, line in enumerate(lines[:first], 1) if line.strip()]
+    lines = _whole_lines(path, read_text(path, "replace"))  # bytes that are no text are no numbers
+    rows = [(number, line) for number, line in enumerate(lines, 1) if line.strip(SEPARATORS + " ") and not line.startswith(COMMENTS)]
+    separator = max(SEPARATORS, key=rows[0][1].count) if rows else ","
+    reader = csv.reader((line for _, line in rows), delimiter=separator, skipinitialspace=True, strict=True)
     try:
-        for number, line in enumerate(lines[first + 1 :], first + 2):
-            if line.startswith(COMMENTS):
-                skipped.append(number)
-            elif any(cells := _cells(line, separator)):
-                rows.append((f"{path}, line {number}", cells if any(cells[len(header) :]) else [*cells[: len(header)]]))
+        cells = [[cell.strip() for cell in row] for row in reader]
     except csv.Error as error:
-        raise ValueError(f"{path}, line {number} cannot be read: {error}") from error
-    where = f"{path}, line {first + 1}" + (f" (separated by {separator!r})" if len(header) > 1 else "")
-    if odd := next((row for row in rows if len(row[1]) != len(header)), None):
-        raise ValueError(f"{odd[0]}: there are {len(odd[1])} cells, the header has {len(header)}: {where}")
-    return Table(where, header, rows, skipped)
-
-
-def _cells(line: str, separator: str) -> list[str]:
-    """Cells of a line; where spaces separate, any number of them does, and tabs. Raises csv.Error."""
-    text = " ".join(line.split()) if separator == " " else line
-    return [cell.strip() for cell in next(csv.reader([text], delimiter=separator, skipinitialspace=True, strict=True), [])]
-
-
-def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]:
-    """Place of the header among the lines, its separator and its cells."""
-    best, most = (0, ",", list[str]()), -1
-    for place, line in enumerate(lines[:PREAMBLE]):
-        is_comment = line.startswith(COMMENTS)
-        for text in (line.lstrip("".join(COMMENTS) + " \t"), line)[not is_comment :]:
-            separator = max(SEPARATORS, key=text.count)
-            separator = separator if separator in text.strip() else " "
-            with contextlib.suppress(csv.Error):  # which the reader tells
-                cells = _cells(text, separator)
-                found = len(names.intersection(map(str.casefold, cells))) - is_comment  # a comment counts by its names alone
-                if any(cells) and found > most:
-                    best, most = (place, separator, cells), found
-    place, separator, cells = best
-    while cells and not cells[-1]:
-        cells = cells[:-1]
-    return place, separator, cells
+        raise ValueError(f"{path}, line {rows[reader.line_num - 1][0]} cannot be read: {error}") from error
+    (header, *found), numbers = cells or [[]], [number for number, _ in rows]
+    where = f"{path}, line {numbers[0] if rows else 1}" + (f" (separated by {separator!r})" if len(header) > 1 else "")
+    for number, row in zip(numbers[1:], found, strict=True):
+        if len(row) != len(header):
+            raise ValueError(f"{path}, line {number}: there are {len(row)} cells, the header has {len(header)}: {where}")
+    return Table(where, header, [(f"{path}, line {number}", row) for number, row in zip(numbers[1:], found, strict=True)])
 
 
 def _whole_lines(path: Path, text: str) -> list[str]:
     """Lines of a table, without a last one that was cut off when the writer was killed, or power was lost; a warning says so."""
-    text = text.rstrip("\0")  # of blocks that never came to the disk
-    lines = text.splitlines()
-    if len(lines) > 1 and not text.endswith("\n"):
+    lines = text.rstrip("\0").splitlines()  # of blocks that never came to the disk
+    if len(lines) > 1 and not text.rstrip("\0").endswith("\n"):
         earlier, last = (sum(map(line.count, SEPARATORS)) for line in lines[-2:])
         if LOGGED in lines[0] or last < earlier:
             warnings.warn(f"{path}, line {len(lines)} was cut off: it is left out, the rows before it are whole", stacklevel=2)

@@ -35,16 +35,10 @@ def _between(least: float, greatest: float, unit: str = "") -> AfterValidator:
     return AfterValidator(check)
 
 
-def _stepping(value: float) -> float:
-    if value < SOONEST:
-        raise ValueError(f"should be at least {SOONEST:g} s")
-    return value
-
-
 Number = Annotated[float, Field(ge=-GREATEST, le=GREATEST)]
 Positive = Annotated[float, Field(gt=0), _between(LEAST, GREATEST)]
 NotNegative = Annotated[float, Field(ge=0), _between(LEAST, GREATEST)]
-TimeStep = Annotated[float, Field(gt=0, le=GREATEST), AfterValidator(_stepping)]
+TimeStep = Annotated[float, Field(gt=0), _between(SOONEST, GREATEST, " s")]
 Frequency = Annotated[float, Field(ge=0, le=FASTEST)]
 Turning = Annotated[float, Field(ge=-FASTEST, le=FASTEST)]
 Length = Annotated[float, Field(gt=0), _between(SHORTEST, LONGEST, " m")]

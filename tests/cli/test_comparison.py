@@ -2,22 +2,16 @@
 
 import csv
 import json
-import math
 import re
 import shutil
-import tomllib
-from pathlib import Path
 
 import gymnasium as gym
 import pytest
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.evaluation import comparison, entrants, provenance, settings, tables
-from soft_tendon_env.evaluation.metrics import ErrorScore
-from soft_tendon_env.evaluation.summaries import Summary
+from soft_tendon_env.evaluation import comparison, entrants, settings
 from soft_tendon_env.policies.agent import save_agent
 
-CONFIGS = Path(__file__).parent.parent.parent / "configs"
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 
 
@@ -45,13 +39,6 @@ def runs(tmp_path, ppo):
         agent.policy.action_net.bias.data[:] = 0.3 if seed == 2 else -0.3
         save_agent(run / "best", agent.policy, None)
     return tmp_path / "ppo_tip_pose"
-
-
-def test_shipped_configs_are_valid():
-    for path in CONFIGS.glob("compare*.toml"):
-        table = tomllib.loads(path.read_text())
-        read = settings.Comparison.parse(table, path.name)
-        assert table and read.model_dump(mode="json").items() >= table.items(), "as it stands there"
 
 
 def test_options_go_before_the_config_file(tmp_path, command):
@@ -102,28 +89,3 @@ def test_folders_that_are_no_sweep(runs, spoil, said):
     spoil(runs)
     with pytest.raises((ValueError, OSError), match=re.escape(said)):
         comparison.shared_arms(settings.EpisodeSettings(), "TipPose", entrants.every_file(entrants.agents_of("TipPose", [str(runs)])))
-
-
-def test_tables_flag_what_diverged():
-    errors = {"position_error": ErrorScore(0.0123, 0.02), "angle_error": ErrorScore(math.radians(3.0), 0.1)}
-
-    def table(diverged):
-        summary = Summary(20, diverged, errors, 0, {"effort": 5.0, "chatter": 0.25}, 400.0, None, 0.002)
-        return tables.summary_table("policy", {"a": summary}, {"a": "none"})
-
-    assert "12.3 !" in table(1) and tables.LEGEND in table(1)
-    headers = [name.strip() for name in table(0).splitlines()[0].split("|")[1:-1]]
-    assert headers[:4] == ["policy", "position [mm] RMS", "angle [deg] RMS", "settled"]
-    assert headers[4:] == ["effort [N]", "chatter [N]", "time [ms]", "model in the loop"]
-
-
-@pytest.mark.cases(
-    "value, text", [(None, "-"), (math.nan, "-"), (12.34, "12.3"), (20.0, "20.0"), (999.7, "1000"), (123.4, "123"), (12345.6, "12346")]
-)
-def test_numbers_have_three_digits(value, text):
-    assert tables.number(value) == text
-
-
-def test_what_is_not_finite_becomes_null(tmp_path):
-    provenance.write_json(tmp_path / "a.json", {"a": [math.inf, 1.0], "b": {"c": (math.nan,)}})
-    assert json.loads((tmp_path / "a.json").read_text()) == {"a": [None, 1.0], "b": {"c": [None]}}

@@ -9,7 +9,6 @@ import pytest
 from soft_tendon_env.cli import errors
 
 TEXTS = {
-    "two.csv": "a,b\n1,2\n",
     "docs.md": "no markers",
     "key.toml": "episods = 3",
     "own.toml": 'policies = ["feedforward"]\noptions = {scene = "three_tendon", fidelity = "fast"}',
@@ -25,47 +24,27 @@ OPTIONS = [
     ("evaluate tracking --episode 3", "Perhaps you meant: --episodes INT number of episodes"),
     ("evaluate tracking feedforward", "Unrecognized options: feedforward"),
     ("evaluate tracking --episodes", "Missing value for argument '"),
-    ("evaluate tracking --episodes many", "Error parsing --episodes: invalid literal for int() with base 10: 'many'"),
     ("evaluate tracking --episodes 300", "--episodes is 300: it should be less than or equal to 20"),
     ("evaluate tracking --workers 0", "--workers is 0: it should be greater than or equal to 1"),
-    ("evaluate tracking --task Tip", "--task is 'Tip': it should be a task: did you mean 'TipPose'? valid: Reach, "),
     ("evaluate tracking --fidelity fast --fidelity fine", "--fidelity is given twice: give it once"),
-    ("evaluate tracking --set a=1 --set b=1", "--set is given twice: give it once, with all its values behind it"),
-    ("evaluate tracking --set fidelity=fast --fidelity fine", "--set has fidelity, and so has --fidelity: give it once"),
     ("evaluate tracking --set fidelity=quick", "--set: fidelity is 'quick': it should be"),
-    ("evaluate tracking --fidelity quick", "--fidelity is 'quick': it should be"),
-    ("evaluate tracking --set randomize.pay=0.1", "--set: randomize.pay is an unknown key (given 0.1): did you mean 'payload'?"),
     ("evaluate tracking --set preview", "--set 'preview' should be KEY=VALUE"),
     ("evaluate tracking --errors noise,nois", "names 'nois': did you mean 'noise'?"),
-    ("evaluate tracking --errors stiffness+20%,stiffness-20%", "in which stiffness is said twice"),
     ("evaluate tracking --scene no_scene", "'no_scene': is neither the path of a .toml file nor a scene that ships"),
-    ("evaluate nothing.zip", "there is no file nothing.zip"),
-    ("compare --policies trackin", "did you mean 'tracking'?"),
     ("compare --config key.toml", "key.toml: episods is an unknown key (given 3): did you mean 'episodes'?"),
     ("compare --config own.toml --task TipPose --cluster 127.0.0.1:1", "Ray"),  # is not there, or does not answer
     ("compare --config own.toml --write-docs docs.md", "docs.md should have the lines <!-- compare Reach --> and "),
     ("run feedforward --seconds 0.01", "seconds is 0.01: it should be at least one control period, 0.02 s, and skip"),
-    ("run feedforward --robot-options port", "'port' should be KEY=VALUE"),
     ("demo --agent tracking", "--agent is 'tracking': it should be the folder or the .zip file of an agent"),
     ("train ppo_tip_pos", "neither the path of a .toml file nor a training that ships: did you mean 'ppo_tip_pose'?"),
     ("train ppo_tip_pose --runners 3", "--runners is for --engine rllib"),
-    ("train ppo_tip_pose --engine sb4", "invalid choice 'sb4' for argument '--engine'. Expected one of ('sb3', 'rllib')"),
-    ("train none.toml", "none.toml: cannot be read: No such file or directory"),
     ("sweep ppo_tip_pose other/ppo_tip_pose.toml", "another configuration is called ppo_tip_pose too"),
-    ("sweep ppo_tip_pose --set seed=3", "--set has seed: --seeds and --first-seed say which there are"),
-    ("reproduce-paper --figures 7", "invalid choice '7' for argument '--figures'"),
     ("reproduce-paper --seconds 2 --write-docs docs.md", "--write-docs needs all figures and 10 seconds"),
-    ("scenes papr", "'papr': is neither the path of a .toml file nor a scene that ships: did you mean 'paper'?"),
     ("effects gravty", "name is 'gravty': did you mean 'gravity'?"),
     ("fields three_tendon --within 1", "--within is '1': it should be a positive length with its unit"),
     ("fields three_tendon --out fields.txt", "--out is fields.txt: it should be the path of a .json file, such as"),
-    ("accuracy three_tendon --motion mild", "invalid choice 'mild' for argument '--motion'"),
-    ("accuracy three_tendon --input two.csv", "two.csv should have shape (any, 3), not (1, 2)"),
-    ("accuracy three_tendon --input none.csv", "there is no file none.csv"),
     ("accuracy three_tendon --set segments.0.radios=1", "--set: segments[0].radios is an unknown key"),
-    ("identify three_tendon holds.csv --markers markers.toml", "Missing from soft-tendon identify: --parameters"),
     (" ".join((*IDENTIFY, "segments.*.dens")), "segments.*.dens is no number of the scene: did you mean 'segments.*.density'?"),
-    (" ".join((*IDENTIFY, "segments.*.density", "--noise", "0.5")), "--noise is '0.5': it should be a positive length with its unit"),
     ("tune predictive --trials 0", "--trials is 0: it should be greater than or equal to 1"),
     ("--import no_such_module demo", "--import names 'no_such_module': it should be a module, in this folder or on PYTHONPATH; No"),
 ]
@@ -95,15 +74,7 @@ def test_files_and_what_stands_in_them(refused, config, finished, arguments, sai
     assert said.format(**known) in refused(*(argument.format(**known) for argument in arguments.split()), "--out", "out")
 
 
-@pytest.mark.cases(
-    "arguments, missing",
-    [
-        ("evaluate tracking", "pictures"),
-        ("train ppo_tip_pose", "agents"),
-        ("demo", "agents,pictures,recording"),
-        ("export agent", "export"),
-    ],
-)
+@pytest.mark.cases("arguments, missing", [("train ppo_tip_pose", "agents"), ("demo", "agents,pictures,recording")])
 def test_missing_extras_come_with_the_command_that_installs_them(refused, monkeypatch, arguments, missing):
     monkeypatch.setattr(errors, "find_spec", lambda module: None)
     assert f'pip install "soft_tendon_env[{missing}]"' in refused(*arguments.split())
@@ -129,14 +100,10 @@ def test_damaged_checkpoints_and_agents_are_refused(refused, config, finished, t
     assert str(run / place) in said and name in said
 
 
-@pytest.mark.cases("place, reason", [("file", "File exists"), ("file/new", "Not a directory"), ("full", "No space left on device")])
-def test_a_folder_that_cannot_be_written_is_said_before_anything_runs(refused, monkeypatch, tmp_path, place, reason):
+@pytest.mark.cases("place, reason", [("file", "File exists"), ("file/new", "Not a directory")])
+def test_a_folder_that_cannot_be_written_is_said_before_anything_runs(refused, tmp_path, place, reason):
     (tmp_path / "file").touch()
-    (tmp_path / "full").mkdir(exist_ok=True)
-    with monkeypatch.context() as patched:
-        if place == "full":
-            patched.setattr(errors.tempfile, "TemporaryFile", lambda dir: open("/dev/full", "wb"))
-        said = refused(*"evaluate feedforward --scene three_tendon --fidelity fast --errors nominal --out".split(), tmp_path / place)
+    said = refused(*"evaluate feedforward --scene three_tendon --fidelity fast --errors nominal --out".split(), tmp_path / place)
     assert f"soft-tendon evaluate: error: --out is {tmp_path / place}: it should be a folder that can" in said and reason in said
 
 

@@ -15,11 +15,11 @@ from soft_tendon_env.learning import sweep as learning
 from soft_tendon_env.tools.files import PACKAGE
 
 
-def write_run(folder, seed, errors, task="TipPose", best=None, **columns):
+def write_run(folder, seed, errors, task="TipPose", **columns):
     """A run whose evaluations, every 100 steps, are of these errors; more columns by name."""
     run = folder / f"seed_{seed}"
     (run / "best").mkdir(parents=True)
-    (run / "config.json").write_text(json.dumps({"task": columns.pop("task", "TipPose")}))
+    (run / "config.json").write_text(json.dumps({"task": task}))
     header = ["steps", "seconds", "return", "diverged", *columns, "position_error_rms", "position_error_p95"]
     rows = [[100 * (i + 1), 60 * (i + 1), 0, 0, *(values[i] for values in columns.values()), error, 1] for i, error in enumerate(errors)]
     with open(run / "evaluations.csv", "w", newline="") as file:
@@ -96,7 +96,7 @@ def test_ctrl_c_and_kill_stop_the_runs(tmp_path, asked):
 def test_curves_are_of_all_seeds_as_far_as_all_have_come(sweep, tmp_path, capsys):
     folder = tmp_path / "runs" / "one"
     for seed, error in enumerate((0.010, 0.030, 0.020, 0.900, 0.001)):
-        write_run(folder, seed, [0.5, error, *([0.1] if seed == 0 else [])], best=200)
+        write_run(folder, seed, [0.5, error, *([0.1] if seed == 0 else [])])
     (folder / "seed_5").mkdir()
     write_run(tmp_path / "runs" / "mixed", 0, [0.1])
     write_run(tmp_path / "runs" / "mixed", 1, [0.1], task="Shape")

@@ -148,8 +148,6 @@ def test_the_first_folder_that_can_be_written_is_taken_with_what_is_in_a_read_on
     monkeypatch.setattr(user_cache, "cache_parents", lambda: [blocked, writable])
     found = compilation.cache_folder.__wrapped__()
     assert found.parent == writable / "soft_tendon_env"
-    printed = capsys.readouterr().err
-    assert f"{blocked} cannot be used (Not a directory)" in printed and "set NUMBA_CACHE_DIR" in printed
     (found / "code.nbc").touch()
     monkeypatch.setattr(user_cache, "cache_parents", lambda: [tmp_path / "new", writable])
     assert not (compilation.cache_folder.__wrapped__() / "code.nbc").exists(), "that folder can be written: it is for others"
@@ -157,7 +155,8 @@ def test_the_first_folder_that_can_be_written_is_taken_with_what_is_in_a_read_on
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     assert (compilation.cache_folder.__wrapped__() / "code.nbc").exists()
     monkeypatch.setattr(user_cache, "cache_parents", lambda: [blocked])
-    assert compilation.cache_folder.__wrapped__() is None and "every process compiles again" in capsys.readouterr().err
+    assert compilation.cache_folder.__wrapped__() is None
+    assert f"{blocked} cannot be used (Not a directory); set NUMBA_CACHE_DIR" in capsys.readouterr().err
 
 
 def test_only_the_newest_versions_are_kept(tmp_path, monkeypatch):

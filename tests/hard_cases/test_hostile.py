@@ -102,7 +102,7 @@ def test_numbers_that_no_arm_has(measured):
 
 
 BEYOND = {
-    "steps": ({"integrator.step": 1e-9}, r"integrator\.step is 1e-09: it should be at least 1e-07 s"),
+    "steps": ({"integrator.step": 1e-9}, r"integrator\.step is 1e-09: it should be 1e-07 to 1e\+20 s"),
     "commands on their way": (
         {"integrator.step": 1e-6, "effects.actuators.delay": 0.1},
         r"delay is 0\.1: it should be at most 0\.01 s, 10000 integrator steps",

@@ -1,11 +1,11 @@
 """Independent runs side by side: results in order, one thread each, errors as they were raised."""
 
 import os
-import subprocess
 import sys
 
 import pytest
 
+from soft_tendon_env.tools.extensions import VARIABLE
 from soft_tendon_env.tools.parallel import run_all
 
 
@@ -26,14 +26,13 @@ def test_results_come_in_order_from_as_many_processes(options):
     assert (os.getpid() not in processes) == apart and (not apart or set(threads) == {"1"})
 
 
-@pytest.mark.slow  # processes of a process
-def test_processes_have_what_the_script_that_was_started_registers(tmp_path):
-    (tmp_path / "registry.py").write_text("names = []\n\n\ndef known(place):\n    return list(names)\n")
-    run = 'print(run_all(registry.known, range(3), 2, "names"))'
-    lines = ["import registry", "from soft_tendon_env.tools.parallel import run_all", 'registry.names.append("own")']
-    (tmp_path / "script.py").write_text("\n".join([*lines, 'if __name__ == "__main__":', f"    {run}"]))
-    found = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, check=True).stdout
-    assert found == "[['own'], ['own'], ['own']]\n"
+def has_module(run):
+    return "xml.dom.minicompat" in sys.modules
+
+
+def test_processes_import_a_users_own_modules(monkeypatch):
+    monkeypatch.setenv(VARIABLE, "xml.dom.minicompat")
+    assert run_all(has_module, range(3), 2, "imports") == [True] * 3
 
 
 @pytest.mark.parametrize("workers", [1, 2])
