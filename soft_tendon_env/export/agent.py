@@ -122,16 +122,14 @@ def export_agent(policy: Policy, env: gym.Env[Any, Any], origin: Mapping[str, An
     """
     episodes, file = episodes_of(env), io.BytesIO()
     integral, agent = (policy, policy.policy) if isinstance(policy, IntegralPolicy) else (None, policy)
-    if (
-        not isinstance(agent, NetworkPolicy)
-        or not isinstance(agent.normalise, Normalization | None)
-        or hasattr(agent.network, "lstm_actor")
-    ):
+    known = isinstance(agent, NetworkPolicy) and isinstance(agent.normalise, Normalization | None)
+    if not isinstance(agent, NetworkPolicy) or not known or hasattr(agent.network, "lstm_actor"):
         raise ValueError(f"policy should be a trained agent without recurrence, as load_agent gives it, not {type(agent).__name__}")
     check_groups(episodes)
     module = _ControlPeriod(episodes, agent, integral).eval()
     options: dict[str, Any] = {"input_names": [*module.inputs], "output_names": module.outputs, "opset_version": OPSET, "dynamo": False}
     with warnings.catch_warnings(action="ignore"), torch.no_grad():  # of the tracer, that sizes are constants: they are
+        warnings.filterwarnings("error", "Converting a tensor to a NumPy array")  # whose values would be constants too
         torch.onnx.export(module, (*module.inputs.values(),), file, **options)  # type: ignore[arg-type] # takes files too
     model = onnx.load_from_string(file.getvalue())
     used = {name for node in model.graph.node for name in node.input}

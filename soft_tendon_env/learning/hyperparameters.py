@@ -1,11 +1,10 @@
 """Hyperparameters that a configuration can say: arguments of the algorithm and of its policy, by their names.
 
-Their values are left to the algorithm, which refuses what it cannot be made of, but for some that it would take: RANGES.
+Their values are left to the algorithm, which refuses what it cannot be made of.
 """
 
 import importlib
 import inspect
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -23,13 +22,6 @@ NOT_IN_FILES = frozenset(
     "optimize_memory_usage features_extractor_class features_extractor_kwargs optimizer_class".split()
 )
 """Arguments of algorithms and policies that a training gives, or that are objects, which no file can say."""
-RANGES: Mapping[str, tuple[float, float]] = {
-    **dict.fromkeys(("gamma", "gae_lambda", "tau", "lead"), (0.0, 1.0)),
-    **dict.fromkeys(("clip_range", "max_grad_norm", "position_scale", "angle_scale", "settling_time"), (1e-9, math.inf)),
-    **dict.fromkeys(("vf_coef", "far_weight", "smoothness", "noise"), (0.0, math.inf)),
-    **dict.fromkeys(("n_steps", "n_epochs", "batch_size", "rounds"), (1, math.inf)),
-}
-"""Least and greatest of numbers beyond which algorithms would train without a word, to no good."""
 
 
 def trained_algorithms() -> tuple[str, ...]:
@@ -43,24 +35,15 @@ def training_class(algorithm: str) -> Any:
 
 
 def hyperparameter_problems(algorithm: str, given: Mapping[str, Any]) -> list[Problem]:
-    """Problems with hyperparameters that are no arguments of the algorithm, or of its policy, or out of RANGES."""
+    """Problems with hyperparameters that are no arguments of the algorithm, or of its policy."""
     kind, policy, found = training_class(algorithm), given.get("policy_kwargs", {}), list[Problem]()
     if not isinstance(policy, Mapping):
         return [Problem(("hyperparameters", "policy_kwargs"), f"is {shown(policy)}: it should be a table")]
-    for key, table, of in (
-        (("hyperparameters",), given, kind),
-        (("hyperparameters", "policy_kwargs"), policy, kind.policy_aliases["MlpPolicy"]),
-    ):
+    for key, table, of in (((), given, kind), (("policy_kwargs",), policy, kind.policy_aliases["MlpPolicy"])):
         valid = _names(of)
-        strange = {name: value for name, value in table.items() if name not in valid}
-        found += [
-            Problem((*key, own), f"is an unknown key (given {shown(value)}): {not_among(own, valid)}") for own, value in strange.items()
-        ]
-    for name, value in given.items():
-        least, greatest = RANGES.get(name, (-math.inf, math.inf))
-        if name in RANGES and (isinstance(value, bool) or not (isinstance(value, int | float) and least <= value <= greatest)):
-            allowed = f"at least {least:g}" if greatest == math.inf else f"from {least:g} to {greatest:g}"
-            found.append(Problem(("hyperparameters", name), f"is {shown(value)}: it should be a number {allowed}"))
+        for name in table.keys() - {*valid}:
+            text = f"is an unknown key (given {shown(table[name])}): {not_among(name, valid)}"
+            found.append(Problem(("hyperparameters", *key, name), text))
     return found
 
 

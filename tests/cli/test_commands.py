@@ -32,7 +32,7 @@ QUICK = [
     ),
     (("record", "feedforward", *ARM, *SHORT), ["`rerun out/side_by_side.rrd`"], ["side_by_side.rrd"]),
     (("record", "{best}", "feedforward", *SHORT), ["\n| feedforward "], ["side_by_side.rrd"]),
-    (("export", "{best}"), ["| tip_pose ", "the command [N] of 3 tendons, 50 times a second", "by onnxruntime"], ["agent.onnx"]),
+    (("export", "{best}"), ["| tip_pose ", "the command [N] of 3 tendons, 50 times a second"], ["agent.onnx"]),
     (("train", "{config}", "--seed", "3"), ["PPO on TipPose, 128 steps, seed 3"], ["runs/small/seed_3/best/weights.pt"]),
     pytest.param(
         ("demo", "--agent", "{best}", "--episodes", "1", "--seconds", "0.2"),

@@ -160,33 +160,8 @@ def test_other_trainings_and_versions_do_not_go_on(tmp_path):
     found = json.loads(path.read_text())
     found["record"]["versions"]["soft_tendon_env"] = "0.1.0"
     path.write_text(json.dumps(found))
-    with pytest.raises(ValueError, match=r"last was written by soft_tendon_env 0\.1\.0, this is .*: only that version can go on with it"):
+    with pytest.raises(ValueError, match=r"another training, version was '0\.1\.0' and is "):
         train.checkpoint_to_resume(tmp_path, more, resume=True)
-
-
-def test_checkpoints_between_evaluations_lose_a_minute_and_take_little_of_the_time(tmp_path, monkeypatch):
-    """Ten seconds of a clock for every rollout; a checkpoint takes none, or so long that it would be more than a twentieth."""
-    for name, cost, expected in (("quick", 0.0, [384, 768]), ("slow", 6.0, [384])):
-        clock, kept = [0.0], []
-
-        def save(folder, model, config, resumable, cost=cost, kept=kept, clock=clock):
-            clock[0] += cost * resumable
-            kept.extend([config["steps_done"]] * resumable)
-
-        monkeypatch.setattr(monitor.time, "perf_counter", lambda clock=clock: clock[0])
-        monkeypatch.setattr(monitor, "save_checkpoint", save)
-        chosen = training(steps=896, evaluation={"every": 10_000, "episodes": 1, "skip": 0.2})
-        (tmp_path / name).mkdir()
-        model, learning = train.model_of(chosen, None), monitor.TrainingCallback(chosen, tmp_path / name, None)
-        begin = learning._on_rollout_start
-
-        def rollout(begin=begin, clock=clock):
-            begin()
-            clock[0] += 10.0
-
-        monkeypatch.setattr(learning, "_on_rollout_start", rollout)
-        train.learn(model, learning)
-        assert kept == [*expected, 896]
 
 
 def test_the_best_agent_stays_the_best_when_the_training_goes_on(tmp_path):
@@ -223,11 +198,6 @@ def hyperparameters(**given):
         (hyperparameters(rollout_buffer_class="Buffer"), "hyperparameters.rollout_buffer_class is an unknown key (given 'Buffer'): "),
         (hyperparameters(policy_kwargs=3), "hyperparameters.policy_kwargs is 3: it should be a table"),
         (hyperparameters(policy_kwargs={"net_arc": [64]}), "hyperparameters.policy_kwargs.net_arc is an unknown key (given [64]): did you"),
-        (hyperparameters(gamma=2), "hyperparameters.gamma is 2: it should be a number from 0 to 1"),
-        (hyperparameters(gae_lambda="x"), "hyperparameters.gae_lambda is 'x': it should be a number from 0 to 1"),
-        (hyperparameters(n_epochs=0), "hyperparameters.n_epochs is 0: it should be a number at least 1"),
-        ({"algorithm": "SAC", **hyperparameters(tau=-0.1)}, "hyperparameters.tau is -0.1: it should be a number from 0 to 1"),
-        ({"algorithm": "APG", **hyperparameters(smoothness=-1.0)}, "hyperparameters.smoothness is -1.0: it should be a number at least 0"),
         ({"algorithm": "APG", **hyperparameters(gamma=0.9)}, "hyperparameters.gamma is an unknown key"),
         ({"algorithm": "DAgger", **hyperparameters(hidden=64)}, "hyperparameters.hidden is an unknown key"),
     ],
