@@ -117,8 +117,8 @@ class _ControlPeriod(torch.nn.Module):
 def export_agent(policy: Policy, env: gym.Env[Any, Any], origin: Mapping[str, Any] | None = None) -> onnx.ModelProto:
     """ONNX model of a trained agent, see `load_agent`, for the observation and the actions of its environment.
 
-    origin: what its metadata should say besides. Raises ValueError for other policies and recurrent networks, ConfigurationError naming
-    observation groups of contact, TypeError for environments of other packages.
+    origin: what its metadata should say besides. Raises ValueError for other policies, recurrent networks and observation groups in NumPy,
+    ConfigurationError naming those of contact, TypeError for environments of other packages.
     """
     episodes, file = episodes_of(env), io.BytesIO()
     integral, agent = (policy, policy.policy) if isinstance(policy, IntegralPolicy) else (None, policy)
@@ -128,9 +128,10 @@ def export_agent(policy: Policy, env: gym.Env[Any, Any], origin: Mapping[str, An
     check_groups(episodes)
     module = _ControlPeriod(episodes, agent, integral).eval()
     options: dict[str, Any] = {"input_names": [*module.inputs], "output_names": module.outputs, "opset_version": OPSET, "dynamo": False}
-    with warnings.catch_warnings(action="ignore"), torch.no_grad():  # of the tracer, that sizes are constants: they are
-        warnings.filterwarnings("error", "Converting a tensor to a NumPy array")  # whose values would be constants too
+    with warnings.catch_warnings(record=True, action="always") as told, torch.no_grad():
         torch.onnx.export(module, (*module.inputs.values(),), file, **options)  # type: ignore[arg-type] # takes files too
+    if any("to a NumPy array" in str(warning.message) for warning in told):  # the tracer's others are of sizes, which are constants
+        raise ValueError("an observation group uses NumPy, whose values the file would have as constants: use what tensors have too")
     model = onnx.load_from_string(file.getvalue())
     used = {name for node in model.graph.node for name in node.input}
     for unused in [of for of in model.graph.input if of.name not in used]:
