@@ -49,7 +49,6 @@ class RunnerEnv(VectorWrapper):
         return self.env.reset(seed=None if seed is None else self._first_seed, options=options)[0], {}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """A step of all rows, without infos."""
         return *self.env.step(actions)[:4], {}
 
 
@@ -103,7 +102,6 @@ class ActorCriticModule(TorchRLModule, ValueFunctionAPI):
     """RLlib's module around the actor-critic network of Stable-Baselines3, as `policy`, so that agents are saved as any other."""
 
     def setup(self) -> None:
-        """Makes the network."""
         self.policy = new_network(Architecture("PPO", self.model_config["network"]), self.observation_space, self.action_space)
 
     def _forward(self, batch: dict[str, Any], **kwargs: Any) -> dict[str, Any]:
@@ -112,7 +110,6 @@ class ActorCriticModule(TorchRLModule, ValueFunctionAPI):
         return {Columns.ACTION_DIST_INPUTS: torch.cat([mean, self.policy.log_std.expand_as(mean)], dim=-1)}
 
     def compute_values(self, batch: dict[str, Any], embeddings: Any = None) -> torch.Tensor:
-        """Values (n,) of states."""
         return self.policy.predict_values(batch[Columns.OBS]).squeeze(-1)
 
 
@@ -147,15 +144,11 @@ class RllibTraining(TrainingMonitor):
         replace_checkpoint(folder, config, write)
 
     def learn(self) -> None:
-        """Learn all that is left. Raises UserError, and Ray's errors, after which --resume goes on from the last checkpoint."""
+        """Learn all that is left. Raises UserError, and the errors of Ray and PyTorch, after which --resume goes on."""
         self.begin({**config_record(self.training, episodes_of(self.envs)), "engine": RLLIB, "runners": self.runners})
-        try:
-            while self._done < self.training.steps:
-                if self._done > self.began:
-                    self.between_rollouts()
-                self._done = int(self.algorithm.train()["num_env_steps_sampled_lifetime"])
-            self.between_rollouts(ends=True)
-        except ValueError:
-            self.check()  # what is not finite ends in errors of PyTorch
-            raise
+        while self._done < self.training.steps:
+            if self._done > self.began:
+                self.between_rollouts()
+            self._done = int(self.algorithm.train()["num_env_steps_sampled_lifetime"])
+        self.between_rollouts(ends=True)
         self.report()

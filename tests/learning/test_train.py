@@ -7,13 +7,11 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pytest
 import tomli_w
-import yaml
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS, evaluate, summarise
@@ -22,7 +20,6 @@ from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 from soft_tendon_env.policies import load
 from soft_tendon_env.tools.configuration import ConfigurationError
 
-ROOT = Path(__file__).parent.parent.parent
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 PPO = {"n_steps": 16, "batch_size": 32, "n_epochs": 1}
 OFF_POLICY = {"learning_starts": 60, "batch_size": 16, "gradient_steps": 1, "buffer_size": 1000}
@@ -105,7 +102,7 @@ def test_a_training_that_was_stopped_ends_as_one_that_was_not(tmp_path, run):
     """Stopped at two evaluations, it goes on from the checkpoint before: the same weights, bit for bit."""
     options = {**SMALL, "randomize": {"latency": [0.0, 0.03], "noise": {"position": 1e-3}}}
     evaluation = {"every": 64, "episodes": 1, "skip": 0.2}
-    chosen = training(**{**RUNS[run], "options": options, "learning_rate": (1e-3, 0.0), "evaluation": evaluation})
+    chosen = training(**{**RUNS[run], "steps": 192, "options": options, "learning_rate": (1e-3, 0.0), "evaluation": evaluation})
 
     def part(watch):
         return train.train(chosen, tmp_path / "parts", train.checkpoint_to_resume(tmp_path / "parts", chosen, resume=True), watch)
@@ -239,20 +236,3 @@ def test_shipped_configs_are_valid_and_named_by_what_they_are(path):
     assert {"TipPose": "tip_pose", "Shape": "shape", "Reach": "reach"}[chosen.task] in path.stem
     assert path.read_text().splitlines()[0].endswith(f"soft-tendon train {path.stem}") and path.stem.startswith(chosen.algorithm.lower())
     assert not chosen.normalise.observations or chosen.options["tip_speed_limit"], "or arms that whirl would change what all others see"
-
-
-ZOO = [(path.stem, id) for path in sorted((ROOT / "configs" / "rl_zoo3").glob("*.yml")) for id in yaml.safe_load(path.read_text())]
-
-
-@pytest.mark.cases("algorithm, id", ZOO)
-def test_files_for_rl_zoo3_say_what_the_trainings_of_this_package_do(algorithm, id):
-    """rl_zoo3 takes keys of its own out of a table, evaluates what is text, and gives the rest to the algorithm."""
-    table = yaml.safe_load((ROOT / "configs" / "rl_zoo3" / f"{algorithm}.yml").read_text())[id]
-    task = {name: task for task, name in IDS.items()}[id]
-    same = config.read_training(ROOT / "configs" / f"{algorithm}_{ {'TipPose': 'tip_pose'}.get(task, task.lower()) }.toml")
-    assert (table.pop("n_timesteps"), table.pop("n_envs")) == (same.steps, same.arms)
-    normalised = eval(table.pop("normalize", "dict(norm_obs=False, norm_reward=False)"))
-    assert normalised == {"norm_obs": same.normalise.observations, "norm_reward": same.normalise.rewards}
-    rate, table["policy_kwargs"] = table.pop("learning_rate"), eval(table["policy_kwargs"])
-    assert rate == f"lin_{rate.removeprefix('lin_')}" and float(rate.removeprefix("lin_")) == same.learning_rate[0]
-    assert table.pop("policy") and table == same.hyperparameters
