@@ -22,6 +22,7 @@ def envs(task="TipPose", rows=8, **options):
     return make_sb3_vec_env(IDS[task], rows, threads=1, **{**FAST, "action": "increment", "max_episode_steps": 40, **options})
 
 
+@pytest.mark.slow
 def test_errors_fall():
     """To less than a third within 25,000 steps, at which PPO has not begun to learn."""
     drawn = {"latency": [0.0, 0.03], "stiffness": [0.9, 1.1], "noise": {"position": 1e-4}}
