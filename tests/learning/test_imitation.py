@@ -32,13 +32,13 @@ def training():
 
 def taught(task, steps=120, **options):
     """Errors (steps, rows) where the teacher itself acts on arms that all differ."""
-    envs = gym.make_vec(IDS[task], num_envs=6, max_episode_steps=60, autoreset_mode="same_step", **{**ARM, **options})
+    envs = gym.make_vec(IDS[task], num_envs=4, max_episode_steps=60, autoreset_mode="same_step", **{**ARM, **options})
     envs.reset(seed=0)
     episodes, errors = envs.unwrapped.episodes, []
     teacher = imitation.Teacher(episodes, 0.2)
     for _ in range(steps):
         actions = teacher.actions()
-        assert actions.shape == (6, 3) and (np.abs(actions) <= 1.0).all()
+        assert actions.shape == (4, 3) and (np.abs(actions) <= 1.0).all()
         envs.step(actions)
         errors.append(next(iter(episodes.errors.values())).copy())
     return np.array(errors) / episodes.model.length
