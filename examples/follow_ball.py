@@ -145,7 +145,7 @@ def learner(env, seed=0):
     network = {"net_arch": {"pi": [128, 128], "vf": []}, "activation_fn": torch.nn.ELU}
     env.set_options([{"episode_steps": WINDOW * (1 + row % (PERIODS // WINDOW))} for row in range(env.num_envs)])
     rate = {"learning_rate": lambda remaining: 3e-4 * 10.0**remaining}
-    return APG("MlpPolicy", env, settings=APGSettings(n_steps=WINDOW), cost=cost_of, policy_kwargs=network, seed=seed, **rate)
+    return APG("MlpPolicy", env, settings=APGSettings(n_steps=WINDOW, cost=cost_of), policy_kwargs=network, seed=seed, **rate)
 
 
 def mean_return(policy, episodes=50):

@@ -1,5 +1,6 @@
 """`soft-tendon export`: a trained agent as one ONNX file, from measurements in SI units to commands, checked against the original."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +35,6 @@ def run(settings: Export) -> None:
         from soft_tendon_env.export import export_agent
         from soft_tendon_env.export.check import ALLOWED, compare
 
-        if path.suffix != ".onnx":
-            raise ValueError(f"--out is {path}: it should be the path of an .onnx file, such as {path.stem}.onnx")
         files = find_agent(settings.agent, settings.task)
         env = gym.make(IDS[settings.task], **{**(read_config(files).options or {}), **settings.options})
         policy = load_agent(settings.agent, env)
@@ -44,14 +43,11 @@ def run(settings: Export) -> None:
         writable_folder(path.parent)
     path.write_bytes(model.SerializeToString())
     print(f"written: {path} ({path.stat().st_size / 1e6:.2f} MB)\n")
-    found = compare(path, policy, env)
-    metadata = found.metadata
+    found, metadata = compare(path, policy, env), json.loads(model.metadata_props[0].value)
     inputs = [(name, str(tuple(of["shape"])), of["unit"]) for name, of in metadata["inputs"].items()]
     print(tables.markdown_table(("input", "shape", "unit"), inputs))
     unit, rate = metadata["command"]["unit"], 1.0 / metadata["control_period_s"]
     print(f"\nOutput: the command [{unit}] of {len(metadata['command']['limits'])} tendons, {rate:g} times a second.")
     print(f"Largest difference of commands on {found.observations:,} observations: {tables.number(found.command)} {unit}.")
-    times = (tables.number(1e3 * seconds) for seconds in (found.seconds, found.original_seconds))
-    print("Median time of an action: {} ms by onnxruntime, {} ms by the original; {}".format(*times, provenance.machine()))
     if found.of_range > ALLOWED:
         raise UserError(f"{path}: commands differ from the original's by more than {ALLOWED:g} of their range")

@@ -11,7 +11,6 @@ from soft_tendon_env.tools.configuration import Configuration
 
 PREFIX = "tune_"
 """Prefix of the files of searches in configs/."""
-STORAGE = "journal file or database URL of the study, which machines that run the same command share (default: OUT/study.log)"
 
 
 class Tune(Configuration):
@@ -22,8 +21,7 @@ class Tune(Configuration):
     set: tuple[str, ...] = Field(default=(), description="overrides of the file, such as seconds=2.0")
     workers: int = Field(default=1, ge=1, description="trials side by side")
     cluster: str | None = Field(default=None, description='address of a Ray cluster that runs them, or "auto"; its machines see the folder')
-    storage: str | None = Field(default=None, description=STORAGE)
-    out: str | None = Field(default=None, description="folder for results (default: out/tune/CONFIG)")
+    out: str | None = Field(default=None, description="folder for results, which machines may share (default: out/tune/CONFIG)")
 
 
 def run(settings: Tune) -> None:
@@ -36,7 +34,7 @@ def run(settings: Tune) -> None:
         path = find_config(settings.config, PREFIX)
         search = read_search(path, settings.set, **({} if settings.trials is None else {"trials": settings.trials}))
         folder = writable_folder(Path("out", "tune", path.stem) if settings.out is None else Path(settings.out))
-        work = Work(search, settings.storage or str(folder / "study.log"), path.stem, folder)
+        work = Work(search, folder)
         open_study(work)
     print(f"{search.trials} trials of {path.stem} into {folder}; {machine()}")
     with mistakes():

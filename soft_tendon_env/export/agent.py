@@ -6,6 +6,7 @@ What is remembered from one call to the next goes in and comes out, NAME and nex
 
 import io
 import json
+import math
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -23,7 +24,6 @@ from soft_tendon_env.differentiable.period import as_tensors
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.observation import Observed, RestValues
 from soft_tendon_env.envs.targets import TargetSamples
-from soft_tendon_env.export.pose_logarithm import pose_logarithm
 from soft_tendon_env.policies.agent import NetworkPolicy
 from soft_tendon_env.policies.integral import MOST, NEAR, IntegralPolicy
 from soft_tendon_env.policies.normalization import BOX, Normalization
@@ -33,6 +33,7 @@ from soft_tendon_env.tools.types import Array
 METADATA = "soft_tendon_env"
 """Key of the model's metadata: a table as JSON."""
 OPSET, IR_VERSION = 17, 8  # of ONNX 1.12 (2022), which runtimes of small computers have
+SMALL = 1e-6  # sine of half an angle below which the limits at zero are exact to double precision
 MEASUREMENTS: Mapping[str, tuple[str, Callable[[Observed], Array]]] = {
     "tip_pose": ("1, last column m", lambda o: o.tip_pose),
     "tip_twist": ("rad/s, then m/s", lambda o: o.tip_twist),
@@ -52,6 +53,35 @@ MEASUREMENTS: Mapping[str, tuple[str, Callable[[Observed], Array]]] = {
 def measurements(episodes: Episodes) -> dict[str, Array]:
     """Measurements of a single environment now, by name."""
     return {name: values(episodes.observed)[0].copy() for name, (_, values) in MEASUREMENTS.items()}
+
+
+def pose_logarithm(pose: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+    """SE(3) logarithms log(g^-1 g_bar) (m, 6), angular before linear, from a pose g (4, 4) to wanted ones g_bar (m, 4, 4), float64, by
+    operations that ONNX has. Rotations go by way of unit quaternions (Shepperd 1978), which are exact at half turns too.
+    """
+    q = _quaternion(pose[:3, :3].T @ wanted[:, :3, :3])
+    p, w, v = (wanted[:, :3, 3] - pose[:3, 3]) @ pose[:3, :3], q[:, :1], q[:, 1:]
+    s = (v * v).sum(1, keepdim=True).sqrt()
+    half = torch.atan((s / w.clamp(min=1e-30)).float()).double()  # runtimes have no atan of doubles: a step of Newton's adds the digits
+    half = half + s * torch.sin(half + 0.5 * math.pi) - w * torch.sin(half)
+    safe = s.clamp(min=SMALL)
+    k = v * torch.where(s < SMALL, 2.0, 2.0 * half / safe)
+    e = torch.where(s < SMALL, 1.0 / 12.0, (1.0 - half * w / safe) / (4.0 * half * half).clamp(min=SMALL**2))
+    u = torch.linalg.cross(k, p)
+    return torch.cat([k, p - 0.5 * u + e * torch.linalg.cross(k, u)], dim=1)
+
+
+def _quaternion(R: torch.Tensor) -> torch.Tensor:
+    """Unit quaternions (m, 4), w >= 0 first, of rotation matrices (m, 3, 3): the longest column of 4 q q^T, which is linear in R."""
+    x, y, z = (R[:, i, i] for i in range(3))
+    wx, wy, wz = (R[:, i, j] - R[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
+    xy, xz, yz = (R[:, i, j] + R[:, j, i] for i, j in ((0, 1), (0, 2), (1, 2)))
+    rows = [1 + x + y + z, wx, wy, wz, wx, 1 + x - y - z, xy, xz, wy, xy, 1 - x + y - z, yz, wz, xz, yz, 1 - x - y + z]
+    products = torch.stack(rows, dim=1)
+    longest = torch.eye(4, dtype=R.dtype)[products[:, ::5].argmax(1)]
+    column = (products.reshape(-1, 4, 4) * longest[:, None]).sum(2)
+    side = torch.where(column[:, :1] < 0.0, -1.0, 1.0)
+    return side * column / (column * column).sum(1, keepdim=True).sqrt()
 
 
 class _ControlPeriod(torch.nn.Module):
@@ -117,22 +147,21 @@ class _ControlPeriod(torch.nn.Module):
 def export_agent(policy: Policy, env: gym.Env[Any, Any], origin: Mapping[str, Any] | None = None) -> onnx.ModelProto:
     """ONNX model of a trained agent, see `load_agent`, for the observation and the actions of its environment.
 
-    origin: what its metadata should say besides. Raises ValueError for other policies and recurrent networks, ConfigurationError naming
-    observation groups of contact, TypeError for environments of other packages.
+    origin: what its metadata should say besides. Raises ValueError for other policies, recurrent networks and observation groups in NumPy,
+    ConfigurationError naming those of contact, TypeError for environments of other packages.
     """
     episodes, file = episodes_of(env), io.BytesIO()
     integral, agent = (policy, policy.policy) if isinstance(policy, IntegralPolicy) else (None, policy)
-    if (
-        not isinstance(agent, NetworkPolicy)
-        or not isinstance(agent.normalise, Normalization | None)
-        or hasattr(agent.network, "lstm_actor")
-    ):
+    known = isinstance(agent, NetworkPolicy) and isinstance(agent.normalise, Normalization | None)
+    if not isinstance(agent, NetworkPolicy) or not known or hasattr(agent.network, "lstm_actor"):
         raise ValueError(f"policy should be a trained agent without recurrence, as load_agent gives it, not {type(agent).__name__}")
     check_groups(episodes)
     module = _ControlPeriod(episodes, agent, integral).eval()
     options: dict[str, Any] = {"input_names": [*module.inputs], "output_names": module.outputs, "opset_version": OPSET, "dynamo": False}
-    with warnings.catch_warnings(action="ignore"), torch.no_grad():  # of the tracer, that sizes are constants: they are
+    with warnings.catch_warnings(record=True, action="always") as told, torch.no_grad():
         torch.onnx.export(module, (*module.inputs.values(),), file, **options)  # type: ignore[arg-type] # takes files too
+    if any("to a NumPy array" in str(warning.message) for warning in told):  # the tracer's others are of sizes, which are constants
+        raise ValueError("an observation group uses NumPy, whose values the file would have as constants: use what tensors have too")
     model = onnx.load_from_string(file.getvalue())
     used = {name for node in model.graph.node for name in node.input}
     for unused in [of for of in model.graph.input if of.name not in used]:

@@ -26,8 +26,7 @@ from soft_tendon_env.tools.files import check_digests, digests, read_json
 from soft_tendon_env.tools.messages import UserError, first_line
 
 BUFFER, MODEL, PICKLED, ENVIRONMENT = "replay_buffer.pkl", "model.zip", "vecnormalize.pkl", "environment.pkl"
-LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts", "action_space")
-"""Attributes of a model that belong to the environment as it is."""
+LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts", "action_space")  # what of a model belongs to its environment
 
 
 def midst_of(model: BaseAlgorithm) -> dict[str, Any]:
@@ -45,25 +44,22 @@ def restore(model: BaseAlgorithm, midst: dict[str, Any]) -> None:
     np.random.set_state(midst["generators"][1])
 
 
+def write_model(folder: Path, model: BaseAlgorithm, resumable: bool) -> None:
+    """Write an agent of Stable-Baselines3 into a folder. resumable: with what a training needs to go on from it."""
+    statistics = statistics_of(model)
+    save_agent(folder, model.policy, normalization_of(statistics))
+    if resumable:
+        model.save(folder / MODEL)
+        statistics.save(str(folder / PICKLED))
+        (folder / ENVIRONMENT).write_bytes(pickle.dumps(midst_of(model)))
+        if hasattr(model, "save_replay_buffer"):
+            model.save_replay_buffer(folder / BUFFER)
+
+
 def config_record(training: Training, episodes: Any) -> dict[str, Any]:
     """Content of config.json: the configuration as resolved, layout of observations, strain parametrisation, and provenance."""
     known = {"layout": layout_of(episodes), "strain": strain_of(episodes.model.scene)}
     return {**training.model_dump(mode="json"), **known, "record": origin()}
-
-
-def save_checkpoint(folder: Path, model: BaseAlgorithm, config: Mapping[str, Any], resumable: bool) -> None:
-    """Replace a checkpoint. resumable: with what a training needs to go on from it. Raises UserError."""
-
-    def write(new: Path) -> None:
-        save_agent(new, model.policy, normalization_of(statistics_of(model)))
-        if resumable:
-            model.save(new / MODEL)
-            statistics_of(model).save(str(new / PICKLED))
-            (new / ENVIRONMENT).write_bytes(pickle.dumps(midst_of(model)))
-            if hasattr(model, "save_replay_buffer"):
-                model.save_replay_buffer(new / BUFFER)
-
-    replace_checkpoint(folder, config, write)
 
 
 def replace_checkpoint(folder: Path, config: Mapping[str, Any], write: Callable[[Path], None]) -> None:
@@ -93,12 +89,9 @@ def find_checkpoint(folder: Path) -> Path | None:
 
 
 def read_checkpoint(checkpoint: Path) -> dict[str, Any]:
-    """Content of config.json of a checkpoint whose files are as they were written. Raises ValueError with the remedy."""
-    try:
-        config = read_json(checkpoint / CONFIG)
-        check_digests(checkpoint, config.get("files", {}), checkpoint / CONFIG)
-    except (ValueError, OSError) as error:
-        raise ValueError(f"{error}. Nothing can go on from it: take {checkpoint} away to begin again") from error
+    """Content of config.json of a checkpoint whose files are as they were written. Raises ValueError, FileNotFoundError."""
+    config = read_json(checkpoint / CONFIG)
+    check_digests(checkpoint, config.get("files", {}), checkpoint / CONFIG)
     return config
 
 

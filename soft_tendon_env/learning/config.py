@@ -13,31 +13,24 @@ from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
 from soft_tendon_env.learning.hyperparameters import hyperparameter_problems, trained_algorithms
-from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, override, parsed_changes, read_toml
 from soft_tendon_env.tools.files import configs_folder
 from soft_tendon_env.tools.types import NotNegative, Positive
 
-MOST_ARMS = 100_000  # more than Stable-Baselines3 can look after in minutes
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class Normalisation(Configuration):
-    """Normalisation by VecNormalize of Stable-Baselines3: whether observations are less their running mean and over their standard
-    deviation so far, and rewards over that of the discounted return.
-
-    By default observations keep the scales of the environment: under running statistics arms that whirl change what all others see.
-    """
+    """Running normalisation by VecNormalize of Stable-Baselines3. By default observations keep the scales of the environment: under
+    running statistics arms that whirl change what all others see."""
 
     observations: bool = False
     rewards: bool = True
 
 
 class Evaluation(Configuration):
-    """Validation after every so many steps, without exploration, on the first `episodes` validation seeds; errors count from `skip` [s] on.
-
-    The arm is randomised as in training. There is a checkpoint at each.
-    """
+    """Validation and checkpoint after every so many steps, without exploration, on the first `episodes` validation seeds, on arms as in
+    training; errors count from `skip` [s] on."""
 
     every: int = Field(default=100_000, ge=1)
     episodes: int = Field(default=20, ge=1, le=len(VALIDATION_SEEDS))
@@ -64,7 +57,7 @@ class Training(Configuration):
     task: TaskName
     algorithm: str
     steps: int = Field(ge=1)
-    arms: int = Field(default=64, ge=1, le=MOST_ARMS)
+    arms: int = Field(default=64, ge=1, le=100_000)
     seconds: Positive = 10.0
     seed: int = Field(default=0, ge=0, lt=2**32)
     learning_rate: Share | tuple[Share, Share] = 3e-4
@@ -91,7 +84,10 @@ class Training(Configuration):
         problems = hyperparameter_problems(self.algorithm, self.hyperparameters)
         try:
             options, task = Options.parse(self.options, "options"), TASKS[self.task]
-            scene = _usable_scene(options)
+            try:
+                scene = resolved_scene(options)
+            except ConfigurationError as error:
+                raise ConfigurationError(Problem(("scene",), f"cannot be used: {line}") for line in str(error).splitlines()) from error
             check_fit(options, task, scene)
             groups_of(options, task, scene)
             episode_steps(self.seconds, self.evaluation.skip, self.options)
@@ -109,15 +105,7 @@ class Training(Configuration):
         return episode_steps(self.seconds, 0.0, self.options)
 
 
-def _usable_scene(options: Options) -> Scene:
-    try:
-        return resolved_scene(options)
-    except ConfigurationError as error:
-        raise ConfigurationError([Problem(("scene",), f"cannot be used: {line}") for line in str(error).splitlines()]) from error
-
-
-NO_TRAININGS = ("compare", "published", "tune_")
-"""Prefixes of the files in configs/ that are no trainings."""
+NO_TRAININGS = ("compare", "published", "tune_")  # prefixes of the files in configs/ that are no trainings
 
 
 def config_names(prefix: str = "") -> tuple[str, ...]:
@@ -139,13 +127,11 @@ def find_config(name_or_path: str | Path, prefix: str = "") -> Path:
 
 def read_training(path: Path, changes: Sequence[str] = (), **more: Any) -> Training:
     """Training of a file, overridden by `changes` "key=value" and by `more` keys. Raises ConfigurationError, ValueError."""
-    table, source = read_toml(path), f"{path}, changed"
-    Training.parse(table, str(path))
-    given = parsed_changes(changes)
+    table, given, source = read_toml(path), parsed_changes(changes), f"{path}, changed" if changes or more else str(path)
     if twice := given.keys() & more.keys():
         raise ValueError(f"--set has {min(twice)}, which is given twice")
     try:
         override(table, given)
     except ConfigurationError as error:
         raise ConfigurationError(error.problems, source) from error
-    return Training.parse({**table, **more}, source if changes or more else str(path))
+    return Training.parse({**table, **more}, source)

@@ -5,7 +5,7 @@ Numbers are interquartile means over seeds with 95 % intervals, see summaries.py
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import matplotlib
 
@@ -32,35 +32,29 @@ class Curves(NamedTuple):
     name: str
     task: str
     rows: list[list[dict[str, float]]]
-    best: list[dict[str, Any]]  # evaluations of the best agents
 
     def values(self, key: str) -> Array:
         """Numbers of a column (seeds, steps)."""
         return np.array([[row[key] for row in rows] for rows in self.rows])
 
 
-def read_curves(folder: Path, seeds: list[int] | None = None) -> Curves:
-    """Curves of a folder's runs, or of some seeds, as far as they have come. Raises ValueError, OSError where nothing can be shown."""
-    runs, best, tasks = [], [], set()
-    for seed, run in seed_folders(folder).items():
-        if seeds is None or seed in seeds:
-            try:
-                found = read_run(run)["task"], read_run(run / "best")["evaluated"], read_numbers(run / "evaluations.csv")
-            except (ValueError, OSError) as error:
-                print(f"left out: {describe(error)}")
-                continue
-            tasks.add(found[0])
-            best.append(found[1])
-            runs.append({row["steps"]: row for row in found[2]})
-    if len(tasks) != 1:
-        text = f"has runs of several tasks: {', '.join(sorted(tasks))}" if tasks else "has no run that was evaluated"
-        raise ValueError(f"{folder} {text}")
-    steps = sorted(set.intersection(*map(set, runs)))
+def read_curves(folder: Path) -> Curves:
+    """Curves of a folder's runs, as far as all have come. Raises ValueError, OSError where nothing can be shown."""
+    runs, task = list[dict[float, dict[str, float]]](), ""
+    for run in seed_folders(folder).values():
+        try:
+            found = read_run(run)["task"], {row["steps"]: row for row in read_numbers(run / "evaluations.csv")}
+        except (ValueError, OSError) as error:
+            print(f"left out: {describe(error)}")
+            continue
+        if runs and found[0] != task:
+            raise ValueError(f"{folder} has runs of several tasks: {task}, {found[0]}")
+        task = found[0]
+        runs.append(found[1])
+    steps = sorted(set.intersection(*map(set, runs))) if runs else []
     if not steps:
-        raise ValueError(f"{folder.name}: no step at which all seeds were evaluated")
-    if max(map(max, runs)) > steps[-1]:
-        print(f"{folder.name}: shown up to step {steps[-1]:.0f}, where the first seed ends")
-    return Curves(folder.name, tasks.pop(), [[run[step] for step in steps] for run in runs], best)
+        raise ValueError(f"{folder} has no step at which all seeds were evaluated")
+    return Curves(folder.name, task, [[run[step] for step in steps] for run in runs])
 
 
 def draw_curves(all_curves: list[Curves], key: str, path: Path) -> None:
@@ -81,38 +75,31 @@ def draw_curves(all_curves: list[Curves], key: str, path: Path) -> None:
 
 
 def curve_table(all_curves: list[Curves], key: str) -> str:
-    """Table of one task: a row per configuration, an error at the last step that all seeds have, and at each seed's best."""
+    """Table of one task: a row per configuration, its error at the last step that all seeds have."""
     unit, rows = error_unit(key.removesuffix(RMS)), []
     for curves in all_curves:
-        last = [rows[-1] for rows in curves.rows]
-        minutes = number(float(np.mean([row["seconds"] for row in last])) / 60.0)
-        found = (_spread(evaluated, key, unit.factor) for evaluated in (last, curves.best))
-        rows.append((curves.name, str(len(last)), f"{last[0]['steps']:.0f}", minutes, *found))
-    errors = (f"{unit.heading} RMS, {which}" for which in ("last", "best"))
-    table = markdown_table(("configuration", "seeds", "steps", "time per run [min]", *errors), rows)
+        last = [of_seed[-1] for of_seed in curves.rows]
+        minutes, values = number(float(np.mean([row["seconds"] for row in last])) / 60.0), [unit.factor * row[key] for row in last]
+        middle, low, high, mean, tail = (
+            number(float(value)) for value in (interquartile_mean(values), *bootstrap_interval(values), *Tails.of(values))
+        )
+        flag = f" {FLAG}" if any(row["diverged"] for row in last) else ""
+        rows.append((curves.name, str(len(last)), f"{last[0]['steps']:.0f}", minutes, f"{middle} [{low}, {high}] / {mean} / {tail}{flag}"))
+    table = markdown_table(("configuration", "seeds", "steps", "time per run [min]", f"{unit.heading} RMS"), rows)
     return "\n\n".join([table, f"Interquartile mean [95 % interval] / mean / p{HIGH} over seeds.", *([LEGEND] if FLAG in table else [])])
 
 
-def _spread(rows: list[dict[str, Any]], key: str, scale: float) -> str:
-    """Text of a number of one evaluation per seed, "interquartile mean [low, high] / mean / p90", marked where episodes diverged."""
-    values = [np.nan if row[key] is None else scale * row[key] for row in rows]
-    low, high, mean, tail = (number(float(value)) for value in (*bootstrap_interval(values), *Tails.of(values)))
-    flag = f" {FLAG}" if any(row["diverged"] for row in rows) else ""
-    return f"{number(float(interquartile_mean(values)))} [{low}, {high}] / {mean} / {tail}{flag}"
-
-
-def show_curves(out: Path, names: Sequence[str], seeds: list[int] | None) -> dict[str, str]:
-    """Print and draw the curves of every configuration in a folder of runs; their tables by task. seeds: those to be shown; None: all."""
-    found, tables = dict[str, list[Curves]](), dict[str, str]()
-    for name in names:
+def show_curves(folders: Sequence[Path]) -> bool:
+    """Print and draw the curves of every configuration's folder of runs, beside it; False where there are none."""
+    found = dict[str, list[Curves]]()
+    for folder in folders:
         try:
-            curves = read_curves(out / name, seeds)
+            curves = read_curves(folder)
             found.setdefault(curves.task, []).append(curves)
         except (ValueError, OSError) as error:
             print(f"not shown: {error}")
     for task, of_task in found.items():
         key = next(key for key in of_task[0].rows[0][0] if key.endswith(RMS))
-        draw_curves(of_task, key, out / f"learning_curves_{task}.png")
-        tables[task] = curve_table(of_task, key)
-        print(f"\n## {task}\n\n{tables[task]}")
-    return tables
+        draw_curves(of_task, key, folders[0].parent / f"learning_curves_{task}.png")
+        print(f"\n## {task}\n\n{curve_table(of_task, key)}")
+    return bool(found)

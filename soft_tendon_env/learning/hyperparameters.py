@@ -47,18 +47,14 @@ def hyperparameter_problems(algorithm: str, given: Mapping[str, Any]) -> list[Pr
     kind, policy, found = training_class(algorithm), given.get("policy_kwargs", {}), list[Problem]()
     if not isinstance(policy, Mapping):
         return [Problem(("hyperparameters", "policy_kwargs"), f"is {shown(policy)}: it should be a table")]
-    for key, table, of in (
-        (("hyperparameters",), given, kind),
-        (("hyperparameters", "policy_kwargs"), policy, kind.policy_aliases["MlpPolicy"]),
-    ):
+    for key, table, of in (((), given, kind), (("policy_kwargs",), policy, kind.policy_aliases["MlpPolicy"])):
         valid = _names(of)
-        strange = {name: value for name, value in table.items() if name not in valid}
-        found += [
-            Problem((*key, own), f"is an unknown key (given {shown(value)}): {not_among(own, valid)}") for own, value in strange.items()
-        ]
-    for name, value in given.items():
-        least, greatest = RANGES.get(name, (-math.inf, math.inf))
-        if name in RANGES and (isinstance(value, bool) or not (isinstance(value, int | float) and least <= value <= greatest)):
+        for name in table.keys() - {*valid}:
+            text = f"is an unknown key (given {shown(table[name])}): {not_among(name, valid)}"
+            found.append(Problem(("hyperparameters", *key, name), text))
+    for name in RANGES.keys() & given.keys():
+        (least, greatest), value = RANGES[name], given[name]
+        if isinstance(value, bool) or not (isinstance(value, int | float) and least <= value <= greatest):
             allowed = f"at least {least:g}" if greatest == math.inf else f"from {least:g} to {greatest:g}"
             found.append(Problem(("hyperparameters", name), f"is {shown(value)}: it should be a number {allowed}"))
     return found

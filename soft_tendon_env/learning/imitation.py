@@ -5,20 +5,14 @@ alone, and learns to act as the teacher would in the states that its own actions
 learning and structured prediction to no-regret online learning, AISTATS 2011; Chen et al., Learning by cheating, CoRL 2019.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
-from stable_baselines3 import PPO
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.save_util import load_from_pkl, save_to_pkl
-from stable_baselines3.common.type_aliases import MaybeCallback
-from stable_baselines3.common.vec_env import VecEnv
 
 from soft_tendon_env.control.catalogue import tip_pose_objective
 from soft_tendon_env.control.feedforward import ReferenceGovernor, StaticFeedforward
@@ -30,18 +24,14 @@ from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.targets import TargetSamples
-from soft_tendon_env.learning.vec_env import unwrapped
+from soft_tendon_env.learning.algorithm import ActorAlgorithm
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.tools.types import Array
 
-LOOKS_AHEAD = 2
-"""Control periods ahead for which the teacher needs the target, besides those of the delay."""
-LEAST_DEVIATION = 0.01
-"""Added to standard deviations of features, of which those that never change would get weights without bounds."""
-EXACT = 0.1
-"""Errors of actions beyond which they count by their size, no longer by its square."""
-LAST_RATE = 0.05
-"""Share of the learning rate that is left at the end of each round."""
+LOOKS_AHEAD = 2  # control periods ahead for which the teacher needs the target, besides those of the delay
+LEAST_DEVIATION = 0.01  # added to standard deviations of features, of which those that never change would get weights without bounds
+EXACT = 0.1  # errors of actions beyond which they count by their size, no longer by its square
+LAST_RATE = 0.05  # share of the learning rate that is left at the end of each round
 
 
 @dataclass(frozen=True)
@@ -139,83 +129,43 @@ def loss(means: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
     return torch.nn.functional.smooth_l1_loss(means, wanted, beta=EXACT)
 
 
-class DAgger(BaseAlgorithm):
-    """Dataset aggregation (DAgger) with the interface of Stable-Baselines3 and PPO's policies, of which the critic learns nothing.
+class DAgger(ActorAlgorithm):
+    """Dataset aggregation (DAgger) with the interface of Stable-Baselines3, on the vector environments of this package.
 
     In every round the teacher says what it would do in each control period, while a share of the episodes is led by it and the others by
-    the agent; then the agent's mean is regressed on all that was said so far.
+    the agent; then the agent's mean is regressed on all that was said so far. See DAggerSettings and ActorAlgorithm for arguments.
 
-    Args:
-        env: vector environment of this package, see `make_sb3_vec_env`.
-        learning_rate: step of Adam at the beginning of a round.
-        others: see DAggerSettings and BaseAlgorithm.
-
-    Raises TypeError for other environments, ValueError for arms that no teacher can control, see `Teacher`, and for observations under
-    running statistics, since the first layer has a scale of its own.
+    Raises TypeError for environments of other packages, ValueError for arms that no teacher can control, see `Teacher`, and for
+    observations under running statistics, since the first layer has a scale of its own.
     """
 
-    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = PPO.policy_aliases
     settings_class: ClassVar[type] = DAggerSettings
+    generator: np.random.Generator
+    _teacher: Teacher
+    _shown: list[tuple[Any, Array]]  # observations of all rows, and the answers (rows, n_a), by control period
 
-    def __init__(
-        self,
-        policy: str | type[BasePolicy],
-        env: VecEnv | None,
-        learning_rate: float | Callable[[float], float] = 1e-3,
-        settings: DAggerSettings | None = None,
-        policy_kwargs: dict[str, Any] | None = None,
-        _init_setup_model: bool = True,
-        **general: Any,
-    ) -> None:
-        super().__init__(policy, env, learning_rate, policy_kwargs, support_multi_env=True, **general)
-        self.settings, self.generator = settings or DAggerSettings(), np.random.default_rng(self.seed)
-        self._shown: list[tuple[Any, Array]] = []  # observations of all rows, and the answers (rows, n_a), by control period
-        if _init_setup_model:
-            self._setup_model()
-
-    def _setup_model(self) -> None:
-        self._setup_lr_schedule()
-        self.set_random_seed(self.seed)
-        made = self.policy_class(self.observation_space, self.action_space, self.lr_schedule, **self.policy_kwargs)
-        self.policy = made.to(self.device)
-        self._teacher = None if self.env is None else self._begun()
-
-    def _begun(self) -> Teacher:
-        """Teacher of the arms that there are now, which leads them all."""
-        assert self.env is not None
+    def _prepare(self) -> None:
         if (statistics := self.get_vec_normalize_env()) is not None and statistics.norm_obs:
             raise ValueError("normalise.observations is true: DAgger has a scale of its own for what it observes")
-        self._leads = np.ones(self.n_envs, dtype=bool)
-        return Teacher(unwrapped(self.env).env.episodes, self.settings.settling_time)
+        vars(self).setdefault("generator", np.random.default_rng(self.seed))
+        vars(self).setdefault("_shown", [])
+        if "_teacher" not in vars(self) or self._teacher.episodes is not self.rows.episodes:
+            self._leads, self._teacher = np.ones(self.n_envs, dtype=bool), Teacher(self.rows.episodes, self.settings.settling_time)
 
-    def learn(self, total_timesteps: int, callback: MaybeCallback = None, log_interval: int = 1, **others: Any) -> Self:  # type: ignore[override]
-        """Learn from what the teacher says in so many steps of all arms together; see `BaseAlgorithm.learn`. A round ends with a row of
-        the log, every `log_interval`-th."""
-        reset, bar = others.get("reset_num_timesteps", True), others.get("progress_bar", False)
-        total, callback = self._setup_learn(total_timesteps, callback, reset, others.get("tb_log_name", "DAgger"), bar)
-        callback.on_training_start(locals(), globals())
-        periods = -(-total // self.n_envs)
-        rounds = self.settings.rounds
-        for number in range(1, rounds + 1):
-            end = -(-number * periods // rounds)
-            if end <= self.num_timesteps // self.n_envs:
-                continue
-            callback.on_rollout_start()
-            self._update_current_progress_remaining(self.num_timesteps, total)
-            if not self._watch(end, periods, callback):
-                break
-            callback.on_rollout_end()
-            self.logger.record("train/loss", self._teach(self.lr_schedule(self._current_progress_remaining)))
-            if number % log_interval == 0:
-                self.logger.dump(self.num_timesteps)
-        callback.on_training_end()
-        return self
+    def _learn_part(self, callback: BaseCallback) -> bool:
+        periods, rounds = -(-self._total_timesteps // self.n_envs), self.settings.rounds
+        ends = (-(-number * periods // rounds) for number in range(1, rounds + 1))
+        callback.on_rollout_start()
+        self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
+        if not self._watch(next(end for end in ends if end > self.num_timesteps // self.n_envs), periods, callback):
+            return False
+        callback.on_rollout_end()
+        self.logger.record("train/loss", self._teach(self.lr_schedule(self._current_progress_remaining)))
+        return True
 
     def _watch(self, end: int, periods: int, callback: BaseCallback) -> bool:
         """Act until control period `end` of `periods`, while the teacher says what it would do; False where the callback ends it."""
         env: Any = self.env
-        if self._teacher is None or self._teacher.episodes is not unwrapped(env).env.episodes:  # another one was set
-            self._teacher = self._begun()
         observation: Any = self._last_obs
         for done in range(self.num_timesteps // self.n_envs, end):
             wanted = self._teacher.actions()
@@ -270,13 +220,11 @@ class DAgger(BaseAlgorithm):
 
     def save_replay_buffer(self, path: str | Path) -> None:
         """Write all that was shown so far, with what teacher and leads remember."""
-        save_to_pkl(path, (self._shown, self._leads, self._teacher and self._teacher.memories))
+        save_to_pkl(path, (self._shown, self._leads, self._teacher.memories))
 
     def load_replay_buffer(self, path: str | Path) -> None:
         """Read what `save_replay_buffer` has written. Loading runs what is in the file."""
-        self._shown, self._leads, memories = load_from_pkl(path)
-        if self._teacher is not None:
-            self._teacher.memories = memories
+        self._shown, self._leads, self._teacher.memories = load_from_pkl(path)
 
     def _excluded_save_params(self) -> list[str]:
         return [*super()._excluded_save_params(), "_shown", "_teacher", "_leads"]

@@ -1,4 +1,4 @@
-"""Monitor of a training, whatever its engine: validation, learning curve, best and last agent in the training's folder, and the bar."""
+"""Monitor of a training, whatever its engine: validation, learning curve, best and last agent in the training's folder, and progress."""
 
 import csv
 import time
@@ -11,14 +11,20 @@ import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
-from tqdm import tqdm
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation import VALIDATION_SEEDS, evaluate_rows, summarise
 from soft_tendon_env.evaluation.provenance import write_json
 from soft_tendon_env.evaluation.tables import number
-from soft_tendon_env.learning.checkpoints import config_record, find_checkpoint, read_checkpoint, save_checkpoint, statistics_of
+from soft_tendon_env.learning.checkpoints import (
+    config_record,
+    find_checkpoint,
+    read_checkpoint,
+    replace_checkpoint,
+    statistics_of,
+    write_model,
+)
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.agent import NetworkPolicy, acting_policy
@@ -26,10 +32,7 @@ from soft_tendon_env.policies.agent_files import CONFIG
 from soft_tendon_env.tools.files import read_json, read_numbers, replacing
 from soft_tendon_env.tools.messages import UserError
 
-CHECKPOINT_SECONDS, CHECKPOINT_SHARE = 60.0, 0.05
-"""Time after which there is a checkpoint between evaluations, unless those took a greater share of it."""
-COLUMNS = ("steps", "seconds", "return", "diverged")
-"""First columns of every learning curve, before the task's own."""
+COLUMNS = ("steps", "seconds", "return", "diverged")  # of every learning curve, before the task's own
 Watch = Callable[[Mapping[str, float]], None]
 """Function that gets every row of a learning curve as it is measured."""
 
@@ -53,7 +56,6 @@ class TrainingMonitor(ABC):
     """
 
     watch: Watch | None = None
-    bar: Any = None
 
     def __init__(self, training: Training, folder: Path, checkpoint: Path | None) -> None:
         found = {} if checkpoint is None else read_checkpoint(checkpoint)
@@ -84,63 +86,42 @@ class TrainingMonitor(ABC):
 
     def begin(self, config: dict[str, Any]) -> None:
         """Begin before the first step of this process. config: the record for config.json."""
-        self._started, self._config, done = time.perf_counter(), config, self.steps_done()
-        write_json(self.folder / CONFIG, self._config, say=False)
-        self.bar = tqdm(total=self.training.steps, initial=done, unit="step", unit_scale=True, desc=self.folder.name, smoothing=0.05)
-        self._evaluated, self._due = done // self.training.evaluation.every, time.perf_counter() + CHECKPOINT_SECONDS
+        self._started, self._config = time.perf_counter(), config
+        write_json(self.folder / CONFIG, config, say=False)
+        self._evaluated = self.steps_done() // self.training.evaluation.every
         if not self.curve:
-            self.untimed(self.evaluate)  # compiles, if need be
+            self.evaluate()  # compiles, if need be
 
     def between_rollouts(self, ends: bool = False) -> None:
-        """Evaluate and keep what is due, when nothing is half done. ends: after the last step, when all is."""
-        done = self.steps_done()
-        self.bar.update(done - self.bar.n)
-        before, self._evaluated = self._evaluated, done // self.training.evaluation.every
-        if new := (self._evaluated > before or ends and self.curve[-1]["steps"] < done):
-            self.untimed(self.evaluate)
-        if new or ends or time.perf_counter() >= self._due:
-            self.untimed(self.checkpoint)
+        """Evaluate and keep the agent if that is due, when nothing is half done. ends: after the last step, when it is."""
+        before, self._evaluated = self._evaluated, self.steps_done() // self.training.evaluation.every
+        if self._evaluated > before or ends and self.curve[-1]["steps"] < self.steps_done():
+            self.evaluate()
+            self.save(self.folder / "last", self._config | {"steps_done": self.steps_done(), "seconds_learned": self._seconds()}, True)
 
-    def untimed(self, work: Callable[[], None]) -> None:
-        """Do work whose time does not count as learning, for an agent that may be kept."""
+    def evaluate(self) -> None:
+        """Add a row of fixed validation episodes, in SI units, to the learning curve, and keep the agent if it is the best so far."""
         self.check()
-        started = time.perf_counter()
-        work()
-        self._untimed += time.perf_counter() - started
-
-    def validate(self) -> dict[str, float]:
-        """Numbers of fixed validation episodes under the agent with its integral action, for a row of the learning curve, in SI units."""
+        row: dict[str, float] = {"steps": self.steps_done(), "seconds": self._seconds()}
         policy = acting_policy(NetworkPolicy(self.network(), self.normalise), self.envs, self.training.integral_time)
         seeds = VALIDATION_SEEDS[: self.envs.num_envs]
         summary = summarise(evaluate_rows(policy, self.envs, seeds, self.training.evaluation.skip))
-        row = {"return": summary.mean_return, "diverged": summary.diverged}
+        row |= {"return": summary.mean_return, "diverged": summary.diverged}
         row |= {} if summary.reached is None else {"reached": summary.reached}
         for name, error in summary.errors.items():
             row |= {f"{name}_rms": error.rms, f"{name}_p95": error.percentile_95}
-        return row
-
-    def evaluate(self) -> None:
-        """Add a row to the learning curve, and keep the agent if it is the best so far."""
-        row = {"steps": self.steps_done(), "seconds": self._seconds(), **self.validate()}
         self.curve.append(row)
         with replacing(self._csv) as new, open(new, "w", newline="") as file:
             writer = csv.DictWriter(file, list(row))
             writer.writeheader()
             writer.writerows({name: f"{value:.9g}" for name, value in own.items()} for own in self.curve)
-        self.bar.set_postfix_str(format_row(row))
+        print(f"{row['steps']} of {self.training.steps} steps, {row['seconds']:.0f} s: {format_row(row)}", flush=True)
         if self._best is None or quality(row) < self._best:
             self._best = quality(row)
-            self.save(self.folder / "best", self._config | {"steps_done": self.steps_done(), "evaluated": row}, resumable=False)
+            self.save(self.folder / "best", self._config | {"steps_done": self.steps_done(), "evaluated": row}, False)
+        self._untimed += self._seconds() - row["seconds"]
         if self.watch is not None:
             self.watch(row)
-
-    def checkpoint(self) -> None:
-        """Keep what is needed to go on from here."""
-        started = time.perf_counter()
-        self._config |= {"steps_done": self.steps_done(), "seconds_learned": self._seconds()}
-        self.save(self.folder / "last", self._config, resumable=True)
-        ended = time.perf_counter()
-        self._due = ended + max(CHECKPOINT_SECONDS, (ended - started) / CHECKPOINT_SHARE)
 
     def check(self) -> None:
         """Raises UserError where weights are not finite: such an agent replaces no checkpoint."""
@@ -174,14 +155,7 @@ class TrainingCallback(TrainingMonitor, BaseCallback):
         return statistics_of(self.model).normalize_obs(observation)
 
     def save(self, folder: Path, config: Mapping[str, Any], resumable: bool) -> None:
-        save_checkpoint(folder, self.model, config, resumable=resumable)
-
-    def evaluate(self) -> None:
-        super().evaluate()
-        for name, value in self.curve[-1].items():
-            if name not in ("steps", "seconds"):
-                self.logger.record(f"evaluation/{name}", value)
-        self.logger.dump(self.num_timesteps)
+        replace_checkpoint(folder, config, lambda new: write_model(new, self.model, resumable))
 
     def _on_training_start(self) -> None:
         self.begin(config_record(self.training, unwrapped(self.training_env).env.episodes))

@@ -32,11 +32,9 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 COUNTERPARTS = {"batch_size": "minibatch_size", "clip_range": "clip_param", "ent_coef": "entropy_coeff", "gae_lambda": "lambda_"}
 COUNTERPARTS |= {"gamma": "gamma", "max_grad_norm": "grad_clip", "n_epochs": "num_epochs", "vf_coef": "vf_loss_coeff"}
 """Arguments of `PPOConfig.training` by those of PPO of Stable-Baselines3 that mean the same."""
-ELSEWHERE = ("n_steps", "policy_kwargs", "target_kl")
-"""Hyperparameters that go into the size of a batch, into the network, and into RLlib's penalty on the divergence of policies."""
+ELSEWHERE = ("n_steps", "policy_kwargs", "target_kl")  # go into the batch, the network, the penalty on the divergence of policies
 BY_ROWS: Any = "vector_entry_point"
-RLLIB = "rllib"
-"""Name of the engine, and of the folder of RLlib's own checkpoint in a checkpoint."""
+RLLIB = "rllib"  # name of the engine, and of the folder of RLlib's own checkpoint in a checkpoint
 
 
 class RunnerEnv(VectorWrapper):
@@ -47,11 +45,10 @@ class RunnerEnv(VectorWrapper):
         self._first_seed = seed
 
     def reset(self, *, seed: Any = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
-        """New episodes. RLlib's seeds are one apart from runner to runner, so that most arms would be there twice: any becomes ours."""
+        """New episodes; any seed becomes ours, since RLlib's are one apart from runner to runner: most arms would be there twice."""
         return self.env.reset(seed=None if seed is None else self._first_seed, options=options)[0], {}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """A step of all rows, without infos."""
         return *self.env.step(actions)[:4], {}
 
 
@@ -80,11 +77,12 @@ def make_config(training: Training, runners: int, done: int = 0) -> PPOConfig:
         problems.append(Problem(("arms",), f"is {training.arms}: it should be a multiple of the {runners} runners, which share them"))
     if problems:
         raise ConfigurationError(problems, "with RLlib")
-    rate, target_kl, seed = training.learning_rate, value["target_kl"], (training.seed + done) % 2**31
+    rate, target_kl = training.learning_rate, value["target_kl"]
     register_env("soft_tendon_env", make_runner_env)
     module = RLModuleSpec(module_class=ActorCriticModule, model_config={"network": value["policy_kwargs"] or {}})
     arms = {"training": training, "seed": training.arm_seed(done)}
-    config = PPOConfig().learners(num_learners=0).rl_module(rl_module_spec=module).debugging(seed=seed, log_level="ERROR")
+    config = PPOConfig().learners(num_learners=0).rl_module(rl_module_spec=module)
+    config.debugging(seed=(training.seed + done) % 2**31, log_level="ERROR")
     config.environment("soft_tendon_env", env_config=arms, clip_actions=True, normalize_actions=False)  # as Stable-Baselines3 does
     share, length = training.arms // max(runners, 1), value["n_steps"]
     sizes: dict[str, Any] = {"num_env_runners": runners, "num_envs_per_env_runner": share, "rollout_fragment_length": length}
@@ -104,7 +102,6 @@ class ActorCriticModule(TorchRLModule, ValueFunctionAPI):
     """RLlib's module around the actor-critic network of Stable-Baselines3, as `policy`, so that agents are saved as any other."""
 
     def setup(self) -> None:
-        """Makes the network."""
         self.policy = new_network(Architecture("PPO", self.model_config["network"]), self.observation_space, self.action_space)
 
     def _forward(self, batch: dict[str, Any], **kwargs: Any) -> dict[str, Any]:
@@ -113,7 +110,6 @@ class ActorCriticModule(TorchRLModule, ValueFunctionAPI):
         return {Columns.ACTION_DIST_INPUTS: torch.cat([mean, self.policy.log_std.expand_as(mean)], dim=-1)}
 
     def compute_values(self, batch: dict[str, Any], embeddings: Any = None) -> torch.Tensor:
-        """Values (n,) of states."""
         return self.policy.predict_values(batch[Columns.OBS]).squeeze(-1)
 
 
@@ -148,17 +144,11 @@ class RllibTraining(TrainingMonitor):
         replace_checkpoint(folder, config, write)
 
     def learn(self) -> None:
-        """Learn all that is left to learn. Raises UserError, and Ray's errors, after which --resume goes on from the last checkpoint."""
+        """Learn all that is left. Raises UserError, and the errors of Ray and PyTorch, after which --resume goes on."""
         self.begin({**config_record(self.training, episodes_of(self.envs)), "engine": RLLIB, "runners": self.runners})
-        try:
-            while self._done < self.training.steps:
-                if self._done > self.began:
-                    self.between_rollouts()
-                self._done = int(self.algorithm.train()["num_env_steps_sampled_lifetime"])
-            self.between_rollouts(ends=True)
-        except ValueError:
-            self.check()  # what is not finite ends in errors of PyTorch
-            raise
-        finally:
-            self.bar.close()
+        while self._done < self.training.steps:
+            if self._done > self.began:
+                self.between_rollouts()
+            self._done = int(self.algorithm.train()["num_env_steps_sampled_lifetime"])
+        self.between_rollouts(ends=True)
         self.report()

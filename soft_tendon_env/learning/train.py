@@ -30,10 +30,9 @@ from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec
 from soft_tendon_env.policies.agent_files import CONFIG
 from soft_tendon_env.policies.network import policy_arguments
 from soft_tendon_env.tools.files import read_json
-from soft_tendon_env.tools.messages import first_line, say
+from soft_tendon_env.tools.messages import first_line
 
-SB3 = "sb3"
-"""Engine of a training whose record names none."""
+SB3 = "sb3"  # engine of a training whose record names none
 
 
 def checkpoint_to_resume(folder: Path, training: Training, resume: bool, engine: str = SB3) -> Path | None:
@@ -44,12 +43,8 @@ def checkpoint_to_resume(folder: Path, training: Training, resume: bool, engine:
     if checkpoint is None and not begun.exists():
         return None
     record = read_json(begun) if checkpoint is None else read_checkpoint(checkpoint)
-    package, now = "soft_tendon_env", {**training.model_dump(mode="json"), "engine": engine}
-    version = record.get("record", {}).get("versions", {}).get(package)
-    if version != versions()[package]:
-        text = f"{checkpoint or folder} was written by {package} {version}, this is {versions()[package]}"
-        raise ValueError(f"{text}: only that version can go on with it")
-    before = {"engine": SB3, **record}
+    now = {**training.model_dump(mode="json"), "engine": engine, "version": versions()["soft_tendon_env"]}
+    before = {"engine": SB3, **record, "version": record.get("record", {}).get("versions", {}).get("soft_tendon_env")}
     if changed := [key for key in now if key != "steps" and now[key] != before.get(key)]:
         differences = "; ".join(f"{key} was {before.get(key)!r} and is {now[key]!r}" for key in changed)
         raise ValueError(f"{folder} has another training, {differences}: only `steps` may change")
@@ -57,9 +52,7 @@ def checkpoint_to_resume(folder: Path, training: Training, resume: bool, engine:
 
 
 def train(training: Training, folder: Path, checkpoint: Path | None = None, watch: Watch | None = None) -> BaseAlgorithm:
-    """Train an agent for what is left of its steps.
-
-    watch: gets every row of the learning curve, and ends the training by what it raises.
+    """Train an agent for what is left of its steps. watch: gets every row of the learning curve, and ends the training by what it raises.
 
     Raises ValueError, OSError before it begins, and UserError.
     """
@@ -70,11 +63,8 @@ def train(training: Training, folder: Path, checkpoint: Path | None = None, watc
 
 
 def model_of(training: Training, checkpoint: Path | None) -> BaseAlgorithm:
-    """Agent as it is at the beginning, or as a checkpoint has it. Raises ValueError, OSError.
-
-    PyTorch has one thread, which is best where several trainings run side by side, and makes them repeatable.
-    """
-    torch.set_num_threads(1)
+    """Agent as it is at the beginning, or as a checkpoint has it. Raises ValueError, OSError."""
+    torch.set_num_threads(1)  # best where several trainings run side by side, and makes them repeatable
     return make_model(training) if checkpoint is None else load_model(training, checkpoint)
 
 
@@ -92,20 +82,12 @@ def learn(model: BaseAlgorithm, callback: TrainingCallback) -> None:
     except (ArithmeticError, RuntimeError, ValueError):
         callback.check()  # what is not finite ends in errors of PyTorch
         raise
-    finally:
-        if callback.bar is not None:
-            callback.bar.close()
-    if isinstance(model, OffPolicyAlgorithm) and not model._n_updates:
-        say(f"{training.algorithm} has made no update: see learning_starts, gradient_steps and train_freq of its hyperparameters")
     callback.report()
 
 
 def make_training_env(training: Training) -> StableBaselinesVecEnv:
-    """Vector environment of a training: many arms, and domain randomisation by its options. Raises ConfigurationError, ValueError.
-
-    The first episode of every arm ends at another time, so that every batch has beginnings, middles and ends of episodes: of arms that all
-    begin together an agent learns how to begin once in an episode, and has forgotten it when they end.
-    """
+    """Vector environment of a training. The first episode of every arm ends at another time, so that every batch has beginnings, middles
+    and ends of episodes. Raises ConfigurationError, ValueError."""
     steps = training.episode_steps
     env = make_sb3_vec_env(IDS[training.task], training.arms, max_episode_steps=steps, threads=1, **training.options)
     env.set_options([{"episode_steps": 1 + steps * row // training.arms} for row in range(training.arms)])

@@ -12,18 +12,13 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.error import DependencyNotInstalled
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
-
-try:
-    from stable_baselines3.common.monitor import Monitor
-    from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
-    from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
-except ImportError as error:
-    raise DependencyNotInstalled('Stable-Baselines3 is not installed: pip install "soft_tendon_env[agents]"') from error
 
 
 class StableBaselinesVecEnv(VecEnv):
@@ -38,8 +33,7 @@ class StableBaselinesVecEnv(VecEnv):
         if not isinstance(env, TendonRodVectorEnv):
             raise TypeError(f"env should be a TendonRodVectorEnv, as gym.make_vec makes of this package's ids, not {type(env).__name__}")
         if env.autoreset_mode is not AutoresetMode.SAME_STEP:
-            name = env.autoreset_mode.name.lower()
-            raise ValueError(f"env should be made with autoreset_mode='same_step', not {name!r}: Stable-Baselines3 knows no other")
+            raise ValueError(f"env should be made with autoreset_mode='same_step', not {env.autoreset_mode.name.lower()!r}")
         self.env, self.spec, self._born = env, env.spec, time.time()
         self._returns, self._lengths = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=np.int64)
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
@@ -47,10 +41,9 @@ class StableBaselinesVecEnv(VecEnv):
     def reset(self) -> VecEnvObs:
         """New episodes of all rows, with the seeds that `seed` has set, once, and the options of `reset` from `set_options`, likewise."""
         options = {key: [own.get(key) for own in self._options] for key in set().union(*self._options)}
-        observation, info = self.env.reset(seed=self._seeds, options=options)
+        observation, _ = self.env.reset(seed=self._seeds, options=options)
         self._reset_seeds()
         self._reset_options()
-        self.reset_infos = [_of_row(info, row) for row in range(self.num_envs)]
         self._returns[:], self._lengths[:] = 0.0, 0
         return observation
 
@@ -70,7 +63,6 @@ class StableBaselinesVecEnv(VecEnv):
             infos[row]["terminal_observation"] = info["final_obs"][row]
             total, length = float(self._returns[row]), int(self._lengths[row])
             infos[row]["episode"] = {"r": round(total, 6), "l": length, "t": round(time.time() - self._born, 6)}
-            self.reset_infos[row] = _of_row(info, row)
             self._returns[row], self._lengths[row] = 0.0, 0
         return observation, reward.astype(np.float32), done, infos
 
@@ -86,18 +78,10 @@ class StableBaselinesVecEnv(VecEnv):
         setattr(self.env, attr_name, value)
 
     def env_method(self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any) -> list[Any]:
-        """Results of a method of the environment, called once for each of `indices`; of `render`, the row's frame.
-
-        Raises ValueError for methods that act on all rows at once.
-        """
-        rows = list(self._get_indices(indices))
-        if method_name in ("reset", "step", "close", "close_extras"):
+        """Results of a method of the environment, called once for each of `indices`. Raises ValueError for those of all rows at once."""
+        if method_name in ("reset", "step", "render", "close", "close_extras"):
             raise ValueError(f"{method_name!r} acts on all rows at once: it cannot be called by env_method")
-        method = getattr(self.env, method_name)
-        if method_name == "render":
-            frames = method() or [None] * self.num_envs
-            return [frames[row] for row in rows]
-        return [method(*method_args, **method_kwargs) for _ in rows]
+        return [getattr(self.env, method_name)(*method_args, **method_kwargs) for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None) -> list[bool]:
         """True for Monitor, whose work is done here, else False."""
@@ -105,7 +89,7 @@ class StableBaselinesVecEnv(VecEnv):
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """A frame (height, width, 3) per row; None without a render mode."""
-        return [None] * self.num_envs if self.render_mode is None else self.env_method("render")
+        return self.env.render() or [None] * self.num_envs
 
     def close(self) -> None:
         """Close the environment."""

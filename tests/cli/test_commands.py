@@ -36,7 +36,7 @@ QUICK = [
     (("record", "{best}", "feedforward", *SHORT), ["\n| feedforward "], ["side_by_side.rrd"]),
     pytest.param(
         ("export", "{best}"),
-        ["| tip_pose ", "the command [N] of 3 tendons, 50 times a second", "by onnxruntime"],
+        ["| tip_pose ", "the command [N] of 3 tendons, 50 times a second"],
         ["agent.onnx"],
         marks=pytest.mark.slow,
     ),

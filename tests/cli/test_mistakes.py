@@ -38,7 +38,7 @@ OPTIONS = [
     ("demo --agent tracking", "--agent is 'tracking': it should be the folder or the .zip file of an agent"),
     ("train ppo_tip_pos", "neither the path of a .toml file nor a training that ships: did you mean 'ppo_tip_pose'?"),
     ("train ppo_tip_pose --runners 3", "--runners is for --engine rllib"),
-    ("sweep ppo_tip_pose other/ppo_tip_pose.toml", "another configuration is called ppo_tip_pose too"),
+    ("sweep ppo_tip_pose other/ppo_tip_pose.toml", "has two files ppo_tip_pose.toml, whose runs would share a folder"),
     ("reproduce-paper --seconds 2 --write-docs docs.md", "--write-docs needs all figures and 10 seconds"),
     ("effects gravty", "name is 'gravty': did you mean 'gravity'?"),
     ("fields three_tendon --within 1", "--within is '1': it should be a positive length with its unit"),
@@ -55,7 +55,7 @@ FILES = [
     ("train {config} --set hyperparameters.n_steps.x=3", "small.toml, changed: hyperparameters.n_steps.x cannot be set"),
     ("evaluate {best} --set action=increment", "trained with action = 'tension', this environment has"),
     ("evaluate {best} --scene paper", "was trained on an arm with other segments (scene 'three_tendon')"),
-    ("train {config} --set hyperparameters.n_steps=0", "hyperparameters.n_steps is 0: it should be a number at least 1"),
+    ("train {config} --set hyperparameters.n_step=1", "hyperparameters.n_step is an unknown key"),
     ("evaluate {folder}", "a folder: it should be the folder of an agent, such as {best}, a .zip file"),
     ("compare --config {model}", "model.zip: is not valid TOML"),
 ]

@@ -13,10 +13,15 @@ pytest.importorskip("onnx")
 
 from soft_tendon_env import export  # noqa: E402
 from soft_tendon_env.envs import IDS  # noqa: E402
+from soft_tendon_env.envs.observation import GROUPS, Group  # noqa: E402
+from soft_tendon_env.export.agent import pose_logarithm  # noqa: E402
 from soft_tendon_env.export.check import compare  # noqa: E402
-from soft_tendon_env.export.pose_logarithm import pose_logarithm  # noqa: E402
 from soft_tendon_env.mechanics.motion import pose_errors as kernels  # noqa: E402
 from soft_tendon_env.policies import load_agent, make_policy, policy_options  # noqa: E402
+from soft_tendon_env.policies.agent import NetworkPolicy  # noqa: E402
+from soft_tendon_env.policies.integral import IntegralPolicy  # noqa: E402
+from soft_tendon_env.policies.network import Architecture, new_network  # noqa: E402
+from soft_tendon_env.policies.normalization import Moments, Normalization  # noqa: E402
 from soft_tendon_env.tools.configuration import ConfigurationError  # noqa: E402
 
 TRAINED = sorted(path.parent for path in (Path(__file__).parent.parent.parent / "agents" / "trained").glob("*/*/weights.pt"))
@@ -35,6 +40,29 @@ CASES = [
     {"algorithm": "ARS", "observation": ["tip_position", "last_action"]},
     {"task": "Shape", "observation": ["tendon_lengths", "target_lengths", "command"], "scene": ELASTIC, "action": "increment"},
 ]
+
+
+@pytest.fixture
+def exported(tmp_path):
+    """exported(algorithm=..., task=..., ...): an environment, an agent of random weights for it, and the path of its file."""
+
+    def make(algorithm="PPO", task="TipPose", policy=None, normalised=False, integral_time=None, **options):
+        env = gym.make(IDS[task], **{"scene": "three_tendon", "fidelity": "fast", **options})
+        torch.manual_seed(0)
+        network = new_network(Architecture(algorithm, {"net_arch": [16, 16], **(policy or {})}), env.observation_space, env.action_space)
+        with torch.no_grad():
+            for parameter in network.parameters():
+                parameter += 0.1 * torch.randn_like(parameter)
+        spaces = env.observation_space.spaces if task == "Reach" else {"": env.observation_space}
+        draw = np.random.default_rng(0)
+        moments = {key: Moments(draw.normal(size=of.shape), draw.uniform(0.1, 1.0, of.shape)) for key, of in spaces.items()}
+        agent = NetworkPolicy(network, Normalization(moments, 3.0, 1e-8) if normalised else None)
+        agent = agent if integral_time is None else IntegralPolicy(agent, env, integral_time)
+        path = tmp_path / "agent.onnx"
+        path.write_bytes(export.export_agent(agent, env, {"of": "nobody"}).SerializeToString())
+        return env, agent, path
+
+    return make
 
 
 @pytest.mark.parametrize("given", CASES, ids=lambda given: f"{given.get('algorithm', 'PPO')}-{given.get('task', 'TipPose')}")
@@ -95,11 +123,13 @@ def test_pose_logarithms_are_those_of_the_package():
 @pytest.mark.cases(
     "given, message",
     [
+        ({"observation": ["tip_position", "own"]}, "an observation group uses NumPy"),
         ({"algorithm": "RecurrentPPO"}, "should be a trained agent without recurrence"),
         ({"observation": ["tip_position", "clearance"], "scene": BALL}, "observation names clearance"),
     ],
 )
-def test_what_cannot_be_exported(exported, given, message):
+def test_what_cannot_be_exported(exported, monkeypatch, given, message):
+    monkeypatch.setitem(GROUPS, "own", Group("made by NumPy", lambda o: np.sin(o.tip_pose[:, :3, 3])))
     with pytest.raises((ValueError, ConfigurationError), match=message):
         exported(**given)
     env = gym.make(IDS["TipPose"], scene="three_tendon", fidelity="fast")

@@ -32,13 +32,13 @@ def training():
 
 def taught(task, steps=120, **options):
     """Errors (steps, rows) where the teacher itself acts on arms that all differ."""
-    envs = gym.make_vec(IDS[task], num_envs=6, max_episode_steps=60, autoreset_mode="same_step", **{**ARM, **options})
+    envs = gym.make_vec(IDS[task], num_envs=4, max_episode_steps=60, autoreset_mode="same_step", **{**ARM, **options})
     envs.reset(seed=0)
     episodes, errors = envs.unwrapped.episodes, []
     teacher = imitation.Teacher(episodes, 0.2)
     for _ in range(steps):
         actions = teacher.actions()
-        assert actions.shape == (6, 3) and (np.abs(actions) <= 1.0).all()
+        assert actions.shape == (4, 3) and (np.abs(actions) <= 1.0).all()
         envs.step(actions)
         errors.append(next(iter(episodes.errors.values())).copy())
     return np.array(errors) / episodes.model.length
@@ -55,10 +55,10 @@ def test_teacher_tracks_on_every_arm_as_drawn(task, action):
 
 def test_teacher_makes_up_for_the_delay_that_was_drawn(monkeypatch):
     late = {"latency": 0.06}
-    aware = taught("TipPose", randomize=late)[-25:-1].max()
+    aware = taught("TipPose", 60, randomize=late)[-25:-1].max()
     arriving = imitation.Teacher._arriving
     monkeypatch.setattr(imitation.Teacher, "_arriving", lambda self, sent, late: arriving(self, sent, 0.0 * late))
-    assert taught("TipPose", randomize=late)[-25:-1].max() > 3.0 * aware
+    assert taught("TipPose", 60, randomize=late)[-25:-1].max() > 3.0 * aware
 
 
 def test_teacher_needs_tensions_that_act_and_targets_that_are_known(training):
@@ -70,7 +70,7 @@ def test_teacher_needs_tensions_that_act_and_targets_that_are_known(training):
             imitation.Teacher(unwrapped(env).env.episodes, 0.2)
     env = train.make_training_env(training(options={**TABLE["options"], "preview": [0.04], "randomize": {"latency": 0.03}}))
     env.reset()
-    with pytest.raises(ValueError, match="asked for 4 ahead"):
+    with pytest.raises(ValueError, match="the longest preview, 2 control periods, not for 4"):
         imitation.Teacher(unwrapped(env).env.episodes, 0.2).actions()
 
 

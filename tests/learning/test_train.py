@@ -7,13 +7,11 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pytest
 import tomli_w
-import yaml
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS, evaluate, summarise
@@ -22,7 +20,6 @@ from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 from soft_tendon_env.policies import load
 from soft_tendon_env.tools.configuration import ConfigurationError
 
-ROOT = Path(__file__).parent.parent.parent
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 PPO = {"n_steps": 16, "batch_size": 32, "n_epochs": 1}
 OFF_POLICY = {"learning_starts": 60, "batch_size": 16, "gradient_steps": 1, "buffer_size": 1000}
@@ -102,10 +99,10 @@ def test_arms_of_trainings_have_seeds_of_their_own_and_scales_of_the_environment
 
 @pytest.mark.parametrize("run", ["PPO", "SAC", "APG", "DAgger", "hindsight", "running"])
 def test_a_training_that_was_stopped_ends_as_one_that_was_not(tmp_path, run):
-    """Stopped at two evaluations, it goes on from the checkpoint before: the same weights, bit for bit."""
+    """Stopped at an evaluation, it goes on from the checkpoint before: the same weights, bit for bit."""
     options = {**SMALL, "randomize": {"latency": [0.0, 0.03], "noise": {"position": 1e-3}}}
     evaluation = {"every": 64, "episodes": 1, "skip": 0.2}
-    chosen = training(**{**RUNS[run], "options": options, "learning_rate": (1e-3, 0.0), "evaluation": evaluation})
+    chosen = training(**{**RUNS[run], "steps": 192, "options": options, "learning_rate": (1e-3, 0.0), "evaluation": evaluation})
 
     def part(watch):
         return train.train(chosen, tmp_path / "parts", train.checkpoint_to_resume(tmp_path / "parts", chosen, resume=True), watch)
@@ -115,9 +112,8 @@ def test_a_training_that_was_stopped_ends_as_one_that_was_not(tmp_path, run):
             raise InterruptedError
 
     whole = train.train(chosen, tmp_path / "whole")
-    for _ in range(2):
-        with pytest.raises(InterruptedError):
-            part(stop)
+    with pytest.raises(InterruptedError):
+        part(stop)
     found = part(None)
     weights = [model.policy.state_dict().values() for model in (whole, found)]
     assert all(bool((one == other).all()) for one, other in zip(*weights, strict=True))
@@ -160,33 +156,8 @@ def test_other_trainings_and_versions_do_not_go_on(tmp_path):
     found = json.loads(path.read_text())
     found["record"]["versions"]["soft_tendon_env"] = "0.1.0"
     path.write_text(json.dumps(found))
-    with pytest.raises(ValueError, match=r"last was written by soft_tendon_env 0\.1\.0, this is .*: only that version can go on with it"):
+    with pytest.raises(ValueError, match=r"another training, version was '0\.1\.0' and is "):
         train.checkpoint_to_resume(tmp_path, more, resume=True)
-
-
-def test_checkpoints_between_evaluations_lose_a_minute_and_take_little_of_the_time(tmp_path, monkeypatch):
-    """Ten seconds of a clock for every rollout; a checkpoint takes none, or so long that it would be more than a twentieth."""
-    for name, cost, expected in (("quick", 0.0, [384, 768]), ("slow", 6.0, [384])):
-        clock, kept = [0.0], []
-
-        def save(folder, model, config, resumable, cost=cost, kept=kept, clock=clock):
-            clock[0] += cost * resumable
-            kept.extend([config["steps_done"]] * resumable)
-
-        monkeypatch.setattr(monitor.time, "perf_counter", lambda clock=clock: clock[0])
-        monkeypatch.setattr(monitor, "save_checkpoint", save)
-        chosen = training(steps=896, evaluation={"every": 10_000, "episodes": 1, "skip": 0.2})
-        (tmp_path / name).mkdir()
-        model, learning = train.model_of(chosen, None), monitor.TrainingCallback(chosen, tmp_path / name, None)
-        begin = learning._on_rollout_start
-
-        def rollout(begin=begin, clock=clock):
-            begin()
-            clock[0] += 10.0
-
-        monkeypatch.setattr(learning, "_on_rollout_start", rollout)
-        train.learn(model, learning)
-        assert kept == [*expected, 896]
 
 
 def test_the_best_agent_stays_the_best_when_the_training_goes_on(tmp_path):
@@ -218,16 +189,12 @@ def hyperparameters(**given):
         ({"options": {"actions": "increment"}}, "options.actions is an unknown key"),
         ({"options": {**SMALL, "observation": ["tip_postion"]}}, "options.observation names 'tip_postion': did you mean 'tip_position'?"),
         ({"options": {**SMALL, "sensors": [5.0]}}, "options.sensors names 5: it should be at most the rod's length"),
+        (hyperparameters(gamma=2), "hyperparameters.gamma is 2: it should be a number from 0 to 1"),
         (hyperparameters(gama=0.9), "hyperparameters.gama is an unknown key (given 0.9): did you mean 'gamma'?"),
         (hyperparameters(learning_rate=0.1), "hyperparameters.learning_rate is an unknown key (given 0.1): "),
         (hyperparameters(rollout_buffer_class="Buffer"), "hyperparameters.rollout_buffer_class is an unknown key (given 'Buffer'): "),
         (hyperparameters(policy_kwargs=3), "hyperparameters.policy_kwargs is 3: it should be a table"),
         (hyperparameters(policy_kwargs={"net_arc": [64]}), "hyperparameters.policy_kwargs.net_arc is an unknown key (given [64]): did you"),
-        (hyperparameters(gamma=2), "hyperparameters.gamma is 2: it should be a number from 0 to 1"),
-        (hyperparameters(gae_lambda="x"), "hyperparameters.gae_lambda is 'x': it should be a number from 0 to 1"),
-        (hyperparameters(n_epochs=0), "hyperparameters.n_epochs is 0: it should be a number at least 1"),
-        ({"algorithm": "SAC", **hyperparameters(tau=-0.1)}, "hyperparameters.tau is -0.1: it should be a number from 0 to 1"),
-        ({"algorithm": "APG", **hyperparameters(smoothness=-1.0)}, "hyperparameters.smoothness is -1.0: it should be a number at least 0"),
         ({"algorithm": "APG", **hyperparameters(gamma=0.9)}, "hyperparameters.gamma is an unknown key"),
         ({"algorithm": "DAgger", **hyperparameters(hidden=64)}, "hyperparameters.hidden is an unknown key"),
     ],
@@ -269,20 +236,3 @@ def test_shipped_configs_are_valid_and_named_by_what_they_are(path):
     assert {"TipPose": "tip_pose", "Shape": "shape", "Reach": "reach"}[chosen.task] in path.stem
     assert path.read_text().splitlines()[0].endswith(f"soft-tendon train {path.stem}") and path.stem.startswith(chosen.algorithm.lower())
     assert not chosen.normalise.observations or chosen.options["tip_speed_limit"], "or arms that whirl would change what all others see"
-
-
-ZOO = [(path.stem, id) for path in sorted((ROOT / "configs" / "rl_zoo3").glob("*.yml")) for id in yaml.safe_load(path.read_text())]
-
-
-@pytest.mark.cases("algorithm, id", ZOO)
-def test_files_for_rl_zoo3_say_what_the_trainings_of_this_package_do(algorithm, id):
-    """rl_zoo3 takes keys of its own out of a table, evaluates what is text, and gives the rest to the algorithm."""
-    table = yaml.safe_load((ROOT / "configs" / "rl_zoo3" / f"{algorithm}.yml").read_text())[id]
-    task = {name: task for task, name in IDS.items()}[id]
-    same = config.read_training(ROOT / "configs" / f"{algorithm}_{ {'TipPose': 'tip_pose'}.get(task, task.lower()) }.toml")
-    assert (table.pop("n_timesteps"), table.pop("n_envs")) == (same.steps, same.arms)
-    normalised = eval(table.pop("normalize", "dict(norm_obs=False, norm_reward=False)"))
-    assert normalised == {"norm_obs": same.normalise.observations, "norm_reward": same.normalise.rewards}
-    rate, table["policy_kwargs"] = table.pop("learning_rate"), eval(table["policy_kwargs"])
-    assert rate == f"lin_{rate.removeprefix('lin_')}" and float(rate.removeprefix("lin_")) == same.learning_rate[0]
-    assert table.pop("policy") and table == same.hyperparameters

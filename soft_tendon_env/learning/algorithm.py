@@ -1,0 +1,84 @@
+"""Base of the package's own algorithms: the interface of Stable-Baselines3 and PPO's policies, on vector environments of this package."""
+
+import math
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any, ClassVar, Self, cast
+
+from stable_baselines3 import PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
+from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback
+from stable_baselines3.common.utils import safe_mean
+
+from soft_tendon_env.envs.vector import TendonRodVectorEnv
+from soft_tendon_env.learning.vec_env import unwrapped
+
+
+class ActorAlgorithm(BaseAlgorithm):
+    """Algorithm that learns the mean action of a policy of PPO, whose value network learns nothing.
+
+    Args:
+        env: vector environment of this package, see `make_sb3_vec_env`. Raises TypeError for others.
+        settings: of the algorithm's `settings_class`.
+        others: see BaseAlgorithm; `device` is "cpu" by default.
+    """
+
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = PPO.policy_aliases
+    settings_class: ClassVar[type]
+    policy: ActorCriticPolicy
+
+    def __init__(
+        self,
+        policy: str | type[ActorCriticPolicy],
+        env: GymEnv | str | None,
+        learning_rate: float | Callable[[float], float] = 1e-3,
+        settings: Any = None,
+        policy_kwargs: dict[str, Any] | None = None,
+        _init_setup_model: bool = True,
+        **general: Any,
+    ) -> None:
+        super().__init__(policy, env, learning_rate, policy_kwargs, support_multi_env=True, **{"device": "cpu", **general})
+        self.settings = self.settings_class() if settings is None else settings
+        if _init_setup_model:
+            self._setup_model()
+
+    def _setup_model(self) -> None:
+        self._setup_lr_schedule()
+        self.set_random_seed(self.seed)
+        spaces = self.observation_space, self.action_space
+        self.policy = cast(ActorCriticPolicy, self.policy_class(*spaces, self.lr_schedule, **self.policy_kwargs)).to(self.device)
+        if self.env is not None:
+            self._prepare()
+
+    @property
+    def rows(self) -> TendonRodVectorEnv:
+        """The environment within its wrappers."""
+        assert self.env is not None, "learning needs an environment"
+        return unwrapped(self.env).env
+
+    @abstractmethod
+    def _prepare(self) -> None:
+        """Prepare to learn on the environment that is set. Raises TypeError, ValueError where the algorithm cannot."""
+
+    @abstractmethod
+    def _learn_part(self, callback: BaseCallback) -> bool:
+        """Act for a while and learn from that; False where the callback ends the training."""
+
+    def learn(self, total_timesteps: int, callback: MaybeCallback = None, log_interval: int = 1, **others: Any) -> Self:  # type: ignore[override]
+        """Learn for so many steps of all rows; every `log_interval`-th part has a row of the log. See `BaseAlgorithm.learn`."""
+        self._prepare()
+        reset, bar = others.get("reset_num_timesteps", True), others.get("progress_bar", False)
+        total, called = self._setup_learn(total_timesteps, callback, reset, others.get("tb_log_name", type(self).__name__), bar)
+        called.on_training_start(locals(), globals())
+        parts = 0
+        while self.num_timesteps < total and self._learn_part(called):
+            parts += 1
+            if parts % log_interval == 0:
+                for name, key in (("ep_rew_mean", "r"), ("ep_len_mean", "l")):
+                    found = [episode[key] for episode in self.ep_info_buffer or ()]
+                    self.logger.record(f"rollout/{name}", safe_mean(found) if found else math.nan)
+                self.logger.dump(self.num_timesteps)
+        called.on_training_end()
+        return self
