@@ -1,7 +1,7 @@
 """Feedforward from inverse statics, followed along the reference, and a reference governor of what an arm can hold.
 
-Once per control period the equilibrium under the present tensions moves one bounded Gauss-Newton step towards the target, as soon as
-the tensions reach the arm: nothing that is measured enters. For shapes that tensions hold the answer is known: u = q_a_bar.
+Once per control period the equilibrium under the present tensions moves one bounded Gauss-Newton step towards the target: nothing that is
+measured enters.
 """
 
 from dataclasses import dataclass, replace
@@ -38,8 +38,7 @@ class StaticMemory(NamedTuple):
 
 
 class StaticFeedforward(ModelController):
-    """Feedforward by inverse statics, of least effort. `limits` (n_a, 2) [N]; the reference is that one `period` [s] ahead, when tensions
-    have acted."""
+    """Feedforward by inverse statics, of least effort, for the reference one period ahead, when tensions have acted."""
 
     def __init__(self, model: Model, limits: Array, period: float, objective: Objective) -> None:
         super().__init__(model, limits, period)
@@ -58,7 +57,7 @@ class StaticFeedforward(ModelController):
         return ControllerOutput(at.tension, at, {"limited": limited, "singular": 0.0})
 
     def error(self, at: StaticMemory, reference: Reference) -> Array:
-        """Error (k,) of the equilibrium from the target when the tensions will have acted, in the objective's metres."""
+        """Error (k,) [m] of the equilibrium from the target when the tensions will have acted."""
         return self.objective.error(at.q, at.tip_pose, reference, self.period)
 
     def _improved(self, at: StaticMemory, reference: Reference) -> tuple[StaticMemory, float]:

@@ -4,10 +4,7 @@ Every period the last plan is played through the model (exactly: with the simula
 (`Simulation.rollout`), and the plan improved by one quadratic program with bounds: the real-time iteration of Diehl, Bock
 and Schlöder (2005). What the model does not know is estimated and allowed for: tensions that would explain how the last period
 differed from its prediction (a momentum observer, unless an estimator has found an InputError), and the displacement between the tip that
-is measured and that of the model.
-
-Effects of the model act at their time: disturbances and a base that moves are foreseen. Their internal states, of memory and friction, are
-not measured: they begin at rest with the episode and are advanced by the model, from the measured coordinates of every period.
+is measured and that of the model. Internal states of effects begin at rest with the episode and are advanced by the model.
 """
 
 from typing import NamedTuple

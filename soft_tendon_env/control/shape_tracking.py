@@ -1,8 +1,8 @@
 """Shape control by the laws (37), (38) in implicit form: at the control period that there is, and within tension limits.
 
-The law is u = q_a_bar + G_aa^-1 B^T (kd (q_bar_dot - q_dot) + kp (q_bar - q)): (37) where every coordinate is actuated, since B = G
-there, and (38) in newtons otherwise. Its q and q_dot are those at the end of the period, solved for together with the implicit step of
-the motion (stable PD control of Tan, Liu and Turk 2011): gains of any size are stable at any period, also the paper's.
+u = q_a_bar + G_aa^-1 B^T (kd (q_bar_dot - q_dot) + kp (q_bar - q)) is (37) where every coordinate is actuated, and (38) in newtons
+otherwise. Its q and q_dot are those at the end of the period, solved for together with the implicit step of the motion (stable PD control
+of Tan, Liu and Turk 2011): gains of any size are stable at any period, also the paper's.
 """
 
 import numpy as np
@@ -27,7 +27,6 @@ class ShapeFeedforward(ModelController):
         self._tensions = tensions_of(model)
 
     def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
-        """Tensions that hold the shape wanted, within limits."""
         assert now.reference.q is not None
         return self.within_limits(self._tensions @ value_at(now.reference.ahead, now.reference.q, self.period))
 

@@ -34,8 +34,7 @@ class SmithPredictor:
     def predicted(self, now: ControllerInput, sent: tuple[Array, ...], latency: float | None = None) -> ControllerInput:
         """Predicted controller input at the time when the command issued now takes effect; the present one if the simulation fails.
 
-        sent: tensions (n_a,) [N] of the periods before, the newest last, of which the last `history` matter. latency: [s], as known by
-        default.
+        sent: tensions (n_a,) [N] of the last `history` periods, the newest last. latency: [s], as known by default.
         """
         latency = self.latency if latency is None else latency
         periods, rest = whole_periods(latency, self._period)

@@ -1,10 +1,8 @@
 """Task-space feedback linearisation (39) in implicit form: at the control period that there is, within tension limits, against model error.
 
-The acceleration of the tip is asked for as in (39), from gains that are stable at the control period. Which tensions give it is asked
-of the implicit step of the motion, which knows that stiff coordinates do not follow an impulse, in place of the inertia alone; of all
-tensions that do, those are taken that disturb the arm's own motion least: Gauss's principle of least constraint, of which
-B^+ J_t^T Omega (...) in (39) is the solution without limits. At vanishing periods, without static tensions, the law is (39). The
-motion that is disturbed is that under the tensions which would hold the target, where they are known: feedforward from statics.
+The acceleration of the tip is asked for as in (39). Which tensions give it is asked of the implicit step of the motion; of all that do,
+those are taken that disturb least the arm's motion under the tensions which would hold the target (Gauss's principle of least constraint).
+At vanishing periods, without static tensions, the law is (39).
 """
 
 from typing import NamedTuple
@@ -53,7 +51,6 @@ class TipTracking(ModelController):
         self.gains = discrete_gains(settling_time, damping, period, integral_time)
 
     def act(self, now: ControllerInput, memory: TipMemory | None = None) -> ControllerOutput:
-        """Tensions of the implicit law."""
         h, gains = self.period, self.gains
         try:
             terms = self.model.terms(now.q, now.q_dot, time=now.time)

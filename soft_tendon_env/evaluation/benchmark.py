@@ -17,7 +17,6 @@ from soft_tendon_env.evaluation.entrants import agents_of
 from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.settings import RegimeNames, SettingNames, TaskName, Workers, episode_steps
 from soft_tendon_env.evaluation.summaries import Duel, Standing, Standings, compared
-from soft_tendon_env.policies.agent_checks import CLOCK
 from soft_tendon_env.policies.agent_files import INTERFACE
 from soft_tendon_env.policies.names import Agent, Controller, PolicyName
 from soft_tendon_env.policies.regimes import REGIMES
@@ -34,7 +33,7 @@ class BenchmarkPolicy(Configuration):
 
     Attributes:
         policy: a controller with a state estimator, such as filtered:predictive or adaptive:tracking@fast, see `load_policy`; the folder
-            or .zip file of an agent, or agent, ppo, sac, dagger or apg, of those that ship; a folder of runs seed_0, seed_1, ..., as
+            of an agent, or agent, ppo, sac, dagger or apg, of those that ship; a folder of runs seed_0, seed_1, ..., as
             `soft-tendon sweep` leaves them; or `module:name`.
         seeds: a folder of runs that takes the place of `policy` if it exists.
         optional: leave the policy out, with a note, if its files are missing or no regime suffices for it; otherwise that is an error.
@@ -177,8 +176,8 @@ def interface_options(policy: PolicyName, regime: str) -> dict[str, Any]:
 def misfit(policy: PolicyName, options: Mapping[str, Any], regime: str) -> str:
     """Reason why a policy that observes what these options say cannot play in a regime; "": it can. Raises ValueError."""
     parsed, allowed = Options.parse(dict(options), "options"), REGIMES[regime]
-    if isinstance(policy, Agent) and policy.arm.get(CLOCK, parsed.control_period) != parsed.control_period:
-        return f"it was trained with {CLOCK} = {policy.arm[CLOCK]}"
+    if isinstance(policy, Agent) and (period := policy.arm["control_period"]) != parsed.control_period:
+        return f"it was trained with control_period = {period}"
     groups = groups_of(parsed, TASKS[policy.task], resolved_scene(parsed))
     if beyond := [name for name in groups if name not in allowed.groups]:
         return f"it observes {', '.join(beyond)}"

@@ -17,7 +17,7 @@ from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.settings import EpisodeSettings, TableSettings, Workers
 from soft_tendon_env.evaluation.summaries import summarise
 from soft_tendon_env.evaluation.tables import summary_table
-from soft_tendon_env.policies.agent_files import AGENT, AgentName, shipped_for
+from soft_tendon_env.policies.agent_files import AGENT, shipped_for
 from soft_tendon_env.policies.names import Agent, PolicyName
 from soft_tendon_env.recording import Rollout
 from soft_tendon_env.tools.types import Positive
@@ -36,19 +36,19 @@ class Demonstration(Workers, TableSettings):
     """Episodes of the demo, and the agent in it.
 
     Attributes:
-        agent: the folder or the .zip file of an agent; or agent, ppo, sac, dagger or apg, of those that ship.
+        agent: the folder of an agent; or agent, ppo, sac, dagger or apg, of those that ship.
         episodes: number of random targets.
         seconds: length of an episode [s].
     """
 
-    agent: AgentName = AGENT
+    agent: str = AGENT
     episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1, le=len(EVALUATION_SEEDS))
     seconds: Positive = 10.0
 
     @property
     def policies(self) -> dict[str, str]:
         """Policies that are shown, and their names there, which say what they are. Raises ValueError, OSError."""
-        names = {Agent(name, TASK).files.path: name for name in (*(["ppo"] if "ppo" in shipped_for(TASK) else []), self.agent)}
+        names = {Agent(name, TASK).folder: name for name in (*(["ppo"] if "ppo" in shipped_for(TASK) else []), self.agent)}
         trained = {name: Agent(name, TASK).training.partition(",")[0] for name in names.values()}
         return SHOWN | {name: f"agent ({own})" if name == self.agent else own for name, own in trained.items()}
 

@@ -25,8 +25,6 @@ MOST = 0.1
 
 
 class IntegralMemory(NamedTuple):
-    """State of an IntegralPolicy from one call of `predict` to the next."""
-
     policy: Any
     integral: Array  # (rows, m) in units of the ways
 

@@ -40,14 +40,14 @@ OPTIONS = [
     ("evaluate tracking --errors stiffness+20%,stiffness-20%", "in which stiffness is said twice"),
     ("evaluate tracking --episodes 3 --seeds 1 2", "--episodes is 3: it should be 2, as there are seeds"),
     ("evaluate tracking --scene no_scene", "'no_scene': is neither the path of a .toml file nor a scene that ships"),
-    ("evaluate nothing.zip", "there is no file nothing.zip"),
+    ("evaluate nothing/there", "policy is 'nothing/there': it should be the folder of an agent"),
     ("compare --policies trackin", "did you mean 'tracking'?"),
     ("compare --config key.toml", "key.toml: episods is an unknown key (given 3): did you mean 'episodes'?"),
     ("compare --config own.toml --task TipPose --cluster 127.0.0.1:1", "Ray"),  # is not there, or does not answer
     ("compare --config own.toml --write-docs docs.md", "docs.md should have the lines <!-- compare Reach --> and "),
     ("run feedforward --seconds 0.01", "seconds is 0.01: it should be at least one control period, 0.02 s, and skip"),
     ("run feedforward --robot-options port", "'port' should be KEY=VALUE"),
-    ("demo --agent tracking", "--agent is 'tracking': it should be the folder or the .zip file of an agent"),
+    ("demo --agent tracking", "agent is 'tracking': it should be the folder of an agent"),
     ("train ppo_tip_pos", "neither the path of a .toml file nor a training that ships: did you mean 'ppo_tip_pose'?"),
     ("train ppo_tip_pose --runners 3", "--runners is for --engine rllib"),
     ("train ppo_tip_pose --engine sb4", "invalid choice 'sb4' for argument '--engine'. Expected one of ('sb3', 'rllib')"),
@@ -78,7 +78,7 @@ FILES = [
     ("evaluate {best} --set action=increment", "trained with action = 'tension', this environment has"),
     ("evaluate {best} --scene paper", "was trained on an arm with other segments (scene 'three_tendon')"),
     ("train {config} --set hyperparameters.n_steps=0", "hyperparameters.n_steps is 0: it should be a number at least 1"),
-    ("evaluate {folder}", "a folder: it should be the folder of an agent, such as {best}, a .zip file"),
+    ("evaluate {folder}", "it should be the folder of an agent (of a training: {best})"),
     ("compare --config {model}", "model.zip: is not valid TOML"),
 ]
 

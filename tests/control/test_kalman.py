@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.control import ExtendedKalmanFilter, Measurement, Sensing, SensorNoise
-from soft_tendon_env.control.kalman_measurement import EXACT
+from soft_tendon_env.control.kalman import EXACT
 from soft_tendon_env.control.rigid_motions import moved_pose
 from soft_tendon_env.model.simulation import Simulation
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of, make_policy
+from soft_tendon_env.policies.controller_policy import ControllerPolicy, make_policy
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 
@@ -15,7 +15,7 @@ def test_observations_that_say_too_little_are_refused(short, probed):
     with pytest.raises(ConfigurationError, match="observation.*lacks tip_rotation, rates, target_error, preview, which Probe needs"):
         probed(blind)
     with pytest.raises(ConfigurationError, match="lacks strain"):
-        ControllerPolicy(probe, interface_of(short("single", IDS["TipPose"])), SimpleNamespace(needs=("strain", "strain_rate"), history=0))
+        ControllerPolicy(probe, short("single", IDS["TipPose"]), estimator=SimpleNamespace(needs=("strain", "strain_rate"), history=0))
 
 
 @pytest.mark.parametrize("preview", [(0.04, 0.02), (0.02, 0.02), (0.02, 0.021)])

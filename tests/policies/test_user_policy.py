@@ -12,8 +12,7 @@ from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.evaluation import evaluate, evaluate_rows
 from soft_tendon_env.evaluation.experiment import believed_scene
 from soft_tendon_env.policies import load_policy, policy_options
-from soft_tendon_env.policies.names import PolicyName
-from soft_tendon_env.policies.user_policy import policy_environment
+from soft_tendon_env.policies.names import PolicyName, policy_environment
 
 ARM = {"scene": "three_tendon", "fidelity": "fast", "randomize": {"stiffness": 1.2, "noise": {"position": 1e-3}}}
 SEEDS = [3, 5]
@@ -89,9 +88,9 @@ def test_the_environment_of_its_own_is_that_of_the_arm_that_everybody_knows(rows
     [
         ({"act": lambda self, action: (action + np.nan, None)}, "action"),
         ({"act": lambda self, action: (action[..., :2], None)}, "action"),
-        ({"options": {"control_period": 0.005}}, "whose options have control_period: a policy may set observation, preview, h"),
+        ({"options": {"control_period": 0.005}}, "whose options have control_period: it may set observation, preview, h"),
         ({"options": {"history": -1}}, "options of policies_of_mine:mine: history is -1: it should be greater than or equal to 0"),
-        ({"mine": lambda env: None}, "mine should make an object with predict, or a function of observations"),
+        ({"mine": lambda env: None}, "mine should make an object with predict, not None"),
     ],
 )
 def test_what_no_policy_should_do_is_refused(monkeypatch, members, said):
