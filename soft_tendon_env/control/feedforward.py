@@ -16,16 +16,12 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.statics import ChordSolver, static_equilibrium
 from soft_tendon_env.tools.types import Array
 
-EFFORT = 1e-3
-"""Weight of the tensions against that of errors, where both are measured by what they do to the task."""
-STRIDE = 0.2
-"""Longest way to the target that a step looks at, as a share of the rod's length."""
-FIRST_STEPS, STEPS = 20, 1
-"""Gauss-Newton steps at the beginning of an episode, and in every period."""
+EFFORT = 1e-3  # weight of the tensions against that of errors, where both are measured by what they do to the task
+STRIDE = 0.2  # longest way to the target that a step looks at, as a share of the rod's length
+FIRST_STEPS, STEPS = 20, 1  # Gauss-Newton steps at the beginning of an episode, and in every period
 SHORTEST = 2.0**-6  # of a step, tried before the tensions stay as they are
 STILL = 1e-5  # of the range of tensions, steps that are not worth taking
-MARGIN = 0.0005
-"""Dead band, as a share of the rod's length, within which targets out of reach are left as they are."""
+MARGIN = 0.0005  # dead band, as a share of the rod's length, within which targets out of reach are left as they are
 
 
 class StaticMemory(NamedTuple):

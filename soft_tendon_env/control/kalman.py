@@ -23,30 +23,22 @@ from soft_tendon_env.model.tension_limits import erring_actuators
 from soft_tendon_env.tools.checks import checked_array, checked_number
 from soft_tendon_env.tools.types import Array
 
-IMPLAUSIBLE = 1e3
-"""Scaled coordinates or rates beyond which a filter begins anew."""
+IMPLAUSIBLE = 1e3  # scaled coordinates or rates, beyond which a filter begins anew
 SURPRISE = 4.0
 """Mean square of the innovations, in their standard deviations, above which the forces that the model lacks are taken for greater."""
-GAINS = 0.5, 2.0
-"""Least and greatest gain of a tendon."""
-CHANGING = 0.05
-"""Relative model noise added to measured velocities, for the neglected dependence of the Jacobian on q."""
-MEASURED = "tip_twist", "tendon_length", "strain", "strain_rate", "q", "q_dot"
+GAINS = 0.5, 2.0  # least and greatest of a tendon
+CHANGING = 0.05  # relative model noise added to measured velocities, for the neglected dependence of the Jacobian on q
+MEASURED = "tip_twist", "tendon_length", "strain", "strain_rate"
 """Fields of Measurement that the filter makes use of where they are measured, besides the tip's pose."""
-VELOCITIES = "tip_twist", "strain_rate", "q_dot"
-"""Velocities among MEASURED."""
+VELOCITIES = "tip_twist", "strain_rate"  # among MEASURED
 EXACT = SensorNoise()
 
 
 class Sensing(NamedTuple):
-    """Measured quantities of an arm, besides the tip's pose.
+    """Measured quantities of an arm, besides the tip's pose."""
 
-    uses: names of MEASURED. sensors: arc lengths (s,) [m] of the strain sensors, if strains or their rates are used. noise: of the
-    sensors.
-    """
-
-    uses: tuple[str, ...]
-    sensors: ArrayLike = ()
+    uses: tuple[str, ...]  # names of MEASURED
+    sensors: ArrayLike = ()  # (s,) [m] arc lengths of the strain sensors, if strains or their rates are used
     noise: SensorNoise = EXACT
 
 
@@ -104,8 +96,6 @@ def noise_variances(model: Model, noise: SensorNoise, sensors: int) -> dict[str,
         "tendon_length": (noise.length, 1e-4 * length),
         "strain": (noise.of_strains(sensors), np.tile(2e-2 * inside, sensors)),
         "strain_rate": (noise.of_strain_rates(sensors), np.tile(0.2 * inside, sensors)),
-        "q": (0.0, 1e-4),
-        "q_dot": (0.0, 1e-3),
     }
     return {name: np.asarray(of_sensors) ** 2 + np.asarray(of_model) ** 2 for name, (of_sensors, of_model) in found.items()}
 
@@ -144,7 +134,7 @@ class MeasurementModel:
 
     def _innovations(self, q: Array, q_dot: Array, tip: Array, measured: Measurement) -> dict[str, tuple[Array, Array]]:
         """Each quantity as measured less as expected, and its Jacobian (k, n) by coordinates, of VELOCITIES by their rates."""
-        terms, scale = self.model.terms(q, q_dot, time=measured.time), self._scale
+        terms = self.model.terms(q, q_dot, time=measured.time)
         strain, slope = self.model.strain_at(q, self.sensors) if self.sensors.size else (np.zeros((0, 6)), np.zeros((0, 6, q.size)))
         slope, J = slope.reshape(-1, q.size), terms.tip_jacobian
         found: dict[str, Callable[[Any], tuple[Array, Array]]] = {
@@ -153,26 +143,12 @@ class MeasurementModel:
             "tendon_length": lambda lengths: (lengths - self.model.tendon_lengths(q) + self._rest_lengths, -terms.actuation.T),
             "strain": lambda own: ((own - strain + self._stress_free).ravel(), slope),
             "strain_rate": lambda rate: (rate.ravel() - slope @ q_dot, slope),
-            "q": lambda own: ((own - q) / scale, np.diag(1.0 / scale)),
-            "q_dot": lambda rate: ((rate - q_dot) / scale, np.diag(1.0 / scale)),
         }
         return {name: found[name](getattr(measured, name)) for name in ("tip_pose", *self.uses)}
 
 
 class ExtendedKalmanFilter:
-    """Extended Kalman filter of an arm of n coordinates, n_a tendons.
-
-    Args:
-        model: what is believed of the arm.
-        period: [s] from one estimate to the next.
-        start: tensions (n_a,) [N] that hold the arm when an episode begins.
-        sensing: what is measured, where, and with what noise.
-        uncertainty: of the model.
-        latency: of commands [s]; if it is to be estimated, what is believed of it at first.
-        greatest_latency: [s]; None: the latency is known.
-
-    Raises TypeError, ValueError.
-    """
+    """Extended Kalman filter of an arm. Raises TypeError, ValueError."""
 
     def __init__(
         self,
@@ -184,6 +160,8 @@ class ExtendedKalmanFilter:
         latency: float = 0.0,
         greatest_latency: float | None = None,
     ) -> None:
+        """period: [s] from one estimate to the next; start: tensions (n_a,) [N] that hold the arm when an episode begins; latency: of
+        commands [s], or what is believed of it at first; greatest_latency: [s] of one that is estimated, None: it is known."""
         self.model, self.period, self.latency, self.greatest_latency = model, period, latency, greatest_latency
         self.start = checked_array("start", start, (model.tendon_count,))
         for name, value in {"latency": latency, **uncertainty._asdict()}.items():

@@ -19,10 +19,7 @@ from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.tools.checks import checked_array
 from soft_tendon_env.tools.types import Array
 
-DEPENDENT = 1e-9
-"""Relative singular value up to which directions count as dependent, as the pulls of redundant tendons are."""
-
-
+DEPENDENT = 1e-9  # relative singular value up to which directions count as dependent, as the pulls of redundant tendons are
 TIP_GAINS = Gains(1e4, 1e3)  # of (39), [1/s^2] and [1/s]
 SHAPE_GAINS = Gains(1e3, 1e2)  # of (37), [1] and [s]; of (38) those over B's units
 

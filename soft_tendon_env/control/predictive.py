@@ -72,7 +72,10 @@ class Predictive(ModelController):
         """First tensions of the improved plan. Where the model cannot follow its plan, the last ones are held and the plan begins anew."""
         size, N = self.least.size, self.horizon
         last = np.clip(now.tension, self.least, self.greatest)
-        plan = np.tile(last, (N, 1)) if memory is None else _later(memory.tension, self._hold)
+        plan = np.tile(last, (N, 1))
+        if memory is not None:  # a period later
+            share = 1.0 / self._hold
+            plan = (1.0 - share) * memory.tension + share * np.vstack([memory.tension[1:], memory.tension[-1:]])
         error = now.input_error or InputError(np.ones(size), np.zeros(size) if memory is None else self._observed(memory, now))
         try:
             self._simulation.reset(now.q, now.q_dot, time=now.time, effects=None if memory is None else memory.effects)
@@ -127,9 +130,3 @@ class Predictive(ModelController):
             left.append(error[k + 1] - self._decay ** (k + 1) * error[0])
         slope = np.concatenate(slopes)
         return slope.T @ slope, -slope.T @ np.concatenate(left)
-
-
-def _later(plan: Array, hold: int) -> Array:
-    """A plan (N, n_a) of intervals of `hold` periods, a period later."""
-    share = 1.0 / hold
-    return (1.0 - share) * plan + share * np.vstack([plan[1:], plan[-1:]])

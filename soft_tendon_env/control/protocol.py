@@ -92,8 +92,6 @@ class Measurement(NamedTuple):
     tendon_length: Array | None = None  # (n_a,) [m] less the length at rest without tension
     strain: Array | None = None  # (s, 6) less the stress-free strain
     strain_rate: Array | None = None  # (s, 6)
-    q: Array | None = None  # (n,) coordinates
-    q_dot: Array | None = None  # (n,) their rates
 
 
 class Estimate(NamedTuple):

@@ -15,8 +15,7 @@ from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 
-LOOSE = 1e-6
-"""Weight of the tensions themselves against that of the motion they make, which decides where tendons are redundant."""
+LOOSE = 1e-6  # weight of the tensions themselves against that of the motion they make, which decides where tendons are redundant
 
 
 class ShapeFeedforward(ModelController):

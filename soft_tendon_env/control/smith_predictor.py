@@ -8,8 +8,7 @@ from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.tension_limits import erring_actuators
 from soft_tendon_env.tools.types import Array
 
-SAME = 1e-9
-"""Share of a period by which a delay may differ from whole periods and still count as them."""
+SAME = 1e-9  # share of a period by which a delay may differ from whole periods and still count as them
 
 
 def whole_periods(delay: float, period: float) -> tuple[int, float]:

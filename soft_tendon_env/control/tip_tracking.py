@@ -16,10 +16,8 @@ from soft_tendon_env.control.protocol import FAILURES, ControllerInput, Controll
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 
-SINGULAR = 1e-3
-"""Least over greatest singular value of the map from tensions to the task, below which the task counts as singular."""
-FREE, STATIC = 1e-3, 0.1
-"""Weight of leaving the arm to itself, and of leaving it to the static tensions where they are known, against the task's."""
+SINGULAR = 1e-3  # least over greatest singular value of the map from tensions to the task, below which the task counts as singular
+FREE, STATIC = 1e-3, 0.1  # weights of leaving the arm to itself, or to the static tensions where they are known, against the task's
 
 
 class TipMemory(NamedTuple):
@@ -30,10 +28,7 @@ class TipMemory(NamedTuple):
 
 
 class TipTracking(ModelController):
-    """Tip tracking by implicit feedback linearisation and tension allocation.
-
-    objective: pose or position of the tip. settling_time, damping, integral_time: see `discrete_gains`. Raises ValueError for bad gains.
-    """
+    """Tip tracking by implicit feedback linearisation and tension allocation; for the gains, and what is raised, see `discrete_gains`."""
 
     def __init__(
         self,

@@ -8,18 +8,5 @@ from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.network import register_algorithm
 from soft_tendon_env.policies.protocol import Policy
 
-__all__ = [
-    "ESTIMATORS",
-    "ControllerPolicy",
-    "EstimatorEntry",
-    "Policy",
-    "PolicyName",
-    "TrainingWarning",
-    "load_agent",
-    "load_policy",
-    "make_policy",
-    "observation_options",
-    "policy_options",
-    "register_algorithm",
-    "save_agent",
-]
+__all__ = ["ESTIMATORS", "ControllerPolicy", "EstimatorEntry", "Policy", "PolicyName", "TrainingWarning", "load_agent", "load_policy"]
+__all__ += ["make_policy", "observation_options", "policy_options", "register_algorithm", "save_agent"]

@@ -16,11 +16,9 @@ from soft_tendon_env.policies.network import WEIGHTS, Architecture, new_network,
 from soft_tendon_env.policies.normalization import STATISTICS, Normalization, read_normalization, save_normalization
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.configuration import shown
 from soft_tendon_env.tools.files import check_digests
 
-PHYSICS = ("segments", "tendons", "effects")
-"""Tables of a scene that define the physical arm, as opposed to how it is computed."""
+PHYSICS = ("segments", "tendons", "effects")  # tables of a scene that define the physical arm, as opposed to how it is computed
 
 
 class TrainingWarning(UserWarning):
@@ -75,12 +73,10 @@ def save_agent(folder: Path, network: Any, normalization: Normalization | None) 
 
 
 def strain_of(scene: Scene) -> dict[str, Any]:
-    """Strain parametrisation of a scene as plain tables."""
     return scene.strain.model_dump(mode="json", exclude_none=True)
 
 
 def layout_of(episodes: Episodes) -> dict[str, int]:
-    """Groups of an observation in their order, with their sizes."""
     return {group: where.stop - where.start for group, where in episodes.layout.slices.items()}
 
 
@@ -109,14 +105,12 @@ def _check_agent(name: str, config: AgentConfig, episodes: Episodes, other_effec
             text = f"{name} was trained on an arm with other {key} (scene {before.name!r}) than this environment's ({scene.name!r})"
             raise ValueError(f"{text}: an arm that differs from it is what `randomize` is for")
     groups = [", ".join(f"{group} ({size})" for group, size in of.items()) for of in (config.layout or layout, layout)]
-    values: dict[str, tuple[Any, Any]] = {"the observation": (groups[0], groups[1])}  # also in their order
-    values |= {f"{key} =": (getattr(trained, key), getattr(now, key)) for key in INTERFACE[1:]}
+    values = {"observation": (groups[0], groups[1]), **{key: (getattr(trained, key), getattr(now, key)) for key in INTERFACE[1:]}}
     if {"coordinates", "rates", "target_coordinates"} & layout.keys():
-        values["strain ="] = (config.strain or strain_of(before), strain_of(scene))
+        values["strain"] = (config.strain or strain_of(before), strain_of(scene))
     for key, (one, other) in values.items():
         if one != other:
-            shows = str if key == "the observation" else shown
-            raise ValueError(f"{name} was trained with {key} {shows(one)}, this environment has {shows(other)}")
+            raise ValueError(f"{name} was trained with {key} = {one!r}, this environment has {other!r}")
     same = before.replace({"name": "arm"}) == scene.replace({"name": "arm"})
     soft = {"task": (config.task or episodes.task.name, episodes.task.name)}
     soft |= {key: (getattr(trained, key), getattr(now, key)) for key in ARM if key == "control_period" or not same}

@@ -1,8 +1,5 @@
-"""Files of a trained agent, in a folder of its own.
-
-`weights.pt`: the tensors of the policy network; `statistics.npz`: the running mean and variance by which it sees observations, absent
-where it sees them as they are; `config.json`: the configuration that it was trained with, which says all else, see `AgentConfig`.
-"""
+"""Files of a trained agent in its folder: `weights.pt`, the tensors of its network; `statistics.npz`, mean and variance by which it sees
+observations, absent where it sees them as they are; `config.json`, which says all else, see `AgentConfig`."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -36,31 +33,18 @@ EnvironmentOptions = Annotated[dict[str, Any], AfterValidator(lambda options: Op
 
 
 class AgentConfig(Configuration):
-    """Configuration of a trained agent, config.json, as far as it acts; keys of OF_TRAINING are left out.
+    """Configuration of a trained agent, config.json, as far as it acts; keys of OF_TRAINING are left out. None: not known."""
 
-    Attributes:
-        task: name of the task that it was trained on; None: not known.
-        algorithm: name of the algorithm that trained it.
-        hyperparameters: arguments of the algorithm; `policy_kwargs` and `use_sde` say what the network is like.
-        options: options of the environment that it was trained in.
-        layout: groups of its observation in their order, with their sizes; None: not known.
-        strain: strain parametrisation that its arm had, which says what coordinates are; None: that of its options today.
-        integral_time: [s] of integral action around it, see integral.py; None: none.
-        normalise: {"observations": true} where it sees observations through its statistics.
-        steps_done: of its training; None: not known.
-        files: SHA-256 of the files that belong together, by name.
-    """
-
-    task: str | None = None
-    algorithm: str
-    hyperparameters: dict[str, Any] = Field(default={})
-    options: EnvironmentOptions = Field(default={})
-    layout: dict[str, int] | None = None
-    strain: dict[str, Any] | None = None
-    integral_time: Positive | None = None
-    normalise: dict[str, Any] = Field(default={})
-    steps_done: int | None = Field(default=None, ge=0)
-    files: dict[str, str] = Field(default={})
+    algorithm: str  # name of the algorithm that trained it
+    hyperparameters: dict[str, Any] = Field(default={})  # of the algorithm; `policy_kwargs` and `use_sde` say what the network is like
+    task: str | None = None  # name of the task that it was trained on
+    options: EnvironmentOptions = Field(default={})  # of the environment that it was trained in
+    layout: dict[str, int] | None = None  # groups of its observation in their order, with their sizes
+    strain: dict[str, Any] | None = None  # parametrisation that its arm had, which says what coordinates are; by default that of options
+    integral_time: Positive | None = None  # [s] of integral action around it, see integral.py; None: none
+    normalise: dict[str, Any] = Field(default={})  # {"observations": true} where it sees observations through its statistics
+    steps_done: int | None = Field(default=None, ge=0)  # of its training
+    files: dict[str, str] = Field(default={})  # SHA-256 of the files that belong together, by name
 
     @property
     def policy_arguments(self) -> dict[str, Any]:

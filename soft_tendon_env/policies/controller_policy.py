@@ -3,6 +3,7 @@
 What the controller knows comes out of the observation and of its own state; what it decides becomes an action.
 """
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -18,7 +19,7 @@ from soft_tendon_env.envs.tasks import TASKS, TIP
 from soft_tendon_env.mechanics.motion.pose_errors import move_poses
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
-from soft_tendon_env.policies.estimators import PARAMETERS, EstimatorEntry, Setting, estimator_entry
+from soft_tendon_env.policies.estimators import ESTIMATORS, PARAMETERS, EstimatorEntry, Setting
 from soft_tendon_env.policies.protocol import LostState
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.tools.checks import checked_number
@@ -41,25 +42,19 @@ class RowMemory(NamedTuple):
 
 
 def observation_options(
-    controller: str | Entry,
-    task: str,
-    period: float = 0.02,
-    latency: float = 0.0,
-    estimator: str | None = None,
-    regime: str | None = None,
+    controller: str | Entry, task: str, period: float = 0.02, latency: float = 0.0, estimator: str | None = None, regime: str | None = None
 ) -> dict[str, Any]:
     """Options of an environment of this task ("TipPose", ...) under which a controller sees what it needs. Raises ValueError.
 
     estimator: of ESTIMATORS, which finds the coordinates; None: they are observed. regime: of REGIMES, what a Kalman filter is told, by
     default "sensors". latency: delay of commands [s] that the controller is to make up for, see `make_policy`.
     """
-    ahead = _periods_ahead(_entry(controller, task), latency, period, estimator and estimator_entry(estimator))
+    finds = None if estimator is None else _among("estimator", estimator, ESTIMATORS)
+    ahead = _periods_ahead(_entry(controller, task), latency, period, finds)
     options: dict[str, Any] = {"preview": [period * k for k in range(1, ahead + 1)]}
     if estimator is None and regime is None:
         return options
-    if (regime := regime or "sensors") not in REGIMES:
-        raise ValueError(f"regime is {regime!r}: {not_among(regime, REGIMES)}")
-    told = REGIMES[regime]
+    told = _among("regime", regime or "sensors", REGIMES)
     return {**options, "observation": (*told.measured, *TASKS[task].measured_reference), "sensors": told.sensors or ()}
 
 
@@ -79,7 +74,7 @@ def make_policy(
     (Smith predictor), by default that of the actuators in its model; with estimator="adaptive" what it believes at first.
     Raises TypeError, ValueError; ConfigurationError where the environment does not show what the controller needs.
     """
-    finds = None if estimator is None else estimator_entry(estimator)
+    finds = None if estimator is None else _among("estimator", estimator, ESTIMATORS)
     episodes, model = episodes_of(env), episodes_of(env).model if model is None else model
     if (differs := model.coordinate_count != episodes.model.coordinate_count) and (finds is None or episodes.task.shapes):
         there = f"{model.coordinate_count} coordinates where the environment's has {episodes.model.coordinate_count}"
@@ -90,7 +85,10 @@ def make_policy(
     _check_preview(entry, episodes, _periods_ahead(entry, late, episodes.period, finds))
     greatest = late if finds is None else finds.greatest_latency or late
     predictor = SmithPredictor(believed, greatest, episodes.period) if greatest else None
-    found = None if finds is None else finds.make(believed, _setting(episodes, believed, late, uncertainty, finds))
+    seen = tuple(field for group, field in PARAMETERS.items() if group in episodes.layout.slices)
+    noise, starts = episodes.options.randomize.noise, episodes.start_tension.copy()
+    setting = Setting(episodes.period, starts, episodes.sensors.copy(), noise, seen, late, uncertainty)
+    found = None if finds is None else finds.make(believed, setting)
     decides = entry.make(believed, episodes.limits.copy(), episodes.period)
     return ControllerPolicy(decides, env, model if differs else None, found, predictor)
 
@@ -104,29 +102,15 @@ def _under_tensions(model: Model) -> tuple[Model, float]:
     return build_model(model.scene.replace(changes)) if changes else model, delay
 
 
-def _setting(episodes: Episodes, model: Model, latency: float, uncertainty: Uncertainty, finds: EstimatorEntry) -> Setting:
-    """Observation of an environment, for an estimator that believes in a model and a latency [s] of commands.
-
-    Coordinates of another parametrisation mean nothing to it, and exact ones make an estimate of the latency unstable.
-    """
-    foreign = model.scene.strain != episodes.model.scene.strain or finds.greatest_latency
-    groups = episodes.layout.slices.keys() - ({"coordinates", "rates"} if foreign else set())
-    observed, noise = tuple(field for group, field in PARAMETERS.items() if group in groups), episodes.options.randomize.noise
-    return Setting(episodes.period, episodes.start_tension.copy(), episodes.sensors.copy(), noise, observed, latency, uncertainty)
-
-
-def _periods_ahead(entry: Entry, latency: float, period: float, estimator: Any) -> int:
+def _periods_ahead(entry: Entry, latency: float, period: float, finds: EstimatorEntry | None) -> int:
     """Control periods ahead of now for which a controller should be told the target, so that it makes up for a latency [s] too."""
-    late, rest = whole_periods((estimator and estimator.greatest_latency) or latency, period)
+    late, rest = whole_periods((finds and finds.greatest_latency) or latency, period)
     return entry.looks_ahead + late + (rest > 0.0)
 
 
 def _check_preview(entry: Entry, episodes: Episodes, periods: int) -> None:
-    """Raises ConfigurationError where a target that moves is not told for as long as a controller looks ahead, or for every period of it.
-
-    Between the times of a preview the target goes straight. What looks two periods ahead takes the target's velocity of that, and feedback
-    makes up for the rest; what plans for longer follows every kink, tens of times as far off.
-    """
+    """Raises ConfigurationError where a target that moves is not told for as long as a controller looks ahead; one that plans for more than
+    two periods needs every period of it, since it follows the kinks of a target that goes straight between the times of a preview."""
     told, needed = episodes.ahead, episodes.period * np.arange(1, periods + 1)
     missed = np.abs(told[:, None] - needed).min(axis=0) > SAME * needed
     if entry.looks_ahead <= LOOKS_AHEAD:
@@ -140,13 +124,15 @@ def _fail(key: str, text: str) -> NoReturn:
     raise ConfigurationError([Problem((key,), text)], "environment")
 
 
+def _among(kind: str, name: str, valid: Mapping[str, Any]) -> Any:
+    if name not in valid:
+        raise ValueError(f"{kind} is {name!r}: {not_among(name, valid)}")
+    return valid[name]
+
+
 def _entry(controller: str | Entry, task: str) -> Entry:
-    if task not in TASKS:
-        raise ValueError(f"task is {task!r}: {not_among(task, TASKS)}")
-    entries = CONTROLLERS.get(task, {})
-    if isinstance(controller, str) and controller not in entries:
-        raise ValueError(f"controller is {controller!r}: {not_among(controller, entries)}")
-    return entries[controller] if isinstance(controller, str) else controller
+    entries = CONTROLLERS.get(_among("task", task, TASKS).name, {})
+    return controller if isinstance(controller, Entry) else _among("controller", controller, entries)
 
 
 class ControllerPolicy:
@@ -173,8 +159,10 @@ class ControllerPolicy:
         effects, name = self._model.scene.effects, type(controller).__name__
         pulled = None if effects.command_tension else build_model(self._model.scene.replace({"effects": effects.on_arm()}))
         self._lost, self._simulation = LostState(name), None if pulled is None else Simulation(pulled)  # of the arm under tensions
-        groups, state = of.layout.slices, ("q", "q_dot") if estimator is None else estimator.needs
-        needed = [*TIP, *(group for group, field in PARAMETERS.items() if field in state)]
+        groups, needed = of.layout.slices, [*TIP]
+        needed += (
+            ["coordinates", "rates"] if estimator is None else [group for group, field in PARAMETERS.items() if field in estimator.needs]
+        )
         needed += [] if "wanted_coordinates" in groups else of.task.reference
         if missing := [group for group in needed if group not in groups]:
             _fail("observation", f"lacks {', '.join(missing)}, which {name} needs: make it with observation_options()")
@@ -186,9 +174,8 @@ class ControllerPolicy:
     ) -> tuple[NDArray[np.float32], tuple[RowMemory, ...]]:
         """Actions (n_a,) for one observation, (rows, n_a) for many, and the state to give back with the next ones.
 
-        state: what the last call returned, None at the beginning of episodes; without it every call is the first of an episode, and the
-        arm tracks far worse: protocol.STATELESS_CALLS of them in a row end in a UserWarning. episode_start (rows,) bool: rows that forget.
-        `deterministic` is not used: controllers always are.
+        state: what the last call returned, None at the beginning of episodes; a UserWarning says where it is never given back.
+        episode_start (rows,) bool: rows that forget. `deterministic` is not used: controllers always are.
         """
         self._lost.notice(state is None and not np.any(episode_start))
         flat = observation["observation"] if isinstance(observation, dict) else observation
@@ -239,8 +226,7 @@ class ControllerPolicy:
     def _commanded(self, tension: Array, q: Array, q_dot: Array, before: Array) -> tuple[NDArray[np.float32], Array, Array]:
         """The action that asks for tensions (n_a,) [N] at q, q_dot after a command (n_a,), the tensions that it asks for, and its command.
 
-        Displacements are those that have these tensions where the arm would be under them at the end of the period: held from where it is,
-        they would hold it there.
+        Displacements are those that have these tensions where the arm would be under them at the end of the period.
         """
         wanted, scale = tension, self._actions
         if self._simulation is not None:

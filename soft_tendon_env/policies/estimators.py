@@ -11,7 +11,6 @@ from soft_tendon_env.control.kalman import ExtendedKalmanFilter, Sensing, Uncert
 from soft_tendon_env.control.protocol import Estimator
 from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.tools.configuration import not_among
 from soft_tendon_env.tools.types import Array
 
 GREATEST_LATENCY = 0.08
@@ -21,8 +20,6 @@ PARAMETERS: Mapping[str, str] = {
     "tendon_lengths": "tendon_length",
     "strain": "strain",
     "strain_rate": "strain_rate",
-    "coordinates": "q",
-    "rates": "q_dot",
 }
 """Fields of a Measurement by the observation groups that tell them, besides the tip's pose."""
 
@@ -67,10 +64,3 @@ ESTIMATORS: dict[str, EstimatorEntry] = {
     "adaptive": EstimatorEntry("adaptive:", _adaptive_filter, GREATEST_LATENCY, filters=True),
 }
 """State estimators by name: extended Kalman filter, and the same with unknown latency."""
-
-
-def estimator_entry(name: str) -> EstimatorEntry:
-    """Entry of an estimator. Raises ValueError."""
-    if name not in ESTIMATORS:
-        raise ValueError(f"estimator is {name!r}: {not_among(name, ESTIMATORS)}")
-    return ESTIMATORS[name]

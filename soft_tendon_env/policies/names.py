@@ -89,7 +89,7 @@ class PolicyName:
 
 
 class TunedController(Configuration):
-    """Parameters of a controller, as `soft-tendon tune` writes them. policy: its name; parameters: by name, see `Controller.defaults`."""
+    """A controller's name and parameters (see `Controller.defaults`), as `soft-tendon tune` writes them."""
 
     policy: str
     parameters: dict[str, int | float]
@@ -97,11 +97,8 @@ class TunedController(Configuration):
 
 @dataclass(frozen=True)
 class Controller(PolicyName):
-    """A controller of the catalogue: NAME, where its coordinates are observed, or behind the estimator that finds them.
-
-    filtered:NAME by an extended Kalman filter from whatever is observed; adaptive:NAME by one that estimates the latency of commands too.
-    NAME@FIDELITY believes in a model of another fidelity than the arm's. A .toml file of `soft-tendon tune` is one with other `parameters`.
-    """
+    """A controller of the catalogue: NAME, where its coordinates are observed; filtered:NAME, where an extended Kalman filter finds them;
+    adaptive:NAME, where it finds the latency of commands too. NAME@FIDELITY believes in a model of another fidelity than the arm's."""
 
     name: str
     estimator: str | None
@@ -116,8 +113,7 @@ class Controller(PolicyName):
 
     @property
     def defaults(self) -> dict[str, float]:
-        """Values of all parameters where nothing is tuned: of the catalogue's entry, and with "estimator." before them of the Kalman filter
-        (see control.kalman.Uncertainty)."""
+        """Parameters where nothing is tuned: of the catalogue's entry, and behind "estimator." of the Kalman filter's Uncertainty."""
         filtered = USUAL._asdict() if self.estimator is not None and ESTIMATORS[self.estimator].filters else {}
         return {**CONTROLLERS[self.task][self.name].parameters, **{f"{ESTIMATOR}{name}": value for name, value in filtered.items()}}
 
@@ -181,10 +177,9 @@ class Agent(PolicyName):
 
 @dataclass(frozen=True)
 class UserPolicy(PolicyName):
-    """A user's policy, module:name: a callable that gets an environment and returns an object with Stable-Baselines3's `predict`.
+    """A user's policy, module:name: a callable that gets a `policy_environment` and returns an object with Stable-Baselines3's `predict`.
 
-    The environment shares nothing with the one that it acts in, see `policy_environment`. Its attribute `options`, if it has one, says what
-    it observes and how its actions are read: options of the environment, those of INTERFACE.
+    Its attribute `options`, if it has one, says what it observes and how its actions are read: those of INTERFACE.
     """
 
     module: str

@@ -25,10 +25,7 @@ Algorithm = TypeVar("Algorithm", bound=type)
 
 
 def register_algorithm(algorithm: Algorithm) -> Algorithm:
-    """Class decorator: train with an algorithm of your own, a subclass of Stable-Baselines3's `BaseAlgorithm`, by its class's name.
-
-    Its hyperparameters are those arguments that `learning.hyperparameters` knows; agents of it load where it is registered.
-    """
+    """Class decorator: train with an algorithm of your own, a subclass of Stable-Baselines3's `BaseAlgorithm`, by its class's name."""
     _REGISTERED[algorithm.__name__] = algorithm
     return algorithm
 
@@ -44,10 +41,8 @@ def algorithm_names() -> tuple[str, ...]:
 
 
 class Architecture(NamedTuple):
-    """algorithm: its name. policy: arguments of its policy, with plain values; `activation_fn` is a name in torch.nn."""
-
     algorithm: str
-    policy: Mapping[str, Any]
+    policy: Mapping[str, Any]  # arguments of its policy, with plain values; `activation_fn` is a name in torch.nn
 
 
 def algorithm_class(algorithm: str) -> Any:

@@ -19,26 +19,19 @@ BOX = ""  # the key of the only part of an observation that is no dictionary
 
 
 class Moments(NamedTuple):
-    """Mean and variance (n,) of a part of the observations."""
-
-    mean: Array
-    variance: Array
+    mean: Array  # (n,) of a part of the observations
+    variance: Array  # (n,)
 
 
 class Normalization:
-    """Observations as an agent sees them: divided by the standard deviations of its training.
-
-    Args:
-        moments: by key of a Dict observation, or under "" for a Box.
-        clip: greatest magnitude of the result.
-        epsilon: added to variances.
-    """
+    """Observations as an agent sees them. moments: by key of a Dict observation, or under "" for a Box; clip: greatest magnitude of the
+    result; epsilon: added to variances."""
 
     def __init__(self, moments: Mapping[str, Moments], clip: float, epsilon: float) -> None:
         self.moments, self.clip, self.epsilon = dict(moments), clip, epsilon
 
     def __call__(self, observation: Any) -> Any:
-        """The normalised observation, of one row or many; groups without statistics pass as they are."""
+        """The normalised observation, of one row or many; parts without statistics pass as they are."""
         if not isinstance(observation, Mapping):
             return self._normalised(observation, self.moments[BOX])
         return {key: self._normalised(part, self.moments[key]) if key in self.moments else part for key, part in observation.items()}

@@ -28,7 +28,7 @@ def make(task="TipPose", **options):
 
 
 def write_agent(folder, network, normalization=None, **config):
-    folder.mkdir()
+    folder.mkdir(exist_ok=True)
     agent.save_agent(folder, network, normalization)
     (folder / "config.json").write_text(json.dumps({"algorithm": "PPO", "options": SMALL, **config}))
     return folder
@@ -151,8 +151,8 @@ def ppo(tmp_path):
 @pytest.mark.cases(
     "task, options, said",
     [
-        ("TipPose", {"observation": ["rates", "coordinates"]}, "was trained with the observation"),
-        ("TipPose", {"preview": []}, "was trained with the observation"),
+        ("TipPose", {"observation": ["rates", "coordinates"]}, "was trained with observation = "),
+        ("TipPose", {"preview": []}, "was trained with observation = "),
         ("TipPose", {"preview": [0.02, 0.04]}, "was trained with preview = "),
         ("TipPose", {"action": "tension"}, "was trained with action = "),
         ("TipPose", {"scene": "paper"}, "was trained on an arm with other segments"),

@@ -5,7 +5,7 @@ import pytest
 from soft_tendon_env.policies.load import short_name
 from soft_tendon_env.policies.names import Agent, Controller, PolicyName, UserPolicy
 
-BEHIND = "what stands behind 'filtered:' should be a controller of TipPose, .*valid: .*predictive"
+BEHIND = "what stands behind 'filtered:' should be a controller of TipPose; .*valid: .*predictive"
 
 
 @pytest.fixture
