@@ -1,11 +1,10 @@
-"""Linearised dynamics that controllers predict with: one linearly implicit Euler step of (23), its slowest mode, and feedback gains."""
+"""Linearised dynamics that controllers predict with: one linearly implicit Euler step of (23), and feedback gains."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from soft_tendon_env.mechanics.algebra.linear import solve_symmetric
-from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.tools.checks import checked_number
 from soft_tendon_env.tools.types import Array
@@ -39,23 +38,6 @@ def implicit_step(terms: Terms, q_dot: Array, period: float) -> ImplicitStep:
     if not np.isfinite(rates).all():
         raise np.linalg.LinAlgError("the matrix of the implicit step is singular")
     return ImplicitStep(rates[:, 0], rates[:, 1:], impulses[:, 1:].T @ rates[:, 1:])
-
-
-class Mode(NamedTuple):
-    """A mode of the unloaded arm: its frequency [rad/s] without damping, and its damping's share of its inertia [1/s]."""
-
-    frequency: float
-    damping: float
-
-
-def slowest_mode(model: Model) -> Mode:
-    """The slowest mode of the motion (23), linearised at rest without tension."""
-    n = model.coordinate_count
-    terms = model.terms(np.zeros(n), np.zeros(n))
-    squares, shapes = np.linalg.eig(np.linalg.solve(terms.mass, terms.stiffness))
-    slowest = int(np.argmin(squares.real))
-    shape = shapes[:, slowest].real
-    return Mode(float(np.sqrt(squares[slowest].real)), float(shape @ terms.damping @ shape / (shape @ terms.mass @ shape)))
 
 
 class Gains(NamedTuple):

@@ -100,53 +100,6 @@ def noise_variances(model: Model, noise: SensorNoise, sensors: int) -> dict[str,
     return {name: np.asarray(of_sensors) ** 2 + np.asarray(of_model) ** 2 for name, (of_sensors, of_model) in found.items()}
 
 
-class MeasurementModel:
-    """Expected measurements of a model's arm. Raises ValueError for a bad `sensing`."""
-
-    def __init__(self, model: Model, sensing: Sensing) -> None:
-        n, tendons, self.model, self.uses = model.coordinate_count, model.tendon_count, model, tuple(sensing.uses)
-        borders = np.cumsum([0, n, n, tendons, tendons, 6, 1]).tolist()
-        self.layout = Layout(*map(slice, borders[:-1], borders[1:]))
-        if unknown := [name for name in self.uses if name not in MEASURED]:
-            raise ValueError(f"uses names {unknown[0]!r}: it should be of {', '.join(MEASURED)}")
-        self.sensors = checked_array("sensors", sensing.sensors, (None,))
-        rest = np.zeros(n)
-        self._scale, self._rest_lengths = model.coordinate_scale(), model.tendon_lengths(rest)
-        self._stress_free = model.strain_at(rest, self.sensors)[0]
-        self._variance = noise_variances(model, sensing.noise, self.sensors.size)
-
-    def compared(self, mean: Array, measured: Measurement) -> tuple[Array, Array, Array]:
-        """Innovations (k,), the Jacobian (k, m) of what was expected of the state `mean` (m,), and the variances (k,) of the noise."""
-        at, scale = self.layout, self._scale
-        q_dot = scale * mean[at.v]
-        missed, rows, variances = [], [], []
-        for name, (innovation, jacobian) in self._innovations(scale * mean[at.z], q_dot, mean[at.tip], measured).items():
-            row, variance = np.zeros((innovation.size, mean.size)), np.broadcast_to(self._variance[name], innovation.shape)
-            row[:, at.v if name in VELOCITIES else at.z] = jacobian * scale
-            if name in VELOCITIES:
-                variance = variance + (CHANGING * jacobian @ q_dot) ** 2
-            if name == "tip_pose":
-                row[:, at.tip] = np.eye(6)
-            missed.append(innovation)
-            rows.append(row)
-            variances.append(variance)
-        return np.concatenate(missed), np.vstack(rows), np.concatenate(variances)
-
-    def _innovations(self, q: Array, q_dot: Array, tip: Array, measured: Measurement) -> dict[str, tuple[Array, Array]]:
-        """Each quantity as measured less as expected, and its Jacobian (k, n) by coordinates, of VELOCITIES by their rates."""
-        terms = self.model.terms(q, q_dot, time=measured.time)
-        strain, slope = self.model.strain_at(q, self.sensors) if self.sensors.size else (np.zeros((0, 6)), np.zeros((0, 6, q.size)))
-        slope, J = slope.reshape(-1, q.size), terms.tip_jacobian
-        found: dict[str, Callable[[Any], tuple[Array, Array]]] = {
-            "tip_pose": lambda pose: (pose_error(moved_pose(terms.tip_pose, tip), pose), J),
-            "tip_twist": lambda twist: (twist - J @ q_dot, J),
-            "tendon_length": lambda lengths: (lengths - self.model.tendon_lengths(q) + self._rest_lengths, -terms.actuation.T),
-            "strain": lambda own: ((own - strain + self._stress_free).ravel(), slope),
-            "strain_rate": lambda rate: (rate.ravel() - slope @ q_dot, slope),
-        }
-        return {name: found[name](getattr(measured, name)) for name in ("tip_pose", *self.uses)}
-
-
 class ExtendedKalmanFilter:
     """Extended Kalman filter of an arm. Raises TypeError, ValueError."""
 
@@ -167,12 +120,15 @@ class ExtendedKalmanFilter:
         for name, value in {"latency": latency, **uncertainty._asdict()}.items():
             checked_number(name, value, 0.0, "a number, at least 0")
         self.history = whole_periods(latency if greatest_latency is None else greatest_latency, period)[0] + 2
-        self.uncertainty, self._sensors = uncertainty, MeasurementModel(model, sensing)
-        self.needs = self._sensors.uses
+        n, tendons = model.coordinate_count, model.tendon_count
+        borders = np.cumsum([0, n, n, tendons, tendons, 6, 1]).tolist()
+        self._at = at = Layout(*map(slice, borders[:-1], borders[1:]))
+        self.uncertainty, self.needs = uncertainty, tuple(sensing.uses)
+        self._sensors = checked_array("sensors", sensing.sensors, (None,))
+        self._variance = noise_variances(model, sensing.noise, self._sensors.size)
+        self._rest_lengths, self._stress_free = model.tendon_lengths(np.zeros(n)), model.strain_at(np.zeros(n), self._sensors)[0]
         self._scale, self._tension = model.coordinate_scale(), _bending_tensions(model)
-        self._simulation = Simulation(model)
-        self._rest = static_equilibrium(model, self.start).q
-        self._at = at = self._sensors.layout
+        self._simulation, self._rest = Simulation(model), static_equilibrium(model, self.start).q
         self._drift, self._keep = self._walks(), np.ones(at.latency.stop)
         self._keep[at.offset], self._keep[at.gain] = np.exp(-period / np.array([[uncertainty.offset_time], [uncertainty.gain_time]]))
         self._forces = np.diag(uncertainty.force * model.bending_energy / self._scale)
@@ -248,7 +204,7 @@ class ExtendedKalmanFilter:
         """Update: the belief after a measurement; None where there is no such state."""
         mean, covariance = believed.mean, believed.covariance
         try:
-            missed, slope, variance = self._sensors.compared(mean, measured)
+            missed, slope, variance = self._compared(mean, measured)
             spread, weight = _gain(slope, covariance, variance, missed)
             surprise = missed @ weight[:, -1] / missed.size
             if surprise > SURPRISE:  # of the motion, not of what the model has wrong in the long run
@@ -269,6 +225,37 @@ class ExtendedKalmanFilter:
         except FAILURES:
             return None
         return Belief(after, 0.5 * (covariance + covariance.T), believed.noise, believed.effects)
+
+    def _compared(self, mean: Array, measured: Measurement) -> tuple[Array, Array, Array]:
+        """Innovations (k,), the Jacobian (k, m) of what was expected of the state `mean` (m,), and the variances (k,) of the noise."""
+        at, scale = self._at, self._scale
+        q_dot = scale * mean[at.v]
+        missed, rows, variances = [], [], []
+        for name, (innovation, jacobian) in self._innovations(scale * mean[at.z], q_dot, mean[at.tip], measured).items():
+            row, variance = np.zeros((innovation.size, mean.size)), np.broadcast_to(self._variance[name], innovation.shape)
+            row[:, at.v if name in VELOCITIES else at.z] = jacobian * scale
+            if name in VELOCITIES:
+                variance = variance + (CHANGING * jacobian @ q_dot) ** 2
+            if name == "tip_pose":
+                row[:, at.tip] = np.eye(6)
+            missed.append(innovation)
+            rows.append(row)
+            variances.append(variance)
+        return np.concatenate(missed), np.vstack(rows), np.concatenate(variances)
+
+    def _innovations(self, q: Array, q_dot: Array, tip: Array, measured: Measurement) -> dict[str, tuple[Array, Array]]:
+        """Each quantity as measured less as expected, and its Jacobian (k, n) by coordinates, of VELOCITIES by their rates."""
+        terms = self.model.terms(q, q_dot, time=measured.time)
+        strain, slope = self.model.strain_at(q, self._sensors) if self._sensors.size else (np.zeros((0, 6)), np.zeros((0, 6, q.size)))
+        slope, J = slope.reshape(-1, q.size), terms.tip_jacobian
+        found: dict[str, Callable[[Any], tuple[Array, Array]]] = {
+            "tip_pose": lambda pose: (pose_error(moved_pose(terms.tip_pose, tip), pose), J),
+            "tip_twist": lambda twist: (twist - J @ q_dot, J),
+            "tendon_length": lambda lengths: (lengths - self.model.tendon_lengths(q) + self._rest_lengths, -terms.actuation.T),
+            "strain": lambda own: ((own - strain + self._stress_free).ravel(), slope),
+            "strain_rate": lambda rate: (rate.ravel() - slope @ q_dot, slope),
+        }
+        return {name: found[name](getattr(measured, name)) for name in ("tip_pose", *self.needs)}
 
     def _told(self, believed: Belief) -> Estimate:
         mean = believed.mean

@@ -94,7 +94,13 @@ class Predictive(ModelController):
         found = allocate(hessian, gradient, least, greatest, None if memory is None else memory.multipliers)
         better = plan + found.x.reshape(N, size)
         report = {"limited": found.limited, "singular": float(not found.solved), "disturbance": float(np.abs(error.offset).max())}
-        rates, effects = self._predicted(error.gain * better[0] + error.offset)
+        rates = effects = None  # predicted for the end of the period, where the model has such a motion
+        try:
+            with erring_actuators():
+                self._simulation.step(error.gain * better[0] + error.offset, self.period)
+            rates, effects = self._simulation.state.q_dot, self._simulation.state.effects
+        except FAILURES:
+            pass
         response = rollout.by_tension[0, now.q.size :] / self._hold
         return ControllerOutput(better[0], Plan(better, found.multipliers, error.offset, response, rates, effects), report)
 
@@ -105,16 +111,6 @@ class Predictive(ModelController):
         push = memory.response.T @ self._inertia
         explained = np.linalg.lstsq(push @ memory.response, push @ (now.q_dot - memory.rates), rcond=1e-6)[0]
         return np.asarray(memory.disturbance + self.observer * explained)
-
-    def _predicted(self, tension: Array) -> tuple[Array, Array] | tuple[None, None]:
-        """The rates (n,) and internal states (m,) after a period under these tensions, None where the model has no such motion."""
-        try:
-            with erring_actuators():
-                self._simulation.step(tension, self.period)
-        except FAILURES:
-            return None, None
-        state = self._simulation.state
-        return state.q_dot, state.effects
 
     def _program(self, rollout: Rollout, gain: Array, now: ControllerInput) -> tuple[Array, Array]:
         """Hessian and gradient of the squared errors by changes of the plan (N * n_a,)."""

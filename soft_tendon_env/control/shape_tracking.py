@@ -8,7 +8,7 @@ of Tan, Liu and Turk 2011): gains of any size are stable at any period, also the
 import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
-from soft_tendon_env.control.dynamics import implicit_step, natural_frequency, slowest_mode
+from soft_tendon_env.control.dynamics import implicit_step, natural_frequency
 from soft_tendon_env.control.protocol import FAILURES, ControllerInput, ControllerOutput, ModelController
 from soft_tendon_env.control.rigid_motions import value_at
 from soft_tendon_env.mechanics.types import Explicit
@@ -71,6 +71,8 @@ def tensions_of(model: Model) -> Array:
 
 def shape_gains(model: Model, settling_time: float, damping: float) -> tuple[float, float]:
     """kp [-] and kd [s] of (37) that give the slowest mode of the model this settling time [s] and damping ratio, at least zero."""
-    mode, natural = slowest_mode(model), natural_frequency(settling_time, damping)
-    square = mode.frequency**2
-    return max(natural**2 / square - 1.0, 0.0), max((2.0 * damping * natural - mode.damping) / square, 0.0)
+    terms, natural = model.terms(*np.zeros((2, model.coordinate_count))), natural_frequency(settling_time, damping)
+    squares, shapes = np.linalg.eig(np.linalg.solve(terms.mass, terms.stiffness))
+    square, shape = squares.real.min(), shapes[:, np.argmin(squares.real)].real
+    own = shape @ terms.damping @ shape / (shape @ terms.mass @ shape)  # share of the damping in the inertia [1/s]
+    return max(natural**2 / square - 1.0, 0.0), max((2.0 * damping * natural - own) / square, 0.0)

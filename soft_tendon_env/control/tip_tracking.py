@@ -66,7 +66,9 @@ class TipTracking(ModelController):
             static = None if static is None else (static - offset) / gain
         task = aim.jacobian @ response
         missing = wanted - aim.jacobian @ free - h * aim.bias
-        hessian, gradient = self._program(task, missing, metric, static)
+        weight, reference = (FREE, np.zeros_like(self.least)) if static is None else (STATIC, static)
+        passive = weight * np.trace(task.T @ task) / np.trace(metric) * metric  # of the motion by other tensions than these
+        hessian, gradient = task.T @ task + passive, -task.T @ missing - passive @ reference
         found = allocate(hessian, gradient, self.least, self.greatest, None if memory is None else memory.multipliers)
         ways, scale, _ = np.linalg.svd(task)
         open_ways = ways[:, : scale.size][:, scale > SINGULAR * scale[0]]  # directions in which tensions move the tip at all
@@ -75,10 +77,3 @@ class TipTracking(ModelController):
         singular = not found.solved or open_ways.shape[1] < task.shape[0]
         report = {"limited": found.limited, "singular": float(singular), "refused": float(np.linalg.norm(refused))}
         return ControllerOutput(found.x, TipMemory(integral, found.multipliers), report)
-
-    def _program(self, task: Array, missing: Array, constraint: Array, static: Array | None) -> tuple[Array, Array]:
-        """Hessian and gradient of |task u - missing|^2 and, with less weight, of the motion (n_a, n_a) added by tensions other than
-        the static ones, or than none."""
-        weight, reference = (FREE, np.zeros_like(self.least)) if static is None else (STATIC, static)
-        passive = weight * np.trace(task.T @ task) / np.trace(constraint) * constraint
-        return task.T @ task + passive, -task.T @ missing - passive @ reference
