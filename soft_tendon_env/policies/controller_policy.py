@@ -85,7 +85,8 @@ def make_policy(
     _check_preview(entry, episodes, _periods_ahead(entry, late, episodes.period, finds))
     greatest = late if finds is None else finds.greatest_latency or late
     predictor = SmithPredictor(believed, greatest, episodes.period) if greatest else None
-    seen = tuple(field for group, field in PARAMETERS.items() if group in episodes.layout.slices)
+    fields = protocol.Measurement._fields
+    seen = tuple(field for group, field in PARAMETERS.items() if group in episodes.layout.slices and field in fields)
     noise, starts = episodes.options.randomize.noise, episodes.start_tension.copy()
     setting = Setting(episodes.period, starts, episodes.sensors.copy(), noise, seen, late, uncertainty)
     found = None if finds is None else finds.make(believed, setting)
@@ -138,9 +139,9 @@ def _entry(controller: str | Entry, task: str) -> Entry:
 class ControllerPolicy:
     """Controller behind Stable-Baselines3's `predict`, for one row or many.
 
-    model: which knows what commands make tensions, by default the environment's. estimator: finds the coordinates from what is measured;
-    None: they are observed. predictor: of where the arm will be when commands arrive; None: they arrive at once. Raises TypeError for
-    environments of other packages, ConfigurationError where the observation lacks what the controller needs.
+    model: which knows what commands make tensions, by default the environment's. estimator: finds the coordinates; None: they are observed.
+    predictor: of where the arm will be when commands arrive; None: they arrive at once. Raises TypeError for environments of other
+    packages, ConfigurationError where the observation lacks what the controller needs.
     """
 
     def __init__(
@@ -160,9 +161,8 @@ class ControllerPolicy:
         pulled = None if effects.command_tension else build_model(self._model.scene.replace({"effects": effects.on_arm()}))
         self._lost, self._simulation = LostState(name), None if pulled is None else Simulation(pulled)  # of the arm under tensions
         groups, needed = of.layout.slices, [*TIP]
-        needed += (
-            ["coordinates", "rates"] if estimator is None else [group for group, field in PARAMETERS.items() if field in estimator.needs]
-        )
+        state = ("q", "q_dot") if estimator is None else estimator.needs
+        needed += [group for group, field in PARAMETERS.items() if field in state]
         needed += [] if "wanted_coordinates" in groups else of.task.reference
         if missing := [group for group in needed if group not in groups]:
             _fail("observation", f"lacks {', '.join(missing)}, which {name} needs: make it with observation_options()")

@@ -20,8 +20,10 @@ PARAMETERS: Mapping[str, str] = {
     "tendon_lengths": "tendon_length",
     "strain": "strain",
     "strain_rate": "strain_rate",
+    "coordinates": "q",
+    "rates": "q_dot",
 }
-"""Fields of a Measurement by the observation groups that tell them, besides the tip's pose."""
+"""What is known of an arm by the observation groups that tell it, besides the tip's pose: fields of Measurement, or of ControllerInput."""
 
 
 class Setting(NamedTuple):

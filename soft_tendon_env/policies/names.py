@@ -6,7 +6,6 @@ policy = name.load(env)
 """
 
 import importlib
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,7 +24,6 @@ from soft_tendon_env.policies.agent_files import ARM, INTERFACE, SHIPPED, AgentC
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.estimators import ESTIMATORS
 from soft_tendon_env.policies.protocol import Policy
-from soft_tendon_env.scene.passive_fields import FieldsWarning
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml, shown
 from soft_tendon_env.tools.files import digest, digests
@@ -188,11 +186,9 @@ class UserPolicy(PolicyName):
     @property
     def maker(self) -> Callable[..., Any]:
         try:
-            made = getattr(importlib.import_module(self.module), self.name)
+            made: Callable[..., Any] = getattr(importlib.import_module(self.module), self.name)
         except (ImportError, AttributeError, ValueError) as error:
             raise ValueError(f"policy is {self.text!r}: it should be module:name of what makes a policy; {error}") from error
-        if not callable(made):
-            raise ValueError(f"policy is {self.text!r}: {self.name} should be callable with an environment, not {type(made).__name__}")
         return made
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -203,8 +199,8 @@ class UserPolicy(PolicyName):
         return {**own, **given}
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
-        made = self.maker(policy_environment(env, scene))
-        if not callable(getattr(made, "predict", None)):
+        made: Policy = self.maker(policy_environment(env, scene))
+        if not hasattr(made, "predict"):
             raise ValueError(f"policy is {self.text!r}: {self.name} should make an object with predict, not {shown(made)}")
         return made
 
@@ -224,8 +220,6 @@ def policy_environment(env: Any, scene: Scene | None = None) -> Any:
         "randomize": {"noise": episodes.options.randomize.noise},
         **({} if scene is None else {"scene": scene, "fidelity": "scene"}),
     }
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FieldsWarning)  # said of the other environment already
-        if isinstance(env, gym.Env):
-            return gym.make(IDS[episodes.task.name], **options)
-        return gym.make_vec(IDS[episodes.task.name], num_envs=episodes.size, threads=1, **options)
+    if isinstance(env, gym.Env):
+        return gym.make(IDS[episodes.task.name], **options)
+    return gym.make_vec(IDS[episodes.task.name], num_envs=episodes.size, threads=1, **options)

@@ -166,23 +166,25 @@ def test_an_agent_is_refused_elsewhere(ppo, task, options, said):
         agent.load_agent(ppo, make(task, **{"action": "increment", **options}))
 
 
+LOOKS = {"observation": ["target_error"]}
+
+
 @pytest.mark.cases(
-    "trained, judged, said",
+    "task, trained, judged, said",
     [
-        ({"action": "increment"}, {}, None),
-        ({"action": "increment", "control_period": 0.01}, {}, "trained with control_period = 0.01, judged with 0.02"),
-        ({"action": "increment"}, {"control_period": 0.005}, "trained with control_period = 0.02, judged with 0.005"),
-        ({"action": "increment", "observation": ["target_error"]}, {"fidelity": "standard"}, "trained with fidelity = 'fast', judged with"),
-        ({"action": "increment"}, {"scene": load_scene("three_tendon")}, None),  # the same in other words
-        ({"task": "Shape", "action": "increment"}, {}, "trained with task = 'Shape', judged with 'TipPose'"),
+        ("TipPose", {}, {}, None),
+        ("TipPose", {"control_period": 0.01}, {}, "trained with control_period = 0.01, judged with 0.02"),
+        ("TipPose", {}, {"control_period": 0.005}, "trained with control_period = 0.02, judged with 0.005"),
+        ("TipPose", LOOKS, {**LOOKS, "fidelity": "standard"}, "trained with fidelity = 'fast', judged with"),
+        ("TipPose", {}, {"scene": load_scene("three_tendon")}, None),  # the same in other words
+        ("Shape", {}, {}, "trained with task = 'Shape', judged with 'TipPose'"),
     ],
 )
-def test_an_agent_says_once_it_is_loaded_that_it_was_trained_otherwise(tmp_path, trained, judged, said):
-    looks = {key: value for key, value in trained.items() if key == "observation"}
-    task = {"task": trained.pop("task")} if "task" in trained else {}
-    folder = untrained(tmp_path / "own", **task, options={**trained, "preview": [0.1, 0.2]})
+def test_an_agent_says_once_it_is_loaded_that_it_was_trained_otherwise(tmp_path, task, trained, judged, said):
+    usual = {"action": "increment", "preview": [0.1, 0.2]}
+    folder = untrained(tmp_path / "own", task=task, options={**usual, **trained})
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always", agent.TrainingWarning)
-        load_policy(folder, make(**{"action": "increment", "preview": [0.1, 0.2], **looks, **judged}))
+        load_policy(folder, make(**usual, **judged))
     texts = [str(warning.message) for warning in found if warning.category is agent.TrainingWarning]
     assert len(texts) == (said is not None) and all(f"{said}" in text and "policy_options()" in text for text in texts)

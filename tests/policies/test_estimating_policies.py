@@ -47,10 +47,6 @@ def test_a_latency_that_nobody_told_is_found_and_made_up_for(latency):
     assert state[0].estimate.latency == pytest.approx(latency, abs=0.01)
 
 
-def test_a_latency_is_lethal_to_who_does_not_know_it():
-    assert position_error(*made("filtered:predictive@fast", regime="tip", randomize={"latency": 0.055})) > 0.05
-
-
 def test_errors_of_the_arm_are_allowed_for():
     """Stiffness and damping that are wrong, payload, gains and noise together."""
     wrong = {"stiffness": 1.2, "damping": 0.6, "payload": 0.02, "tension_gain": [0.9, 1.1], "latency": 0.015, "noise": NOISE}

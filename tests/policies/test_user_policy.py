@@ -9,9 +9,9 @@ import pytest
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.evaluation import evaluate, evaluate_rows
-from soft_tendon_env.evaluation.experiment import believed_scene
 from soft_tendon_env.policies import load_policy, policy_options
-from soft_tendon_env.policies.names import PolicyName, policy_environment
+from soft_tendon_env.policies.names import policy_environment
+from soft_tendon_env.scene.file import load_scene
 
 ARM = {"scene": "three_tendon", "fidelity": "fast", "randomize": {"stiffness": 1.2, "noise": {"position": 1e-3}}}
 SEEDS = [3, 5]
@@ -73,7 +73,7 @@ def test_the_environment_of_its_own_is_that_of_the_arm_that_everybody_knows(rows
     assert one.period == 0.04 and np.array_equal(one.limits, other.limits) and one.model.scene == other.model.scene
     assert one.options.randomize.noise == other.options.randomize.noise and not one.options.randomize.numbers
     assert one.options.target is None
-    told = believed_scene(PolicyName.parse("os.path:join", "TipPose"), {"scene": "three_tendon", "segments.0.young_modulus": 1e6})
+    told = load_scene("three_tendon").replace({"segments.0.young_modulus": 1e6})
     assert episodes_of(policy_environment(env, told)).model.scene.segments[0].young_modulus == 1e6
 
 
