@@ -19,8 +19,7 @@ from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 
-LOOKS_AHEAD = 2
-"""Control periods ahead for which laws of feedback need the reference: the velocity at the end of this one."""
+LOOKS_AHEAD = 2  # control periods ahead for which laws of feedback need the reference: the velocity at the end of this one
 
 
 @dataclass(frozen=True)

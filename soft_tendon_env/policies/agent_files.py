@@ -14,12 +14,10 @@ from soft_tendon_env.tools.files import read_json, shipped_folder
 from soft_tendon_env.tools.types import Positive
 
 CONFIG = "config.json"
-AGENT = "agent"
-"""Name of the best agent that ships for a task, as agents.toml in the folder of them all has it."""
+AGENT = "agent"  # name of the best agent that ships for a task, as agents.toml in the folder of them all has it
 SHIPPED = (AGENT, "ppo", "sac", "dagger", "apg")
 """Names of agents that ship: all but "agent" are those of their algorithms."""
-ARM = ("scene", "fidelity", "control_period", "tension_limits")
-"""Options that define the arm."""
+ARM = ("scene", "fidelity", "control_period", "tension_limits")  # options that define the arm
 INTERFACE = ("observation", "preview", "history", "sensors", "action", "tension_rate")
 """Options that say what a policy observes and how its actions are read."""
 OF_TRAINING = (

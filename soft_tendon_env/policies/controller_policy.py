@@ -26,8 +26,7 @@ from soft_tendon_env.tools.checks import checked_number
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, shown
 from soft_tendon_env.tools.types import Array
 
-SAME_COMMAND = 1e-6
-"""Share of the largest command by which one that is observed in single precision may differ from what it was."""
+SAME_COMMAND = 1e-6  # share of the largest command by which one that is observed in single precision may differ from what it was
 
 
 class RowMemory(NamedTuple):

@@ -13,8 +13,7 @@ from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 
-GREATEST_LATENCY = 0.08
-"""[s] that an estimate of an unknown latency reaches."""
+GREATEST_LATENCY = 0.08  # [s] that an estimate of an unknown latency reaches
 PARAMETERS: Mapping[str, str] = {
     "tip_twist": "tip_twist",
     "tendon_lengths": "tendon_length",
@@ -23,7 +22,7 @@ PARAMETERS: Mapping[str, str] = {
     "coordinates": "q",
     "rates": "q_dot",
 }
-"""What is known of an arm by the observation groups that tell it, besides the tip's pose: fields of Measurement, or of ControllerInput."""
+"""Fields of Measurement, or of ControllerInput, by the observation groups that tell them, besides the tip's pose."""
 
 
 class Setting(NamedTuple):

@@ -14,8 +14,7 @@ WAYS: Mapping[str, str | None] = {"target_error": "preview", "target_coordinates
 """Observation groups of the way to the target now, and those of the ways to where it will be, which move with it."""
 GOAL_UNIT = 0.1
 """Unit of ways to goals, as a share of the rod's length; ways in observations have units already, poses this one and half a radian."""
-NEAR = 0.8
-"""Error in these units beyond which an arm is on its way, and nothing is integrated (anti-windup)."""
+NEAR = 0.8  # error in these units beyond which an arm is on its way, and nothing is integrated (anti-windup)
 MOST = 0.1
 """Largest integral in these units: more than what agents leave of errors, and little where the arm cannot reach its target at all."""
 

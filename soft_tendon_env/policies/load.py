@@ -9,8 +9,7 @@ from soft_tendon_env.policies.agent_files import is_agent, is_shipped
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.protocol import Policy
 
-ALL = "all"
-"""Name of all controllers of the catalogue together."""
+ALL = "all"  # name of all controllers of the catalogue together
 
 
 def policy_options(name: str, task: str, given: Mapping[str, Any]) -> dict[str, Any]:

@@ -28,10 +28,8 @@ from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml, shown
 from soft_tendon_env.tools.files import digest, digests
 
-BEST = "best"
-"""Name of the folder of a training's best agent, within that of the training."""
-ESTIMATOR = "estimator."
-"""Prefix of parameters of the state estimator among those of a controller."""
+BEST = "best"  # name of the folder of a training's best agent, within that of the training
+ESTIMATOR = "estimator."  # prefix of parameters of the state estimator among those of a controller
 
 
 @dataclass(frozen=True)
@@ -144,7 +142,7 @@ class Agent(PolicyName):
 
     @property
     def folder(self) -> Path:
-        """Where its files are. Raises ValueError, FileNotFoundError."""
+        """The folder of its files. Raises ValueError, FileNotFoundError."""
         return find_agent(self.text, self.task)
 
     @property
