@@ -12,7 +12,7 @@ from soft_tendon_env.evaluation import provenance, tables
 from soft_tendon_env.evaluation.comparison import shipped_notes
 from soft_tendon_env.evaluation.settings import TaskName
 from soft_tendon_env.policies.agent import load_agent
-from soft_tendon_env.policies.agent_files import find_agent, read_config
+from soft_tendon_env.policies.agent_files import AgentName, find_agent, read_config
 from soft_tendon_env.policies.network import WEIGHTS
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.files import digest
@@ -22,7 +22,7 @@ from soft_tendon_env.tools.messages import UserError
 class Export(Configuration):
     """Write a trained agent as one ONNX file, and compare it with the original on what it observes in an environment."""
 
-    agent: str = Field(description="folder of an agent; or agent, ppo, sac, dagger or apg, of those that ship")
+    agent: AgentName = Field(description="folder of an agent; or agent, ppo, sac, dagger or apg, of those that ship")
     task: TaskName = Field(default="TipPose", description="name of the task: TipPose, Shape, Reach, or one that was registered")
     options: dict[str, Any] = Field(default={})
     out: str = Field(default="out/agent.onnx", description="file of the agent")

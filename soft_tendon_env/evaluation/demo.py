@@ -17,7 +17,7 @@ from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.settings import EpisodeSettings, TableSettings, Workers
 from soft_tendon_env.evaluation.summaries import summarise
 from soft_tendon_env.evaluation.tables import summary_table
-from soft_tendon_env.policies.agent_files import AGENT, shipped_for
+from soft_tendon_env.policies.agent_files import AGENT, AgentName, shipped_for
 from soft_tendon_env.policies.names import Agent, PolicyName
 from soft_tendon_env.recording import Rollout
 from soft_tendon_env.tools.types import Positive
@@ -41,7 +41,7 @@ class Demonstration(Workers, TableSettings):
         seconds: length of an episode [s].
     """
 
-    agent: str = AGENT
+    agent: AgentName = AGENT
     episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1, le=len(EVALUATION_SEEDS))
     seconds: Positive = 10.0
 

@@ -73,6 +73,15 @@ def is_agent(name: str) -> bool:
     return is_shipped(name) or (Path(name) / WEIGHTS).is_file() or (Path(name) / CONFIG).is_file() and not (Path(name) / "best").is_dir()
 
 
+def _checked_agent(name: str) -> str:
+    if not is_agent(name):
+        raise ValueError(f"should be the folder of an agent, or {', '.join(SHIPPED)}, which ship")
+    return name
+
+
+AgentName = Annotated[str, AfterValidator(_checked_agent)]  # see `find_agent`
+
+
 def trained_folder() -> Path:
     """Folder of the agents that ship, NAME/TASK."""
     return shipped_folder("policies/trained", "agents/trained")
@@ -95,7 +104,7 @@ def find_agent(name: str, task: str) -> Path:
     """Folder of an agent by its name: one of `SHIPPED` for the task, or a folder. Raises ValueError, FileNotFoundError."""
     folder = trained_folder() / shipped_as(name, task) / task if is_shipped(name) else Path(name)
     if not (folder / WEIGHTS).is_file():
-        raise FileNotFoundError(f"agent is {name!r}: it should be the folder of an agent, with its {WEIGHTS}, or {', '.join(SHIPPED)}")
+        raise FileNotFoundError(f"{name}: there is no file {folder / WEIGHTS}")
     return folder
 
 

@@ -65,7 +65,7 @@ class PolicyName:
         if prefix:
             raise ValueError(f"policy is {text!r}: what stands behind {prefix!r} should be {wanted}")
         agents = f"the folder of an agent (of a training: {path / BEST}), {', '.join(SHIPPED)}, which ship, module:name"
-        raise ValueError(f"policy is {text!r}: it should be {agents}, or {wanted}")
+        raise ValueError(f"policy is {text!r}, no policy: it should be {agents}, or {wanted}")
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Options of an environment in which the policy sees what it needs: its own, and those given. Raises ValueError, OSError."""

@@ -42,8 +42,8 @@ def test_every_name_is_one_of_three(here, text, kind, known):
 @pytest.mark.cases(
     "text, said",
     [
-        ("run", "policy is 'run': it should be the folder of an agent .of a training: run/best., agent, ppo"),
-        ("nobody", "policy is 'nobody': .* or a controller of TipPose"),
+        ("run", "policy is 'run', no policy: it should be the folder of an agent .of a training: run/best., agent, ppo"),
+        ("nobody", "policy is 'nobody', no policy: .* or a controller of TipPose"),
         ("nothing:there", "policy is 'nothing:there': it should be module:name of what makes a policy; No module"),
         ("os:nothing", "should be module:name of what makes a policy"),
         ("filtered:predictive@coarse", "stands behind '@' should be 'fast', 'standard', 'fine'"),
