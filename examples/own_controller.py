@@ -3,11 +3,10 @@
 import gymnasium as gym
 import numpy as np
 
-from soft_tendon_env.control import ControllerInput, ControllerOutput, register_controller
+from soft_tendon_env.control import CONTROLLERS, ControllerInput, ControllerOutput, entry_of
 from soft_tendon_env.policies import make_policy, observation_options
 
 
-@register_controller("resolved_rate", tasks=["Reach"], description="tensions along the pseudoinverse of the static tip Jacobian")
 class ResolvedRate:
     """du = gain (J G^-1 B)^+ e: tensions change as they would to take the error e of an arm at rest away at this rate."""
 
@@ -22,6 +21,9 @@ class ResolvedRate:
         wanted = now.tension + self.gain * np.linalg.pinv(jacobian) @ error
         tension = np.clip(wanted, self.least, self.greatest)
         return ControllerOutput(tension, report={"limited": float(np.mean(tension != wanted)), "singular": 0.0})
+
+
+CONTROLLERS["Reach"]["resolved_rate"] = entry_of("tensions along the pseudoinverse of the static tip Jacobian", ResolvedRate)
 
 
 if __name__ == "__main__":

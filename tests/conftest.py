@@ -20,7 +20,7 @@ from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of
+from soft_tendon_env.policies.controller_policy import ControllerPolicy
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.tools.files import PACKAGE
 
@@ -225,7 +225,7 @@ def probed():
 
     def make(env, least=0.5, span=3.0):
         probe = Probe(3, least, span)
-        return ControllerPolicy(probe, interface_of(env)), probe
+        return ControllerPolicy(probe, env), probe
 
     return make
 

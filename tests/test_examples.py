@@ -52,7 +52,7 @@ RUNS = [
         ("--steps", "30_000"),
         lambda said: numbers(said.splitlines()[0])[0] < 0.0 and numbers(said.splitlines()[1])[0] > 80.0,
     ),
-    ("own_policy.py", FEW, lambda said: re.search(r"own_policy:bend \(other\) +\| [1-9]", said)),
+    ("own_policy.py", FEW, lambda said: re.search(r"own_policy:Bend \(other\) +\| [1-9]", said)),
     ("paper_trajectory.py", ("--models", "paper", "--duration", "0.2", "--out", "."), lambda said: "paper " in said),
     ("tracking.py", ("--fidelity", "fast", "--out", "tracking.gif"), lambda said: numbers(said.split("position error ")[1])[0] < 0.2),
     ("effects_gallery.py", ("--out", "."), lambda said: True),

@@ -5,7 +5,7 @@ from pydantic import Field
 from soft_tendon_env.cli.compare import play
 from soft_tendon_env.evaluation.settings import Settings, TaskName
 
-POLICY = "a controller's name; an agent's folder or .zip file; ppo, sac, dagger or apg, which ship for the task; agent, the best of these"
+POLICY = "a controller's name; an agent's folder; ppo, sac, dagger or apg, which ship for the task; agent, the best of these"
 
 
 class Evaluate(Settings):

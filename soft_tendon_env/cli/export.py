@@ -13,6 +13,7 @@ from soft_tendon_env.evaluation import provenance, tables
 from soft_tendon_env.evaluation.settings import TaskName
 from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.policies.agent_files import AgentName, find_agent, read_config
+from soft_tendon_env.policies.network import WEIGHTS
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.files import digest
 from soft_tendon_env.tools.messages import UserError
@@ -21,7 +22,7 @@ from soft_tendon_env.tools.messages import UserError
 class Export(Configuration):
     """Write a trained agent as one ONNX file, and compare it with the original on what it observes in an environment."""
 
-    agent: AgentName = Field(description="folder or .zip file of an agent; or agent, ppo, sac, dagger or apg, of those that ship")
+    agent: AgentName = Field(description="folder of an agent; or agent, ppo, sac, dagger or apg, of those that ship")
     task: TaskName = Field(default="TipPose", description="name of the task: TipPose, Shape, Reach, or one that was registered")
     options: dict[str, Any] = Field(default={})
     out: str = Field(default="out/agent.onnx", description="file of the agent")
@@ -35,10 +36,10 @@ def run(settings: Export) -> None:
         from soft_tendon_env.export import export_agent
         from soft_tendon_env.export.check import ALLOWED, compare
 
-        files = find_agent(settings.agent, settings.task)
-        env = gym.make(IDS[settings.task], **{**(read_config(files).options or {}), **settings.options})
+        folder = find_agent(settings.agent, settings.task)
+        env = gym.make(IDS[settings.task], **{**read_config(folder).options, **settings.options})
         policy = load_agent(settings.agent, env)
-        about = {"name": settings.agent, "weights_sha256": digest(files.weights)}
+        about = {"name": settings.agent, "weights_sha256": digest(folder / WEIGHTS)}
         model = export_agent(policy, env, {"agent": about, "record": provenance.origin()})
         writable_folder(path.parent)
     path.write_bytes(model.SerializeToString())

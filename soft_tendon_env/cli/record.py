@@ -15,7 +15,7 @@ from soft_tendon_env.evaluation.summaries import summarise
 from soft_tendon_env.evaluation.tables import summary_table
 from soft_tendon_env.policies.names import PolicyName
 
-POLICIES = "names of controllers, folders or .zip files of agents; ppo, sac, dagger or apg, which ship; agent, the best of these"
+POLICIES = "names of controllers, folders of agents; ppo, sac, dagger or apg, which ship; agent, the best of these"
 SEEDS = "seeds of the episodes, which are played one after another"
 
 

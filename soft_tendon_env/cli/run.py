@@ -25,7 +25,7 @@ from soft_tendon_env.tools.messages import UserError
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 SIMULATED = "soft_tendon_env.robots:SimulatedRobot"
-POLICY = "a controller's name behind filtered: or adaptive:; an agent's folder or .zip file; agent, ppo, sac, dagger, apg; module:name"
+POLICY = "a controller's name behind filtered: or adaptive:; an agent's folder; agent, ppo, sac, dagger, apg; module:name"
 
 
 class Run(EpisodeSettings):

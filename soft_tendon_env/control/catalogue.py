@@ -1,13 +1,13 @@
-"""Controllers by task and name: those that come with the package, and those that `register_controller` adds.
+"""Controllers by task and name. To add one, CONTROLLERS["Reach"]["mine"] = entry_of("what it does", Mine).
 
 A controller is made from a model, which is what it believes of the arm, and from what the actuators can do.
 """
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 from soft_tendon_env.control.feedforward import ReferenceGovernor, StaticFeedforward
 from soft_tendon_env.control.objectives import Objective, Shape, TipPose, TipPosition
@@ -19,8 +19,7 @@ from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 
-LOOKS_AHEAD = 2
-"""Control periods ahead for which laws of feedback need the reference: the velocity at the end of this one."""
+LOOKS_AHEAD = 2  # control periods ahead for which laws of feedback need the reference: the velocity at the end of this one
 
 
 @dataclass(frozen=True)
@@ -44,9 +43,22 @@ class Entry:
 
 
 def entry_of(description: str, make: Callable[..., Controller], looks_ahead: int = LOOKS_AHEAD) -> Entry:
-    """An entry whose parameters are the keyword arguments of `make` that are numbers by default."""
+    """An entry of a class or function (model, limits (n_a, 2) [N], control period [s]) that makes a controller; its keyword arguments that
+    are numbers by default are parameters. looks_ahead: see Entry."""
     arguments = [*inspect.signature(make).parameters.values()][3:]
     return Entry(description, make, looks_ahead, {own.name: own.default for own in arguments if type(own.default) in (int, float)})
+
+
+Objectives = Callable[[Model], Objective]
+TRACKING = {"settling_time": 0.2, "damping": 1.0, "integral_time": 0.5}
+ROBUST, LATE = "; tuned on arms that differ from the model, under noise", "; half a second ahead, for arms that answer late"
+PRESETS: dict[str, tuple[str, str, dict[str, float]]] = {
+    "robust_tracking": ("tracking", ROBUST, {"settling_time": 0.8, "damping": 1.5, "integral_time": 0.4}),
+    "robust_predictive": ("predictive", ROBUST, {"settling_time": 0.41, "effort": 1e-3, "smoothness": 1.13}),
+    "long_horizon_predictive": ("predictive", LATE, {"settling_time": 0.4, "horizon": 12, "hold": 2, "smoothness": 1.5}),
+}
+"""Tuned controllers: which one, what its description adds, and its numbers. The robust ones were found by a search like that of
+configs/tune_predictive.toml. Horizons of 0.12, 0.24 and 0.48 s have 66, 33 and 22 mm in water."""
 
 
 def tip_pose_objective(model: Model) -> TipPose:
@@ -58,32 +70,19 @@ def _tip_position(model: Model) -> TipPosition:
     return TipPosition()
 
 
-Objectives = Callable[[Model], Objective]
-
-
-def _feedforward(objective: Objectives, model: Model, limits: Array, period: float) -> Controller:
+def _feedforward(objective: Objectives, model: Model, limits: Array, period: float) -> StaticFeedforward:
     return StaticFeedforward(model, limits, period, objective(model))
 
 
-def _tracking(
-    objective: Objectives,
-    model: Model,
-    limits: Array,
-    period: float,
-    *,
-    settling_time: float = 0.2,
-    damping: float = 1.0,
-    integral_time: float = 0.5,
-) -> Controller:
-    aim = objective(model)
-    tracking = TipTracking(model, limits, period, aim, settling_time=settling_time, damping=damping, integral_time=integral_time)
-    return ReferenceGovernor(StaticFeedforward(model, limits, period, aim), tracking)
+def _tracking(objective: Objectives, model: Model, limits: Array, period: float, **gains: float) -> Controller:
+    statics = _feedforward(objective, model, limits, period)
+    return ReferenceGovernor(statics, TipTracking(model, limits, period, statics.objective, **{**TRACKING, **gains}))
 
 
 def _predictive(objective: Objectives, model: Model, limits: Array, period: float, **tuning: Any) -> Controller:
     aim = objective(model)
     predictive = Predictive(model, limits, period, aim, Tuning(**tuning))
-    return predictive if isinstance(aim, Shape) else ReferenceGovernor(StaticFeedforward(model, limits, period, aim), predictive)
+    return predictive if isinstance(aim, Shape) else ReferenceGovernor(_feedforward(objective, model, limits, period), predictive)
 
 
 def _predictive_entry(objective: Objectives) -> Entry:
@@ -92,31 +91,21 @@ def _predictive_entry(objective: Objectives) -> Entry:
 
 def _tip_controllers(objective: Objectives) -> dict[str, Entry]:
     """Controllers of the tip with their presets."""
+    law = "(39) at the control period, within limits, with integral"
     found = {
         "feedforward": Entry("inverse statics along the target, nothing measured", partial(_feedforward, objective)),
-        "tracking": entry_of("(39) at the control period, within limits, with integral", partial(_tracking, objective)),
+        "tracking": Entry(law, partial(_tracking, objective), LOOKS_AHEAD, TRACKING),
         "predictive": _predictive_entry(objective),
     }
-    for name, (base, description, parameters) in PRESETS.items():
-        preset = found[base].with_parameters(parameters)
-        found[name] = replace(preset, description=preset.description + description)
-    return found
+    presets = {name: (found[base].with_parameters(numbers), added) for name, (base, added, numbers) in PRESETS.items()}
+    return found | {name: replace(preset, description=preset.description + added) for name, (preset, added) in presets.items()}
 
 
-ROBUST = "; tuned on arms that differ from the model, under noise"
-LATE = "; half a second ahead, for arms that answer late"
-PRESETS: dict[str, tuple[str, str, dict[str, float]]] = {
-    "robust_tracking": ("tracking", ROBUST, {"settling_time": 0.8, "damping": 1.5, "integral_time": 0.4}),
-    "robust_predictive": ("predictive", ROBUST, {"settling_time": 0.41, "effort": 1e-3, "smoothness": 1.13}),
-    "long_horizon_predictive": ("predictive", LATE, {"settling_time": 0.4, "horizon": 12, "hold": 2, "smoothness": 1.5}),
-}
-"""Tuned controllers: which one, what its description adds, and its numbers. The robust ones were found by a search like that of
-configs/tune_predictive.toml. Horizons of 0.12, 0.24 and 0.48 s have 66, 33 and 22 mm in water."""
 CONTROLLERS: dict[str, dict[str, Entry]] = {
     "TipPose": {
         "paper": Entry("(39) as printed, kp = 10,000 and kd = 1,000", PaperTipPose),
         **_tip_controllers(tip_pose_objective),
-        "tracking_position": entry_of("`tracking` for the position alone", partial(_tracking, _tip_position)),
+        "tracking_position": Entry("`tracking` for the position alone", partial(_tracking, _tip_position), LOOKS_AHEAD, TRACKING),
     },
     "Shape": {
         "paper": Entry("(37) or (38) as printed, kp = 1,000 and kd = 100", PaperShape),
@@ -127,24 +116,3 @@ CONTROLLERS: dict[str, dict[str, Entry]] = {
     "Reach": _tip_controllers(_tip_position),
 }
 """Controllers by the name of their task, then by their own."""
-
-Factory = TypeVar("Factory", bound=Callable[[Model, Array, float], Controller])
-
-
-def register_controller(name: str, tasks: Iterable[str], description: str, looks_ahead: int = LOOKS_AHEAD) -> Callable[[Factory], Factory]:
-    """Decorator of a class or function (model, limits (n_a, 2) [N], control period [s]) that makes a controller: the name by which
-    `make_policy` and comparisons find it for these tasks ("TipPose", ...). looks_ahead: see Entry.
-
-    Registering what has the same module and name again replaces it, as in a notebook. Raises ValueError for a name that is taken.
-    """
-
-    def add(make: Factory) -> Factory:
-        for task in tasks:
-            entries = CONTROLLERS.setdefault(task, {})
-            present = entries[name].make if name in entries else make
-            if (present.__module__, getattr(present, "__qualname__", "")) != (make.__module__, getattr(make, "__qualname__", "")):
-                raise ValueError(f"the controller {name!r} of {task} is registered twice: {present.__module__}, {make.__module__}")
-            entries[name] = entry_of(description, make, looks_ahead)
-        return make
-
-    return add

@@ -1,14 +1,10 @@
-"""Linearised dynamics that controllers predict with: one linearly implicit Euler step of (23), and its slowest mode.
-
-Discrete-time feedback gains from a settling time and a damping ratio, stable at the control period that there is.
-"""
+"""Linearised dynamics that controllers predict with: one linearly implicit Euler step of (23), and feedback gains."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from soft_tendon_env.mechanics.algebra.linear import solve_symmetric
-from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.tools.checks import checked_number
 from soft_tendon_env.tools.types import Array
@@ -17,10 +13,9 @@ DECADES = 4.0  # time constants until an error has settled to 2 %
 
 
 class ImplicitStep(NamedTuple):
-    """One linearly implicit Euler step of (23) over a period h: v+ = free + response u, q+ = q + h v+, n coordinates, n_a tendons.
+    """One linearly implicit Euler step of (23) over a period h, that of the integrator: v+ = free + response u, q+ = q + h v+.
 
-    It is the step of the integrator, stable at any h: A = M + h D + h^2 G, free = v + A^-1 h (F - K - C v - D v - h G v),
-    response = A^-1 h B, where G is with the stiffness of the effects, and D in A with their damping.
+    A = M + h D + h^2 G with stiffness and damping of the effects, free = v + A^-1 h (F - K - C v - D v - h G v), response = A^-1 h B.
     """
 
     free: Array  # (n,)
@@ -45,23 +40,6 @@ def implicit_step(terms: Terms, q_dot: Array, period: float) -> ImplicitStep:
     return ImplicitStep(rates[:, 0], rates[:, 1:], impulses[:, 1:].T @ rates[:, 1:])
 
 
-class Mode(NamedTuple):
-    """A mode of the unloaded arm: its frequency [rad/s] without damping, and its damping's share of its inertia [1/s]."""
-
-    frequency: float
-    damping: float
-
-
-def slowest_mode(model: Model) -> Mode:
-    """The slowest mode of the motion (23), linearised at rest without tension."""
-    n = model.coordinate_count
-    terms = model.terms(np.zeros(n), np.zeros(n))
-    squares, shapes = np.linalg.eig(np.linalg.solve(terms.mass, terms.stiffness))
-    slowest = int(np.argmin(squares.real))
-    shape = shapes[:, slowest].real
-    return Mode(float(np.sqrt(squares[slowest].real)), float(shape @ terms.damping @ shape / (shape @ terms.mass @ shape)))
-
-
 class Gains(NamedTuple):
     """Feedback gains for an error e: acceleration = kp e + kd e_dot + ki (integral of e)."""
 
@@ -73,12 +51,9 @@ class Gains(NamedTuple):
 def discrete_gains(settling_time: float, damping: float, period: float, integral_time: float | None = None) -> Gains:
     """The gains that give a double integrator, held over each period, the poles exp(s period) of the continuous loop with poles s.
 
-    The slowest s has the real part -4 / settling_time: e settles to 2 % in that time [s]. `damping` is the ratio zeta of the pair:
-    1 for a double pole, 5 with a settling time of 0.396 s for the paper's kp = 10,000 and kd = 1,000 in the limit of short periods.
-    `integral_time` [s]: a third pole at -4 / integral_time and the integral that goes with it; None: no integral.
-
-    The loop is e_dot+ = e_dot - period (kp e + kd e_dot + ki i), e+ = e + period e_dot+, i+ = i + period e+, as an implicit step
-    moves: stable at any period, where kp and kd of the continuous loop are not beyond period kd = 2. Raises TypeError, ValueError.
+    The slowest s has the real part -4 / settling_time: e settles to 2 % in that time [s]. `damping` is the ratio zeta of the pair.
+    `integral_time` [s]: a third pole at -4 / integral_time and the integral that goes with it; None: no integral. The loop is
+    e_dot+ = e_dot - period (kp e + kd e_dot + ki i), e+ = e + period e_dot+, i+ = i + period e+. Raises TypeError, ValueError.
     """
     checked_number("period", period, 1e-9, "a positive number")
     poles = natural_frequency(settling_time, damping) * (-damping + np.array([1.0, -1.0]) * np.emath.sqrt(damping**2 - 1.0))
@@ -90,11 +65,8 @@ def discrete_gains(settling_time: float, damping: float, period: float, integral
 
 
 def natural_frequency(settling_time: float, damping: float) -> float:
-    """Natural frequency [rad/s] of a second-order system whose slowest pole has the real part -4 / settling_time [s].
-
-    Raises TypeError, ValueError.
-    """
-    for name, value in (("settling_time", settling_time), ("damping", damping)):
-        checked_number(name, value, 1e-9, "a positive number")
+    """Natural frequency [rad/s] of a second-order system whose slowest pole has the real part -4 / settling_time [s]. Raises as above."""
+    checked_number("settling_time", settling_time, 1e-9, "a positive number")
+    checked_number("damping", damping, 1e-9, "a positive number")
     slow = damping if damping <= 1.0 else damping - np.sqrt(damping**2 - 1.0)
     return float(DECADES / settling_time / slow)

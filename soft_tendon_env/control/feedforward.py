@@ -1,7 +1,7 @@
 """Feedforward from inverse statics, followed along the reference, and a reference governor of what an arm can hold.
 
-Once per control period the equilibrium under the present tensions moves one bounded Gauss-Newton step towards the target, as soon as
-the tensions reach the arm: nothing that is measured enters. For shapes that tensions hold the answer is known: u = q_a_bar.
+Once per control period the equilibrium under the present tensions moves one bounded Gauss-Newton step towards the target: nothing that is
+measured enters.
 """
 
 from dataclasses import dataclass, replace
@@ -16,16 +16,12 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.statics import ChordSolver, static_equilibrium
 from soft_tendon_env.tools.types import Array
 
-EFFORT = 1e-3
-"""Weight of the tensions against that of errors, where both are measured by what they do to the task."""
-STRIDE = 0.2
-"""Longest way to the target that a step looks at, as a share of the rod's length."""
-FIRST_STEPS, STEPS = 20, 1
-"""Gauss-Newton steps at the beginning of an episode, and in every period."""
+EFFORT = 1e-3  # weight of the tensions against that of errors, where both are measured by what they do to the task
+STRIDE = 0.2  # longest way to the target that a step looks at, as a share of the rod's length
+FIRST_STEPS, STEPS = 20, 1  # Gauss-Newton steps at the beginning of an episode, and in every period
 SHORTEST = 2.0**-6  # of a step, tried before the tensions stay as they are
 STILL = 1e-5  # of the range of tensions, steps that are not worth taking
-MARGIN = 0.0005
-"""Dead band, as a share of the rod's length, within which targets out of reach are left as they are."""
+MARGIN = 0.0005  # dead band, as a share of the rod's length, within which targets out of reach are left as they are
 
 
 class StaticMemory(NamedTuple):
@@ -38,8 +34,7 @@ class StaticMemory(NamedTuple):
 
 
 class StaticFeedforward(ModelController):
-    """Feedforward by inverse statics, of least effort. `limits` (n_a, 2) [N]; the reference is that one `period` [s] ahead, when tensions
-    have acted."""
+    """Feedforward by inverse statics, of least effort, for the reference one period ahead, when tensions have acted."""
 
     def __init__(self, model: Model, limits: Array, period: float, objective: Objective) -> None:
         super().__init__(model, limits, period)
@@ -58,7 +53,7 @@ class StaticFeedforward(ModelController):
         return ControllerOutput(at.tension, at, {"limited": limited, "singular": 0.0})
 
     def error(self, at: StaticMemory, reference: Reference) -> Array:
-        """Error (k,) of the equilibrium from the target when the tensions will have acted, in the objective's metres."""
+        """Error (k,) [m] of the equilibrium from the target when the tensions will have acted."""
         return self.objective.error(at.q, at.tip_pose, reference, self.period)
 
     def _improved(self, at: StaticMemory, reference: Reference) -> tuple[StaticMemory, float]:

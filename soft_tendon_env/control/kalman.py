@@ -5,29 +5,52 @@ model has wrong, as slow random walks: a tension that is added (offset-free cont
 every tendon, the displacement between the model's tip and the measured one, and the latency of the commands, if it is not known.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.control.kalman_measurement import MeasurementModel, Sensing
 from soft_tendon_env.control.protocol import FAILURES, Estimate, InputError, Measurement
-from soft_tendon_env.control.rigid_motions import moved_pose
+from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
+from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.control.smith_predictor import whole_periods
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.rollout import Rollout
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.tension_limits import erring_actuators
-from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type
+from soft_tendon_env.tools.checks import checked_array, checked_number
 from soft_tendon_env.tools.types import Array
 
-IMPLAUSIBLE = 1e3
-"""Scaled coordinates or rates beyond which a filter begins anew."""
+IMPLAUSIBLE = 1e3  # scaled coordinates or rates, beyond which a filter begins anew
 SURPRISE = 4.0
 """Mean square of the innovations, in their standard deviations, above which the forces that the model lacks are taken for greater."""
-GAINS = 0.5, 2.0
-"""Least and greatest gain of a tendon."""
+GAINS = 0.5, 2.0  # least and greatest of a tendon
+CHANGING = 0.05  # relative model noise added to measured velocities, for the neglected dependence of the Jacobian on q
+MEASURED = "tip_twist", "tendon_length", "strain", "strain_rate"
+"""Fields of Measurement that the filter makes use of where they are measured, besides the tip's pose."""
+VELOCITIES = "tip_twist", "strain_rate"  # among MEASURED
+EXACT = SensorNoise()
+
+
+class Sensing(NamedTuple):
+    """Measured quantities of an arm, besides the tip's pose."""
+
+    uses: tuple[str, ...]  # names of MEASURED
+    sensors: ArrayLike = ()  # (s,) [m] arc lengths of the strain sensors, if strains or their rates are used
+    noise: SensorNoise = EXACT
+
+
+class Layout(NamedTuple):
+    """Slices of the filter's state, of m = 2 n + 2 n_a + 7 entries."""
+
+    z: slice  # scaled coordinates (n,)
+    v: slice  # their rates (n,) [1/s]
+    offset: slice  # tensions that are added (n_a,) [N]
+    gain: slice  # gains of the tendons (n_a,), less 1
+    tip: slice  # twist (6,) from the model's tip to the arm's
+    latency: slice  # (1,) [s]
 
 
 class Uncertainty(NamedTuple):
@@ -58,26 +81,27 @@ USUAL = Uncertainty()
 class Belief(NamedTuple):
     """Mean and covariance of a filter, and the internal states of the effects."""
 
-    mean: Array  # (m,), see kalman_measurement.Layout
+    mean: Array  # (m,), see Layout
     covariance: Array  # (m, m)
     noise: Array  # (2 n, 2 n) what unknown forces of the last period have added to that of coordinates and rates
     effects: Array  # internal states of the model's effects
 
 
+def noise_variances(model: Model, noise: SensorNoise, sensors: int) -> dict[str, Array]:
+    """Variances of measurements by their fields in Measurement: those of the sensors, and of what a reduced model does not know."""
+    length, inside = model.length, np.repeat([1.0 / model.length, 1e-2], 3)
+    found: dict[str, tuple[Any, Any]] = {
+        "tip_pose": (np.repeat([noise.rotation, noise.position], 3), np.repeat([1e-3, 1e-4 * length], 3)),
+        "tip_twist": (0.0, np.repeat([1e-2, 1e-3 * length], 3)),
+        "tendon_length": (noise.length, 1e-4 * length),
+        "strain": (noise.of_strains(sensors), np.tile(2e-2 * inside, sensors)),
+        "strain_rate": (noise.of_strain_rates(sensors), np.tile(0.2 * inside, sensors)),
+    }
+    return {name: np.asarray(of_sensors) ** 2 + np.asarray(of_model) ** 2 for name, (of_sensors, of_model) in found.items()}
+
+
 class ExtendedKalmanFilter:
-    """Extended Kalman filter of an arm of n coordinates, n_a tendons.
-
-    Args:
-        model: what is believed of the arm.
-        period: [s] from one estimate to the next.
-        start: tensions (n_a,) [N] that hold the arm when an episode begins.
-        sensing: what is measured, where, and with what noise.
-        uncertainty: of the model.
-        latency: of commands [s]; if it is to be estimated, what is believed of it at first.
-        greatest_latency: [s]; None: the latency is known.
-
-    Raises TypeError, ValueError.
-    """
+    """Extended Kalman filter of an arm. Raises TypeError, ValueError."""
 
     def __init__(
         self,
@@ -85,26 +109,26 @@ class ExtendedKalmanFilter:
         period: float,
         start: ArrayLike,
         sensing: Sensing,
-        *,
         uncertainty: Uncertainty = USUAL,
         latency: float = 0.0,
         greatest_latency: float | None = None,
     ) -> None:
-        self.model = checked_type("model", model, Model, "see build_model")
-        self.period = checked_number("period", period, np.finfo(float).tiny, "a positive number of seconds")
+        """period: [s] from one estimate to the next; start: tensions (n_a,) [N] that hold the arm when an episode begins; latency: of
+        commands [s], or what is believed of it at first; greatest_latency: [s] of one that is estimated, None: it is known."""
+        self.model, self.period, self.latency, self.greatest_latency = model, period, latency, greatest_latency
         self.start = checked_array("start", start, (model.tendon_count,))
-        for name, value in uncertainty._asdict().items():
+        for name, value in {"latency": latency, **uncertainty._asdict()}.items():
             checked_number(name, value, 0.0, "a number, at least 0")
-        self.latency = checked_number("latency", latency, 0.0, "a number of seconds, at least 0")
-        self.greatest_latency = greatest_latency
-        most = self.latency if greatest_latency is None else checked_number("greatest_latency", greatest_latency, self.latency, "not less")
-        self.history = whole_periods(most, period)[0] + 2
-        self.uncertainty, self._sensors = uncertainty, MeasurementModel(model, sensing)
-        self.needs = self._sensors.uses
+        self.history = whole_periods(latency if greatest_latency is None else greatest_latency, period)[0] + 2
+        n, tendons = model.coordinate_count, model.tendon_count
+        borders = np.cumsum([0, n, n, tendons, tendons, 6, 1]).tolist()
+        self._at = at = Layout(*map(slice, borders[:-1], borders[1:]))
+        self.uncertainty, self.needs = uncertainty, tuple(sensing.uses)
+        self._sensors = checked_array("sensors", sensing.sensors, (None,))
+        self._variance = noise_variances(model, sensing.noise, self._sensors.size)
+        self._rest_lengths, self._stress_free = model.tendon_lengths(np.zeros(n)), model.strain_at(np.zeros(n), self._sensors)[0]
         self._scale, self._tension = model.coordinate_scale(), _bending_tensions(model)
-        self._simulation = Simulation(model)
-        self._rest = static_equilibrium(model, self.start).q
-        self._at = at = self._sensors.layout
+        self._simulation, self._rest = Simulation(model), static_equilibrium(model, self.start).q
         self._drift, self._keep = self._walks(), np.ones(at.latency.stop)
         self._keep[at.offset], self._keep[at.gain] = np.exp(-period / np.array([[uncertainty.offset_time], [uncertainty.gain_time]]))
         self._forces = np.diag(uncertainty.force * model.bending_energy / self._scale)
@@ -118,7 +142,6 @@ class ExtendedKalmanFilter:
         return self._told(updated)
 
     def _first(self) -> Belief:
-        """Belief at the beginning: at rest under the tensions that hold the arm."""
         known, mean = self.uncertainty, np.zeros(self._at.latency.stop)
         mean[self._at.z], mean[self._at.latency] = self._rest / self._scale, self.latency
         tip = known.tip_start * np.repeat([1.0, self.model.length], 3)
@@ -137,21 +160,13 @@ class ExtendedKalmanFilter:
         variance[self._at.latency] = known.latency**2 * (self.greatest_latency is not None)
         return variance * self.period
 
-    def _input_error(self, mean: Array) -> InputError:
-        return InputError(1.0 + mean[self._at.gain], mean[self._at.offset])
-
-    def _acted(self, sent: Array, latency: float) -> list[tuple[Array, float]]:
-        """The tensions asked for (n_a,) [N] that acted over the last period, and for how long each."""
-        whole, rest = whole_periods(latency, self.period)
-        newest = len(sent) - 1 - whole
-        return [(sent[max(newest - 1, 0)], rest), (sent[max(newest, 0)], self.period - rest)]
-
     def _predicted(self, last: Belief, measured: Measurement) -> Belief:
-        """Prediction: the belief a period later, before it is measured."""
-        mean, gain, offset = last.mean, *self._input_error(last.mean)
+        mean, gain, offset = last.mean, 1.0 + last.mean[self._at.gain], last.mean[self._at.offset]
         q, q_dot, began = self._scale * mean[self._at.z], self._scale * mean[self._at.v], measured.time - self.period
-        acted = self._acted(measured.sent, float(mean[self._at.latency][0]))
-        tension, seconds = np.array([part for part, _ in acted]), np.array([part for _, part in acted])
+        whole, rest = whole_periods(float(mean[self._at.latency][0]), self.period)
+        newest = len(measured.sent) - 1 - whole
+        tension = measured.sent[[max(newest - 1, 0), max(newest, 0)]]  # that acted over the last period
+        seconds = np.array([rest, self.period - rest])  # each for so long
         try:
             self._simulation.reset(q, q_dot, time=began, effects=last.effects)
             with erring_actuators():
@@ -189,15 +204,13 @@ class ExtendedKalmanFilter:
         """Update: the belief after a measurement; None where there is no such state."""
         mean, covariance = believed.mean, believed.covariance
         try:
-            missed, slope, variance = self._sensors.compared(mean, measured)
-            spread = slope @ covariance
-            weight = np.linalg.solve(spread @ slope.T + np.diag(variance), np.column_stack([spread, missed]))
+            missed, slope, variance = self._compared(mean, measured)
+            spread, weight = _gain(slope, covariance, variance, missed)
             surprise = missed @ weight[:, -1] / missed.size
             if surprise > SURPRISE:  # of the motion, not of what the model has wrong in the long run
                 covariance, moving = covariance.copy(), slice(len(believed.noise))
                 covariance[moving, moving] += (surprise / SURPRISE - 1.0) * believed.noise
-                spread = slope @ covariance
-                weight = np.linalg.solve(spread @ slope.T + np.diag(variance), np.column_stack([spread, missed]))
+                spread, weight = _gain(slope, covariance, variance, missed)
         except FAILURES:
             return None
         after = mean + spread.T @ weight[:, -1]
@@ -213,12 +226,50 @@ class ExtendedKalmanFilter:
             return None
         return Belief(after, 0.5 * (covariance + covariance.T), believed.noise, believed.effects)
 
+    def _compared(self, mean: Array, measured: Measurement) -> tuple[Array, Array, Array]:
+        """Innovations (k,), the Jacobian (k, m) of what was expected of the state `mean` (m,), and the variances (k,) of the noise."""
+        at, scale = self._at, self._scale
+        q_dot = scale * mean[at.v]
+        missed, rows, variances = [], [], []
+        for name, (innovation, jacobian) in self._innovations(scale * mean[at.z], q_dot, mean[at.tip], measured).items():
+            row, variance = np.zeros((innovation.size, mean.size)), np.broadcast_to(self._variance[name], innovation.shape)
+            row[:, at.v if name in VELOCITIES else at.z] = jacobian * scale
+            if name in VELOCITIES:
+                variance = variance + (CHANGING * jacobian @ q_dot) ** 2
+            if name == "tip_pose":
+                row[:, at.tip] = np.eye(6)
+            missed.append(innovation)
+            rows.append(row)
+            variances.append(variance)
+        return np.concatenate(missed), np.vstack(rows), np.concatenate(variances)
+
+    def _innovations(self, q: Array, q_dot: Array, tip: Array, measured: Measurement) -> dict[str, tuple[Array, Array]]:
+        """Each quantity as measured less as expected, and its Jacobian (k, n) by coordinates, of VELOCITIES by their rates."""
+        terms = self.model.terms(q, q_dot, time=measured.time)
+        strain, slope = self.model.strain_at(q, self._sensors) if self._sensors.size else (np.zeros((0, 6)), np.zeros((0, 6, q.size)))
+        slope, J = slope.reshape(-1, q.size), terms.tip_jacobian
+        found: dict[str, Callable[[Any], tuple[Array, Array]]] = {
+            "tip_pose": lambda pose: (pose_error(moved_pose(terms.tip_pose, tip), pose), J),
+            "tip_twist": lambda twist: (twist - J @ q_dot, J),
+            "tendon_length": lambda lengths: (lengths - self.model.tendon_lengths(q) + self._rest_lengths, -terms.actuation.T),
+            "strain": lambda own: ((own - strain + self._stress_free).ravel(), slope),
+            "strain_rate": lambda rate: (rate.ravel() - slope @ q_dot, slope),
+        }
+        return {name: found[name](getattr(measured, name)) for name in ("tip_pose", *self.needs)}
+
     def _told(self, believed: Belief) -> Estimate:
         mean = believed.mean
         q = self._scale * mean[self._at.z]
         tip = moved_pose(self.model.tip_pose(q), mean[self._at.tip])
         latency = None if self.greatest_latency is None else float(mean[self._at.latency][0])
-        return Estimate(q, self._scale * mean[self._at.v], tip, self._input_error(mean), latency, believed)
+        error = InputError(1.0 + mean[self._at.gain], mean[self._at.offset])
+        return Estimate(q, self._scale * mean[self._at.v], tip, error, latency, believed)
+
+
+def _gain(slope: Array, covariance: Array, variance: Array, missed: Array) -> tuple[Array, Array]:
+    """H P, and (H P H^T + R)^-1 (H P, innovations)."""
+    spread = slope @ covariance
+    return spread, np.asarray(np.linalg.solve(spread @ slope.T + np.diag(variance), np.column_stack([spread, missed])))
 
 
 def _bending_tensions(model: Model) -> Array:

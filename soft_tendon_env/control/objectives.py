@@ -14,10 +14,10 @@ from soft_tendon_env.tools.types import Array
 
 
 class Dynamics(NamedTuple):
-    """State q, q_dot (n,) of an arm with the terms of its equation of motion there."""
+    """State of an arm with the terms of its equation of motion there."""
 
-    q: Array
-    q_dot: Array
+    q: Array  # (n,)
+    q_dot: Array  # (n,)
     terms: Terms
 
 
@@ -49,9 +49,11 @@ class Objective(Protocol):
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
         """The target for a model whose tip is at `model_pose` (4, 4) where the arm's is measured at `measured_pose` (4, 4)."""
+        return reference
 
     def moved_back(self, reference: Reference, nearest: Array, time: float, share: float) -> Reference:
         """The target, moved everywhere by the share of the way that leads to the pose `nearest` (4, 4) from where it is at `time` [s]."""
+        return reference
 
 
 @dataclass(frozen=True)
@@ -130,12 +132,6 @@ class Shape(Objective):
     def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
         error, then = (self.error(motion.q, motion.terms.tip_pose, reference, t) for t in (time, time + period))
         return Aim(error, (then - error) / period, self._root, np.zeros(error.size))
-
-    def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
-        return reference
-
-    def moved_back(self, reference: Reference, nearest: Array, time: float, share: float) -> Reference:
-        return reference
 
 
 def _pose(reference: Reference, time: float) -> Array:

@@ -1,8 +1,7 @@
 """The control laws (37) to (39) of the paper's Section IV, as pure functions and as controllers at a control period.
 
-The functions are continuous in time, without limits of the tensions: with the paper's gains they are for integrators of stiff differential
-equations. The controllers hold them over a control period within the tension limits. At the 20 ms of the environments they are unstable,
-which comparisons show: make them with a period of a millisecond or less, or use `TipTracking` and `ShapeTracking`, their sampled forms.
+The functions are continuous in time, without limits of the tensions. The controllers hold them over a control period within the limits: at
+the 20 ms of the environments they are unstable, unlike their sampled forms, `TipTracking` and `ShapeTracking`.
 n coordinates, n_a tendons; g and eta are pose and body twist of the tip.
 """
 
@@ -20,10 +19,7 @@ from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.tools.checks import checked_array
 from soft_tendon_env.tools.types import Array
 
-DEPENDENT = 1e-9
-"""Relative singular value up to which directions count as dependent, as the pulls of redundant tendons are."""
-
-
+DEPENDENT = 1e-9  # relative singular value up to which directions count as dependent, as the pulls of redundant tendons are
 TIP_GAINS = Gains(1e4, 1e3)  # of (39), [1/s^2] and [1/s]
 SHAPE_GAINS = Gains(1e3, 1e2)  # of (37), [1] and [s]; of (38) those over B's units
 
@@ -114,7 +110,6 @@ class PaperTipPose(ModelController):
     """(39) for the tip's pose; the target's twist and its derivative from its poses within two periods."""
 
     def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
-        """Tensions of (39); where it has no solution the last ones are held."""
         assert now.reference.tip_pose is not None
         poses = [pose_at(now.reference.ahead, now.reference.tip_pose, k * self.period) for k in range(3)]
         first, second = (pose_error(a, b) / self.period for a, b in zip(poses[:-1], poses[1:], strict=True))
@@ -135,7 +130,6 @@ class PaperShape(ModelController):
         self._tensions = tensions_of(model)
 
     def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
-        """Tensions of (37) or (38); where the model has no strain the last ones are held."""
         assert now.reference.q is not None
         here, then = (self._tensions @ value_at(now.reference.ahead, now.reference.q, time) for time in (0.0, self.period))
         wanted = ShapeTarget(here, (then - here) / self.period)

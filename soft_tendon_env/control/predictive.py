@@ -4,10 +4,7 @@ Every period the last plan is played through the model (exactly: with the simula
 (`Simulation.rollout`), and the plan improved by one quadratic program with bounds: the real-time iteration of Diehl, Bock
 and Schlöder (2005). What the model does not know is estimated and allowed for: tensions that would explain how the last period
 differed from its prediction (a momentum observer, unless an estimator has found an InputError), and the displacement between the tip that
-is measured and that of the model.
-
-Effects of the model act at their time: disturbances and a base that moves are foreseen. Their internal states, of memory and friction, are
-not measured: they begin at rest with the episode and are advanced by the model, from the measured coordinates of every period.
+is measured and that of the model. Internal states of effects begin at rest with the episode and are advanced by the model.
 """
 
 from typing import NamedTuple
@@ -75,7 +72,10 @@ class Predictive(ModelController):
         """First tensions of the improved plan. Where the model cannot follow its plan, the last ones are held and the plan begins anew."""
         size, N = self.least.size, self.horizon
         last = np.clip(now.tension, self.least, self.greatest)
-        plan = np.tile(last, (N, 1)) if memory is None else _later(memory.tension, self._hold)
+        plan = np.tile(last, (N, 1))
+        if memory is not None:  # a period later
+            share = 1.0 / self._hold
+            plan = (1.0 - share) * memory.tension + share * np.vstack([memory.tension[1:], memory.tension[-1:]])
         error = now.input_error or InputError(np.ones(size), np.zeros(size) if memory is None else self._observed(memory, now))
         try:
             self._simulation.reset(now.q, now.q_dot, time=now.time, effects=None if memory is None else memory.effects)
@@ -94,7 +94,13 @@ class Predictive(ModelController):
         found = allocate(hessian, gradient, least, greatest, None if memory is None else memory.multipliers)
         better = plan + found.x.reshape(N, size)
         report = {"limited": found.limited, "singular": float(not found.solved), "disturbance": float(np.abs(error.offset).max())}
-        rates, effects = self._predicted(error.gain * better[0] + error.offset)
+        rates = effects = None  # predicted for the end of the period, where the model has such a motion
+        try:
+            with erring_actuators():
+                self._simulation.step(error.gain * better[0] + error.offset, self.period)
+            rates, effects = self._simulation.state.q_dot, self._simulation.state.effects
+        except FAILURES:
+            pass
         response = rollout.by_tension[0, now.q.size :] / self._hold
         return ControllerOutput(better[0], Plan(better, found.multipliers, error.offset, response, rates, effects), report)
 
@@ -105,16 +111,6 @@ class Predictive(ModelController):
         push = memory.response.T @ self._inertia
         explained = np.linalg.lstsq(push @ memory.response, push @ (now.q_dot - memory.rates), rcond=1e-6)[0]
         return np.asarray(memory.disturbance + self.observer * explained)
-
-    def _predicted(self, tension: Array) -> tuple[Array, Array] | tuple[None, None]:
-        """The rates (n,) and internal states (m,) after a period under these tensions, None where the model has no such motion."""
-        try:
-            with erring_actuators():
-                self._simulation.step(tension, self.period)
-        except FAILURES:
-            return None, None
-        state = self._simulation.state
-        return state.q_dot, state.effects
 
     def _program(self, rollout: Rollout, gain: Array, now: ControllerInput) -> tuple[Array, Array]:
         """Hessian and gradient of the squared errors by changes of the plan (N * n_a,)."""
@@ -130,9 +126,3 @@ class Predictive(ModelController):
             left.append(error[k + 1] - self._decay ** (k + 1) * error[0])
         slope = np.concatenate(slopes)
         return slope.T @ slope, -slope.T @ np.concatenate(left)
-
-
-def _later(plan: Array, hold: int) -> Array:
-    """A plan (N, n_a) of intervals of `hold` periods, a period later."""
-    share = 1.0 / hold
-    return (1.0 - share) * plan + share * np.vstack([plan[1:], plan[-1:]])

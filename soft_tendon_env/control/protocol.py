@@ -1,8 +1,7 @@
 """Interfaces of controllers and state estimators: what a controller measures, the reference it follows, the tensions it decides on.
 
-A controller knows a `Model` (which may be a wrong one) and what is measured; never the environment. Its memory is explicit: it goes
-in and comes out of `act`, so that one controller serves any number of arms. `policies.ControllerPolicy` makes it an agent with
-Stable-Baselines3's `predict`. Conventions are the model's: SI units, twists angular before linear in the body frame, coordinates q.
+A controller knows a `Model` (which may be a wrong one) and what is measured; never the environment. Its memory goes in and comes out of
+`act`, so that one controller serves any number of arms. SI units, twists angular before linear in the body frame, coordinates q.
 """
 
 from collections.abc import Mapping
@@ -51,11 +50,8 @@ class ControllerInput(NamedTuple):
 
 @dataclass(frozen=True)
 class ControllerOutput:
-    """Tensions (n_a,) [N] to hold over the control period, the memory to give back next time, and numbers to look at.
-
-    `report` has at least "limited", the share of tendons held by their limits, and "singular", 1.0 where the task could not be
-    resolved and 0.0 otherwise.
-    """
+    """Tensions (n_a,) [N] to hold over the control period, the memory to give back next time, and numbers to look at: at least "limited",
+    the share of tendons held by their limits, and "singular", 1.0 where the task could not be resolved and 0.0 otherwise."""
 
     tension: Array
     memory: Any = None
@@ -96,32 +92,24 @@ class Measurement(NamedTuple):
     tendon_length: Array | None = None  # (n_a,) [m] less the length at rest without tension
     strain: Array | None = None  # (s, 6) less the stress-free strain
     strain_rate: Array | None = None  # (s, 6)
-    q: Array | None = None  # (n,) coordinates
-    q_dot: Array | None = None  # (n,) their rates
 
 
 class Estimate(NamedTuple):
-    """Estimated state of one arm, and what an estimator needs of it a period later.
-
-    tip_pose: where the estimator knows better than the measurement; latency: of commands [s], where it is estimated.
-    """
+    """Estimated state of one arm, and what an estimator needs of it a period later."""
 
     q: Array  # (n,)
     q_dot: Array  # (n,)
-    tip_pose: Array | None = None  # (4, 4)
+    tip_pose: Array | None = None  # (4, 4) where the estimator knows better than the measurement
     input_error: InputError | None = None
-    latency: float | None = None
+    latency: float | None = None  # [s] of commands, where it is estimated
     memory: Any = None
 
 
 class Estimator(Protocol):
-    """A state estimator: coordinates and rates of an arm from what is measured.
+    """A state estimator: coordinates and rates of an arm from what is measured."""
 
-    needs: the fields of Measurement that it is to be told, besides the tip's pose. history: how many of the tensions asked for last.
-    """
-
-    needs: tuple[str, ...]
-    history: int
+    needs: tuple[str, ...]  # fields of Measurement that it is to be told, besides the tip's pose
+    history: int  # how many of the tensions asked for last
 
     def estimate(self, measured: Measurement, last: Estimate | None) -> Estimate:
         """The state now; `last` is the estimate of the period before, None when an episode begins."""

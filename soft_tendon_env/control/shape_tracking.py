@@ -1,22 +1,21 @@
 """Shape control by the laws (37), (38) in implicit form: at the control period that there is, and within tension limits.
 
-The law is u = q_a_bar + G_aa^-1 B^T (kd (q_bar_dot - q_dot) + kp (q_bar - q)): (37) where every coordinate is actuated, since B = G
-there, and (38) in newtons otherwise. Its q and q_dot are those at the end of the period, solved for together with the implicit step of
-the motion (stable PD control of Tan, Liu and Turk 2011): gains of any size are stable at any period, also the paper's.
+u = q_a_bar + G_aa^-1 B^T (kd (q_bar_dot - q_dot) + kp (q_bar - q)) is (37) where every coordinate is actuated, and (38) in newtons
+otherwise. Its q and q_dot are those at the end of the period, solved for together with the implicit step of the motion (stable PD control
+of Tan, Liu and Turk 2011): gains of any size are stable at any period, also the paper's.
 """
 
 import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
-from soft_tendon_env.control.dynamics import implicit_step, natural_frequency, slowest_mode
+from soft_tendon_env.control.dynamics import implicit_step, natural_frequency
 from soft_tendon_env.control.protocol import FAILURES, ControllerInput, ControllerOutput, ModelController
 from soft_tendon_env.control.rigid_motions import value_at
 from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 
-LOOSE = 1e-6
-"""Weight of the tensions themselves against that of the motion they make, which decides where tendons are redundant."""
+LOOSE = 1e-6  # weight of the tensions themselves against that of the motion they make, which decides where tendons are redundant
 
 
 class ShapeFeedforward(ModelController):
@@ -27,7 +26,6 @@ class ShapeFeedforward(ModelController):
         self._tensions = tensions_of(model)
 
     def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
-        """Tensions that hold the shape wanted, within limits."""
         assert now.reference.q is not None
         return self.within_limits(self._tensions @ value_at(now.reference.ahead, now.reference.q, self.period))
 
@@ -73,6 +71,8 @@ def tensions_of(model: Model) -> Array:
 
 def shape_gains(model: Model, settling_time: float, damping: float) -> tuple[float, float]:
     """kp [-] and kd [s] of (37) that give the slowest mode of the model this settling time [s] and damping ratio, at least zero."""
-    mode, natural = slowest_mode(model), natural_frequency(settling_time, damping)
-    square = mode.frequency**2
-    return max(natural**2 / square - 1.0, 0.0), max((2.0 * damping * natural - mode.damping) / square, 0.0)
+    terms, natural = model.terms(*np.zeros((2, model.coordinate_count))), natural_frequency(settling_time, damping)
+    squares, shapes = np.linalg.eig(np.linalg.solve(terms.mass, terms.stiffness))
+    square, shape = squares.real.min(), shapes[:, np.argmin(squares.real)].real
+    own = shape @ terms.damping @ shape / (shape @ terms.mass @ shape)  # share of the damping in the inertia [1/s]
+    return max(natural**2 / square - 1.0, 0.0), max((2.0 * damping * natural - own) / square, 0.0)

@@ -8,8 +8,7 @@ from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.tension_limits import erring_actuators
 from soft_tendon_env.tools.types import Array
 
-SAME = 1e-9
-"""Share of a period by which a delay may differ from whole periods and still count as them."""
+SAME = 1e-9  # share of a period by which a delay may differ from whole periods and still count as them
 
 
 def whole_periods(delay: float, period: float) -> tuple[int, float]:
@@ -34,8 +33,7 @@ class SmithPredictor:
     def predicted(self, now: ControllerInput, sent: tuple[Array, ...], latency: float | None = None) -> ControllerInput:
         """Predicted controller input at the time when the command issued now takes effect; the present one if the simulation fails.
 
-        sent: tensions (n_a,) [N] of the periods before, the newest last, of which the last `history` matter. latency: [s], as known by
-        default.
+        sent: tensions (n_a,) [N] of the last `history` periods, the newest last. latency: [s], as known by default.
         """
         latency = self.latency if latency is None else latency
         periods, rest = whole_periods(latency, self._period)

@@ -1,10 +1,8 @@
 """Task-space feedback linearisation (39) in implicit form: at the control period that there is, within tension limits, against model error.
 
-The acceleration of the tip is asked for as in (39), from gains that are stable at the control period. Which tensions give it is asked
-of the implicit step of the motion, which knows that stiff coordinates do not follow an impulse, in place of the inertia alone; of all
-tensions that do, those are taken that disturb the arm's own motion least: Gauss's principle of least constraint, of which
-B^+ J_t^T Omega (...) in (39) is the solution without limits. At vanishing periods, without static tensions, the law is (39). The
-motion that is disturbed is that under the tensions which would hold the target, where they are known: feedforward from statics.
+The acceleration of the tip is asked for as in (39). Which tensions give it is asked of the implicit step of the motion; of all that do,
+those are taken that disturb least the arm's motion under the tensions which would hold the target (Gauss's principle of least constraint).
+At vanishing periods, without static tensions, the law is (39).
 """
 
 from typing import NamedTuple
@@ -18,10 +16,8 @@ from soft_tendon_env.control.protocol import FAILURES, ControllerInput, Controll
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 
-SINGULAR = 1e-3
-"""Least over greatest singular value of the map from tensions to the task, below which the task counts as singular."""
-FREE, STATIC = 1e-3, 0.1
-"""Weight of leaving the arm to itself, and of leaving it to the static tensions where they are known, against the task's."""
+SINGULAR = 1e-3  # least over greatest singular value of the map from tensions to the task, below which the task counts as singular
+FREE, STATIC = 1e-3, 0.1  # weights of leaving the arm to itself, or to the static tensions where they are known, against the task's
 
 
 class TipMemory(NamedTuple):
@@ -32,10 +28,7 @@ class TipMemory(NamedTuple):
 
 
 class TipTracking(ModelController):
-    """Tip tracking by implicit feedback linearisation and tension allocation.
-
-    objective: pose or position of the tip. settling_time, damping, integral_time: see `discrete_gains`. Raises ValueError for bad gains.
-    """
+    """Tip tracking by implicit feedback linearisation and tension allocation; for the gains, and what is raised, see `discrete_gains`."""
 
     def __init__(
         self,
@@ -53,7 +46,6 @@ class TipTracking(ModelController):
         self.gains = discrete_gains(settling_time, damping, period, integral_time)
 
     def act(self, now: ControllerInput, memory: TipMemory | None = None) -> ControllerOutput:
-        """Tensions of the implicit law."""
         h, gains = self.period, self.gains
         try:
             terms = self.model.terms(now.q, now.q_dot, time=now.time)
@@ -74,7 +66,9 @@ class TipTracking(ModelController):
             static = None if static is None else (static - offset) / gain
         task = aim.jacobian @ response
         missing = wanted - aim.jacobian @ free - h * aim.bias
-        hessian, gradient = self._program(task, missing, metric, static)
+        weight, reference = (FREE, np.zeros_like(self.least)) if static is None else (STATIC, static)
+        passive = weight * np.trace(task.T @ task) / np.trace(metric) * metric  # of the motion by other tensions than these
+        hessian, gradient = task.T @ task + passive, -task.T @ missing - passive @ reference
         found = allocate(hessian, gradient, self.least, self.greatest, None if memory is None else memory.multipliers)
         ways, scale, _ = np.linalg.svd(task)
         open_ways = ways[:, : scale.size][:, scale > SINGULAR * scale[0]]  # directions in which tensions move the tip at all
@@ -83,10 +77,3 @@ class TipTracking(ModelController):
         singular = not found.solved or open_ways.shape[1] < task.shape[0]
         report = {"limited": found.limited, "singular": float(singular), "refused": float(np.linalg.norm(refused))}
         return ControllerOutput(found.x, TipMemory(integral, found.multipliers), report)
-
-    def _program(self, task: Array, missing: Array, constraint: Array, static: Array | None) -> tuple[Array, Array]:
-        """Hessian and gradient of |task u - missing|^2 and, with less weight, of the motion (n_a, n_a) added by tensions other than
-        the static ones, or than none."""
-        weight, reference = (FREE, np.zeros_like(self.least)) if static is None else (STATIC, static)
-        passive = weight * np.trace(task.T @ task) / np.trace(constraint) * constraint
-        return task.T @ task + passive, -task.T @ missing - passive @ reference

@@ -15,7 +15,6 @@ from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.settings import RegimeNames, SettingNames, TaskName, Workers, episode_steps
 from soft_tendon_env.evaluation.summaries import Standing, Standings, difference
 from soft_tendon_env.evaluation.tables import error_table, number
-from soft_tendon_env.policies.agent_checks import CLOCK
 from soft_tendon_env.policies.agent_files import INTERFACE
 from soft_tendon_env.policies.names import Agent, Controller, PolicyName
 from soft_tendon_env.policies.regimes import REGIMES
@@ -33,8 +32,8 @@ class BenchmarkPolicy(Configuration):
     """One policy of the benchmark.
 
     Attributes:
-        policy: a controller with a state estimator, such as filtered:predictive or adaptive:tracking@fast; the folder or .zip file of an
-            agent, or agent, ppo, sac, dagger or apg, of those that ship; a folder of runs of `soft-tendon sweep`; or `module:name`.
+        policy: a controller with a state estimator, such as filtered:predictive or adaptive:tracking@fast; the folder of an agent, or
+            agent, ppo, sac, dagger or apg, of those that ship; a folder of runs of `soft-tendon sweep`; or `module:name`.
         name: in tables, by default `policy`.
         regimes: in which it is evaluated, by default all whose observations suffice for it.
         settings: in which it is evaluated, by default all.
@@ -149,8 +148,8 @@ def interface_options(policy: PolicyName, regime: str) -> dict[str, Any]:
 def misfit(policy: PolicyName, options: Mapping[str, Any], regime: str) -> str:
     """Reason why a policy that observes what these options say cannot play in a regime; "": it can. Raises ValueError."""
     parsed, allowed = Options.parse(dict(options), "options"), REGIMES[regime]
-    if isinstance(policy, Agent) and policy.arm.get(CLOCK, parsed.control_period) != parsed.control_period:
-        return f"it was trained with {CLOCK} = {policy.arm[CLOCK]}"
+    if isinstance(policy, Agent) and (period := policy.arm["control_period"]) != parsed.control_period:
+        return f"it was trained with control_period = {period}"
     groups = groups_of(parsed, TASKS[policy.task], resolved_scene(parsed))
     if beyond := [name for name in groups if name not in allowed.groups]:
         return f"it observes {', '.join(beyond)}"

@@ -32,7 +32,7 @@ class Demonstration(Workers):
     """Episodes of the demo, and the agent in it.
 
     Attributes:
-        agent: the folder or the .zip file of an agent; or agent, ppo, sac, dagger or apg, of those that ship.
+        agent: the folder of an agent; or agent, ppo, sac, dagger or apg, of those that ship.
         episodes: number of random targets.
         seconds: length of an episode [s].
     """

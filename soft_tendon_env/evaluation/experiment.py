@@ -21,7 +21,7 @@ from soft_tendon_env.evaluation.metrics import EpisodeScore, record, restored, s
 from soft_tendon_env.evaluation.play import play
 from soft_tendon_env.evaluation.provenance import machine, origin
 from soft_tendon_env.evaluation.settings import episode_steps
-from soft_tendon_env.policies.agent_checks import TrainingWarning
+from soft_tendon_env.policies.agent import TrainingWarning
 from soft_tendon_env.policies.names import Controller, PolicyName, UserPolicy
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.scene.passive_fields import FieldsWarning

@@ -104,7 +104,7 @@ class Comparison(Settings):
 
     Attributes:
         tasks: names of the tasks that policies are compared on.
-        policies: names of controllers, "all" of them, agent, ppo, sac, dagger or apg (which ship), folders or .zip files of
+        policies: names of controllers, "all" of them, agent, ppo, sac, dagger or apg (which ship), folders of
             agents, or folders of runs.
     """
 

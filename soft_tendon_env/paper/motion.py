@@ -20,7 +20,7 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.targets.motions import Circle
 from soft_tendon_env.evaluation.play import play_steps
-from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of
+from soft_tendon_env.policies.controller_policy import ControllerPolicy
 from soft_tendon_env.tools.messages import say
 
 TOLERANCE = 1e-4
@@ -130,7 +130,7 @@ def track(scene: str, feedforward: bool, circle: Circle, duration: float) -> Mot
         controller = ReferenceGovernor(StaticFeedforward(model, limits, PERIOD, aim), controller)
     samples = []
     say(f"Figures 5 and 6, {scene} at {1e3 * PERIOD:g} ms")
-    for step in play_steps(ControllerPolicy(controller, interface_of(env)), env, [0]):
+    for step in play_steps(ControllerPolicy(controller, env), env, [0]):
         arms = episodes.arms
         samples.append((arms.rows.q[0].copy(), arms.reading.tip_pose[0, :3, 3].copy(), episodes.tension[0].copy()))
         if step.ended.any():

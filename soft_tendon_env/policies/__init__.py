@@ -1,25 +1,12 @@
 """Policies: what turns observations into actions, model-based controllers and trained agents alike, with Stable-Baselines3's `predict`."""
 
-from soft_tendon_env.policies.agent import load_agent
-from soft_tendon_env.policies.agent_checks import TrainingWarning
-from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of, make_policy, observation_options
-from soft_tendon_env.policies.estimators import register_estimator
+from soft_tendon_env.policies.agent import TrainingWarning, load_agent, save_agent
+from soft_tendon_env.policies.controller_policy import ControllerPolicy, make_policy, observation_options
+from soft_tendon_env.policies.estimators import ESTIMATORS, EstimatorEntry
 from soft_tendon_env.policies.load import load_policy, policy_options
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.network import register_algorithm
 from soft_tendon_env.policies.protocol import Policy
 
-__all__ = [
-    "ControllerPolicy",
-    "Policy",
-    "PolicyName",
-    "TrainingWarning",
-    "interface_of",
-    "load_agent",
-    "load_policy",
-    "make_policy",
-    "observation_options",
-    "policy_options",
-    "register_algorithm",
-    "register_estimator",
-]
+__all__ = ["ESTIMATORS", "ControllerPolicy", "EstimatorEntry", "Policy", "PolicyName", "TrainingWarning", "load_agent", "load_policy"]
+__all__ += ["make_policy", "observation_options", "policy_options", "register_algorithm", "save_agent"]

@@ -1,23 +1,19 @@
 """State estimators by name, and by what stands before a controller's name: filtered:tracking is `tracking` with the Kalman filter.
 
-To add one, add an entry to ESTIMATORS, or register one of your own with `register_estimator`.
+To add one, add an entry to ESTIMATORS: ESTIMATORS["lengths"] = EstimatorEntry("lengths:", LengthObserver).
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
-from soft_tendon_env.control.kalman import ExtendedKalmanFilter, Uncertainty
-from soft_tendon_env.control.kalman_measurement import Sensing
+from soft_tendon_env.control.kalman import ExtendedKalmanFilter, Sensing, Uncertainty
 from soft_tendon_env.control.protocol import Estimator
 from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.tools.configuration import not_among
 from soft_tendon_env.tools.types import Array
 
-GREATEST_LATENCY = 0.08
-"""[s] that an estimate of an unknown latency reaches."""
+GREATEST_LATENCY = 0.08  # [s] that an estimate of an unknown latency reaches
 PARAMETERS: Mapping[str, str] = {
     "tip_twist": "tip_twist",
     "tendon_lengths": "tendon_length",
@@ -26,7 +22,7 @@ PARAMETERS: Mapping[str, str] = {
     "coordinates": "q",
     "rates": "q_dot",
 }
-"""Fields of a Measurement by the observation groups that tell them, besides the tip's pose."""
+"""Fields of Measurement, or of ControllerInput, by the observation groups that tell them, besides the tip's pose."""
 
 
 class Setting(NamedTuple):
@@ -54,40 +50,18 @@ class EstimatorEntry:
     filters: bool = False  # whether it is a Kalman filter: entries of its Uncertainty can be tuned
 
 
-def _kalman_filter(model: Model, setting: Setting, greatest_latency: float | None = None) -> Estimator:
-    """greatest_latency: [s] of commands whose latency is not known, None: it is."""
-    latency = setting.latency
-    if greatest_latency is not None:
-        latency, greatest_latency = latency or greatest_latency / 4, max(greatest_latency, latency)
-    sensing = Sensing(setting.observed, setting.sensors, setting.noise)
-    known: dict[str, Any] = {"uncertainty": setting.uncertainty, "latency": latency, "greatest_latency": greatest_latency}
-    return ExtendedKalmanFilter(model, setting.period, setting.tension, sensing, **known)
+def _kalman_filter(model: Model, own: Setting, latency: float | None = None, greatest: float | None = None) -> Estimator:
+    sensing, latency = Sensing(own.observed, own.sensors, own.noise), own.latency if latency is None else latency
+    return ExtendedKalmanFilter(model, own.period, own.tension, sensing, own.uncertainty, latency, greatest)
 
 
-_adaptive = partial(_kalman_filter, greatest_latency=GREATEST_LATENCY)
+def _adaptive_filter(model: Model, own: Setting) -> Estimator:
+    first = own.latency or GREATEST_LATENCY / 4
+    return _kalman_filter(model, own, first, max(GREATEST_LATENCY, first))
+
+
 ESTIMATORS: dict[str, EstimatorEntry] = {
     "kalman": EstimatorEntry("filtered:", _kalman_filter, filters=True),
-    "adaptive": EstimatorEntry("adaptive:", _adaptive, GREATEST_LATENCY, filters=True),
+    "adaptive": EstimatorEntry("adaptive:", _adaptive_filter, GREATEST_LATENCY, filters=True),
 }
 """State estimators by name: extended Kalman filter, and the same with unknown latency."""
-Added = TypeVar("Added", bound=Make)
-
-
-def estimator_entry(name: str) -> EstimatorEntry:
-    """Entry of an estimator. Raises ValueError."""
-    if name not in ESTIMATORS:
-        raise ValueError(f"estimator is {name!r}: {not_among(name, ESTIMATORS)}")
-    return ESTIMATORS[name]
-
-
-def register_estimator(name: str) -> Callable[[Added], Added]:
-    """Decorator of a class or function (model, Setting) that makes a state estimator, see control.protocol: policies of controllers with it
-    are called "name:CONTROLLER". Raises ValueError for the names of the package's own."""
-
-    def add(make: Added) -> Added:
-        if name in ("kalman", "adaptive", "filtered"):
-            raise ValueError(f"there is an estimator {name!r} already: choose another name")
-        ESTIMATORS[name] = EstimatorEntry(f"{name}:", make)
-        return make
-
-    return add

@@ -1,13 +1,9 @@
-"""Integral action around a learned policy: it sees the target moved by the integral of the error, so that no constant error is left.
-
-It need not have learned so, and where errors are large it acts as before.
-"""
+"""Integral action around a learned policy: it sees the target moved by the integral of the error, so that no constant error is left."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.policies.protocol import LostState, Policy
@@ -18,15 +14,12 @@ WAYS: Mapping[str, str | None] = {"target_error": "preview", "target_coordinates
 """Observation groups of the way to the target now, and those of the ways to where it will be, which move with it."""
 GOAL_UNIT = 0.1
 """Unit of ways to goals, as a share of the rod's length; ways in observations have units already, poses this one and half a radian."""
-NEAR = 0.8
-"""Error in these units beyond which an arm is on its way, and nothing is integrated (anti-windup)."""
+NEAR = 0.8  # error in these units beyond which an arm is on its way, and nothing is integrated (anti-windup)
 MOST = 0.1
 """Largest integral in these units: more than what agents leave of errors, and little where the arm cannot reach its target at all."""
 
 
 class IntegralMemory(NamedTuple):
-    """State of an IntegralPolicy from one call of `predict` to the next."""
-
     policy: Any
     integral: Array  # (rows, m) in units of the ways
 
@@ -34,11 +27,11 @@ class IntegralMemory(NamedTuple):
 class IntegralPolicy:
     """A policy that sees its target moved by the integral of the error: of the tip's pose, of its position as a goal, or of the shape.
 
-    Raises ValueError where the environment's observation has no way to the target, or the integral is quicker than its control period.
+    integral_time: [s] in which a constant error is added once. Raises ValueError where the environment's observation has no way to the
+    target, or the integral is quicker than its control period.
     """
 
     def __init__(self, policy: Policy, env: Any, integral_time: float) -> None:
-        """integral_time: [s] in which a constant error is added once."""
         episodes = episodes_of(env)
         checked_number("integral_time", integral_time, episodes.period, f"at least a control period, {episodes.period:g} s")
         groups = episodes.layout.slices
@@ -75,12 +68,11 @@ class IntegralPolicy:
     def _moved(self, observation: Any, integral: Array) -> Any:
         """The observation, its target moved by integrals (rows, m)."""
         if isinstance(observation, dict):
-            goal: NDArray[np.float32] = observation["desired_goal"]
+            goal = observation["desired_goal"]
             return {**observation, "desired_goal": (goal + (self.goal_unit * integral).reshape(goal.shape)).astype(np.float32)}
         moved, first = np.array(np.atleast_2d(observation)), 0
         for now, ahead in self.ways:
-            size = now.stop - now.start
-            part, first = integral[:, first : first + size], first + size
+            part = integral[:, first : (first := first + now.stop - now.start)]
             moved[:, now] += part
-            moved[:, ahead] += np.tile(part, (ahead.stop - ahead.start) // size)
+            moved[:, ahead] += np.tile(part, (ahead.stop - ahead.start) // part.shape[1])
         return moved.reshape(np.shape(observation))

@@ -9,8 +9,7 @@ from soft_tendon_env.policies.agent_files import is_agent, is_shipped
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.protocol import Policy
 
-ALL = "all"
-"""Name of all controllers of the catalogue together."""
+ALL = "all"  # name of all controllers of the catalogue together
 
 
 def policy_options(name: str, task: str, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -21,8 +20,8 @@ def policy_options(name: str, task: str, given: Mapping[str, Any]) -> dict[str, 
 def load_policy(name: str, env: Any) -> Policy:
     """The policy for an environment with the options that it needs, see `policy_options`.
 
-    name: a controller's, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where it believes in another model; an agent's folder or
-    .zip file; "agent", "ppo", "sac", "dagger" or "apg", of those that ship for the environment's task; module:name of what makes one.
+    name: a controller's, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where it believes in another model; an agent's folder;
+    "agent", "ppo", "sac", "dagger" or "apg", of those that ship for the environment's task; module:name of what makes one.
     Raises TypeError for environments of other packages, ValueError, OSError, ModuleNotFoundError.
     """
     return PolicyName.parse(name, episodes_of(env).task.name).load(env)
@@ -30,5 +29,4 @@ def load_policy(name: str, env: Any) -> Policy:
 
 def short_name(name: str) -> str:
     """Short form of a policy's name, for pictures: the end of a path."""
-    is_path = is_agent(name) and not is_shipped(name)
-    return "/".join(Path(name.removesuffix(".zip")).parts[-2:]) if is_path else Path(name).name
+    return "/".join(Path(name).parts[-2:]) if is_agent(name) and not is_shipped(name) else Path(name).name

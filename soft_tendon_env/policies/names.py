@@ -1,51 +1,35 @@
 """Names of policies, parsed once into a type: a controller, a trained agent, or a user's policy.
 
-    name = PolicyName.parse("filtered:predictive@fast", "TipPose")
-    env = gym.make("TendonRod-TipPose-v0", **name.options({}))
-    policy = name.load(env)
-
-The grammars are those of the three classes. For another one, add a class, and its case to `PolicyName.parse`.
+name = PolicyName.parse("filtered:predictive@fast", "TipPose")
+env = gym.make("TendonRod-TipPose-v0", **name.options({}))
+policy = name.load(env)
 """
 
 import importlib
-import importlib.util
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Union
 
+import gymnasium as gym
+
 from soft_tendon_env.accuracy.fidelity import AS_SCENE, build_model, checked_fidelity
-from soft_tendon_env.control import CONTROLLERS
-from soft_tendon_env.control.catalogue import Entry
+from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
 from soft_tendon_env.control.kalman import USUAL
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.options import Options, given_scene
 from soft_tendon_env.policies.agent import load_agent
-from soft_tendon_env.policies.agent_files import (
-    ARM,
-    INTERFACE,
-    SHIPPED_NAMES,
-    AgentConfig,
-    AgentFiles,
-    find_agent,
-    is_agent,
-    is_run,
-    read_config,
-)
+from soft_tendon_env.policies.agent_files import ARM, INTERFACE, SHIPPED, AgentConfig, find_agent, is_agent, read_config
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.estimators import ESTIMATORS
-from soft_tendon_env.policies.protocol import FunctionPolicy, Policy
-from soft_tendon_env.policies.user_policy import policy_environment
+from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml, shown
 from soft_tendon_env.tools.files import digest, digests
 
-BEST = "best"
-"""Name of the folder of a training's best agent, within that of the training."""
-BELIEVED = "@"
-"""Separator between a controller's name and the fidelity of the model that it believes in."""
-ESTIMATOR = "estimator."
-"""Prefix of parameters of the state estimator among those of a controller."""
+BEST = "best"  # name of the folder of a training's best agent, within that of the training
+ESTIMATOR = "estimator."  # prefix of parameters of the state estimator among those of a controller
 
 
 @dataclass(frozen=True)
@@ -68,21 +52,20 @@ class PolicyName:
                 raise ValueError(f"{text}: policy is {tuned.policy!r}: it should be a controller")
             return named.with_parameters(tuned.parameters, text)
         estimator, prefix = next(((name, of.prefix) for name, of in ESTIMATORS.items() if text.startswith(of.prefix)), (None, ""))
-        controller, mark, belief = text.removeprefix(prefix).partition(BELIEVED)
+        controller, mark, belief = text.removeprefix(prefix).partition("@")
         if controller in controllers:
-            return Controller(text, task, controller, estimator, _checked_belief(text, belief) if mark else None)
-        if prefix:
-            wanted = f"what stands behind {prefix!r} should be a controller of {task}, {not_among(controller, controllers)}"
-            raise ValueError(f"policy is {text!r}: {wanted}")
+            try:
+                return Controller(text, task, controller, estimator, checked_fidelity(belief) and belief if mark else None)
+            except ValueError as error:
+                raise ValueError(f"policy is {text!r}: what stands behind '@' {error}") from error
         module, colon, name = text.partition(":")
-        if colon and not path.exists() and _is_module(module):
+        if colon and not prefix:
             return UserPolicy(text, task, module, name)
-        what = "a folder" if path.is_dir() else "a file" if path.is_file() else "no policy"
-        hint = f", such as {path / BEST}," if is_run(path) else ""
-        agents = f"the folder of an agent{hint or ','} a .zip file of Stable-Baselines3, {SHIPPED_NAMES}, module:name"
-        raise ValueError(
-            f"policy is {text!r}, {what}: it should be {agents}, or a controller of {task}; {not_among(controller, controllers)}"
-        )
+        wanted = f"a controller of {task}; {not_among(controller, controllers)}"
+        if prefix:
+            raise ValueError(f"policy is {text!r}: what stands behind {prefix!r} should be {wanted}")
+        agents = f"the folder of an agent (of a training: {path / BEST}), {', '.join(SHIPPED)}, which ship, module:name"
+        raise ValueError(f"policy is {text!r}, no policy: it should be {agents}, or {wanted}")
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Options of an environment in which the policy sees what it needs: its own, and those given. Raises ValueError, OSError."""
@@ -102,7 +85,7 @@ class PolicyName:
 
 
 class TunedController(Configuration):
-    """Parameters of a controller, as `soft-tendon tune` writes them. policy: its name; parameters: by name, see `Controller.defaults`."""
+    """A controller's name and parameters (see `Controller.defaults`), as `soft-tendon tune` writes them."""
 
     policy: str
     parameters: dict[str, int | float]
@@ -110,11 +93,8 @@ class TunedController(Configuration):
 
 @dataclass(frozen=True)
 class Controller(PolicyName):
-    """A controller of the catalogue: NAME, where its coordinates are observed, or behind the estimator that finds them.
-
-    filtered:NAME by an extended Kalman filter from whatever is observed; adaptive:NAME by one that estimates the latency of commands too.
-    NAME@FIDELITY believes in a model of another fidelity than the arm's. A .toml file of `soft-tendon tune` is one with other `parameters`.
-    """
+    """A controller of the catalogue: NAME, where its coordinates are observed; filtered:NAME, where an extended Kalman filter finds them;
+    adaptive:NAME, where it finds the latency of commands too. NAME@FIDELITY believes in a model of another fidelity than the arm's."""
 
     name: str
     estimator: str | None
@@ -123,16 +103,13 @@ class Controller(PolicyName):
 
     def with_parameters(self, parameters: Mapping[str, float], text: str | None = None) -> "Controller":
         """The controller with other parameters, and another name. Raises ValueError for parameters that it has not."""
-        for name in parameters:
-            if name not in self.defaults:
-                valid = not_among(name, self.defaults) if self.defaults else "there are none"
-                raise ValueError(f"parameters has {name!r}, which {self.text} has not: {valid}")
+        for name in parameters.keys() - self.defaults.keys():
+            raise ValueError(f"parameters has {name!r}, which {self.text} has not: {not_among(name, self.defaults)}")
         return replace(self, text=text or self.text, parameters=dict(parameters))
 
     @property
     def defaults(self) -> dict[str, float]:
-        """Values of all parameters where nothing is tuned: of the catalogue's entry, and with "estimator." before them of the Kalman filter
-        (see control.kalman.Uncertainty)."""
+        """Parameters where nothing is tuned: of the catalogue's entry, and behind "estimator." of the Kalman filter's Uncertainty."""
         filtered = USUAL._asdict() if self.estimator is not None and ESTIMATORS[self.estimator].filters else {}
         return {**CONTROLLERS[self.task][self.name].parameters, **{f"{ESTIMATOR}{name}": value for name, value in filtered.items()}}
 
@@ -140,7 +117,7 @@ class Controller(PolicyName):
     def entry(self) -> Entry:
         """The catalogue's entry, with its parameters."""
         own = {name: value for name, value in self.parameters.items() if not name.startswith(ESTIMATOR)}
-        return CONTROLLERS[self.task][self.name].with_parameters(own)
+        return CONTROLLERS[self.task][self.name].with_parameters(own) if own else CONTROLLERS[self.task][self.name]
 
     def options(self, given: Mapping[str, Any], regime: str | None = None) -> dict[str, Any]:
         """regime: information regime of the estimator, see `observation_options`."""
@@ -151,9 +128,9 @@ class Controller(PolicyName):
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
         changed = {name.removeprefix(ESTIMATOR): value for name, value in self.parameters.items() if name.startswith(ESTIMATOR)}
-        controller = self.entry if self.parameters else self.name
-        believed = self.belief if scene is None else build_model(scene, self.belief or AS_SCENE)
-        return make_policy(controller, env, believed, estimator=self.estimator, uncertainty=USUAL._replace(**changed))
+        own = self.belief is None and scene is None
+        believed = None if own else build_model(scene or episodes_of(env).model.scene, self.belief or AS_SCENE)
+        return make_policy(self.entry, env, believed, estimator=self.estimator, uncertainty=USUAL._replace(**changed))
 
     def fingerprint(self) -> Any:
         return [self.text, dict(self.parameters)]
@@ -161,53 +138,44 @@ class Controller(PolicyName):
 
 @dataclass(frozen=True)
 class Agent(PolicyName):
-    """A trained agent: the name of one that ships for the task, "agent" for the best of them; its folder; or a .zip file of
-    Stable-Baselines3."""
+    """A trained agent: the name of one that ships for the task, "agent" for the best of them, or its folder."""
 
     @property
-    def files(self) -> AgentFiles:
-        """The files that it is read from. Raises ValueError, FileNotFoundError."""
+    def folder(self) -> Path:
+        """The folder of its files. Raises ValueError, FileNotFoundError."""
         return find_agent(self.text, self.task)
 
     @property
     def config(self) -> AgentConfig:
         """The configuration of its training. Raises ValueError, OSError."""
-        return read_config(self.files)
+        return read_config(self.folder)
 
     @property
     def training(self) -> str:
-        """The algorithm and the steps that trained it, as far as they are known. Raises ValueError, OSError."""
+        """The algorithm and the steps that trained it. Raises ValueError, OSError."""
         steps = self.config.steps_done
-        return (self.config.algorithm or "Stable-Baselines3") + ("" if steps is None else f", {steps:,} steps")
+        return self.config.algorithm + ("" if steps is None else f", {steps:,} steps")
 
     @property
     def arm(self) -> dict[str, Any]:
-        """Options of the arm that it was trained on, all of them; none where no config.json says so. Raises ValueError, OSError."""
-        options = self.config.options
-        return {} if options is None else Options.parse(options, "options").model_dump(mode="json", include=set(ARM))
+        """Options of the arm that it was trained on, all of them. Raises ValueError, OSError."""
+        return Options.parse(self.config.options, "options").model_dump(mode="json", include=set(ARM))
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """The arm that it was trained on, and how it sees and moves it: not what was to be learned. Raises ValueError, OSError."""
-        own = self.config.options or {}
-        return {**{key: value for key, value in own.items() if key in (*ARM, *INTERFACE)}, **given}
+        return {**{key: value for key, value in self.config.options.items() if key in (*ARM, *INTERFACE)}, **given}
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
         return load_agent(self.text, env, other_effects)
 
     def fingerprint(self) -> Any:
-        files = self.files
-        if not files.is_zip:
-            return digests(files.path)
-        return {path.name: digest(path) for path in (files.path, files.config, files.statistics) if path.is_file()}
+        return digests(self.folder)
 
 
 @dataclass(frozen=True)
 class UserPolicy(PolicyName):
-    """A user's policy, module:name: a callable that gets an environment and returns an object with Stable-Baselines3's `predict`, or a
-    function of observations (rows, size) that returns actions (rows, n_a).
+    """A user's policy, module:name: a callable that gets a `policy_environment` and returns an object with Stable-Baselines3's `predict`.
 
-    The environment shares nothing with the one that it acts in, see `policy_environment`. Its attribute `options`, if it has one, says what
-    it observes and how its actions are read: options of the environment, those of INTERFACE.
+    Its attribute `options`, if it has one, says what it observes and how its actions are read: those of INTERFACE.
     """
 
     module: str
@@ -215,50 +183,41 @@ class UserPolicy(PolicyName):
 
     @property
     def maker(self) -> Callable[..., Any]:
-        """The callable. Raises ValueError where there is none."""
         try:
-            made = getattr(importlib.import_module(self.module), self.name)
-        except (ImportError, AttributeError) as error:
-            text = f"policy is {self.text!r}: it should be module:name of what makes a policy from an environment; {error}"
-            raise ValueError(text) from error
-        if not callable(made):
-            raise ValueError(f"policy is {self.text!r}: {self.name} should be callable with an environment, not {type(made).__name__}")
+            made: Callable[..., Any] = getattr(importlib.import_module(self.module), self.name)
+        except (ImportError, AttributeError, ValueError) as error:
+            raise ValueError(f"policy is {self.text!r}: it should be module:name of what makes a policy; {error}") from error
         return made
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Raises ValueError for options of its own that are none, or change the arm, the task or the clock."""
         own = getattr(self.maker, "options", {})
         if other := [str(name) for name in own if name not in INTERFACE]:
-            text = f"policy is {self.text!r}, whose options have {', '.join(other)}: a policy may set {', '.join(INTERFACE)} alone"
-            raise ValueError(f"{text}; what changes the arm, the task or the clock is said by who runs it")
+            raise ValueError(f"policy is {self.text!r}, whose options have {', '.join(other)}: it may set {', '.join(INTERFACE)} alone")
         Options.parse(dict(own), f"options of {self.text}")
         return {**own, **given}
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
-        made = self.maker(policy_environment(env, scene))
-        predicts = callable(getattr(made, "predict", None))
-        if isinstance(made, type) or not (predicts or callable(made)):
-            text = f"{self.name} should make an object with predict, or a function of observations, not {shown(made)}"
-            raise ValueError(f"policy is {self.text!r}: {text}")
-        return made if predicts else FunctionPolicy(made)
+        made: Policy = self.maker(policy_environment(env, scene))
+        if not hasattr(made, "predict"):
+            raise ValueError(f"policy is {self.text!r}: {self.name} should make an object with predict, not {shown(made)}")
+        return made
 
     def fingerprint(self) -> Any:
-        """With the source of its module."""
         file = getattr(importlib.import_module(self.module), "__file__", None)
         return [self.text, None if file is None else digest(Path(file))]
 
 
-def _is_module(name: str) -> bool:
-    try:
-        return name in sys.modules or importlib.util.find_spec(name) is not None
-    except (ImportError, ValueError):  # no package, or no name of a module
-        return False
+def policy_environment(env: Any, scene: Scene | None = None) -> Any:
+    """Environment with the spaces, control period and limits of another, single or vector, that shares nothing with it.
 
-
-def _checked_belief(text: str, belief: str) -> str:
-    """The fidelity behind a controller's name. Raises ValueError."""
-    try:
-        checked_fidelity(belief)
-    except ValueError as error:
-        raise ValueError(f"policy is {text!r}: what stands behind {BELIEVED!r} {error}") from error
-    return belief
+    Its arm is the scene, or that of the environment, without what `randomize` draws but noise; its targets are the task's usual ones.
+    """
+    episodes = episodes_of(env)
+    options = {name: getattr(episodes.options, name) for name in (*ARM, *INTERFACE, "threshold")}
+    options |= {
+        "randomize": {"noise": episodes.options.randomize.noise},
+        **({} if scene is None else {"scene": scene, "fidelity": "scene"}),
+    }
+    if isinstance(env, gym.Env):
+        return gym.make(IDS[episodes.task.name], **options)
+    return gym.make_vec(IDS[episodes.task.name], num_envs=episodes.size, threads=1, **options)

@@ -1,4 +1,4 @@
-"""Policy networks of Stable-Baselines3: from an agent's folder without unpickling, from a .zip file by Stable-Baselines3 itself."""
+"""Policy networks of Stable-Baselines3, from files of weights without unpickling."""
 
 import importlib
 import inspect
@@ -25,14 +25,8 @@ Algorithm = TypeVar("Algorithm", bound=type)
 
 
 def register_algorithm(algorithm: Algorithm) -> Algorithm:
-    """Class decorator: train with an algorithm of your own, a subclass of Stable-Baselines3's `BaseAlgorithm`, by its class's name.
-
-    Its hyperparameters are those arguments that `learning.hyperparameters` knows; agents of it load where it is registered. Raises
-    ValueError for a name that another algorithm has.
-    """
-    if (name := algorithm.__name__) in {**ALGORITHMS, **OF_PACKAGE}:
-        raise ValueError(f"there is an algorithm {name} already: give the class another name")
-    _REGISTERED[name] = algorithm
+    """Class decorator: train with an algorithm of your own, a subclass of Stable-Baselines3's `BaseAlgorithm`, by its class's name."""
+    _REGISTERED[algorithm.__name__] = algorithm
     return algorithm
 
 
@@ -47,10 +41,8 @@ def algorithm_names() -> tuple[str, ...]:
 
 
 class Architecture(NamedTuple):
-    """algorithm: its name. policy: arguments of its policy, with plain values; `activation_fn` is a name in torch.nn."""
-
     algorithm: str
-    policy: dict[str, Any]
+    policy: Mapping[str, Any]  # arguments of its policy, with plain values; `activation_fn` is a name in torch.nn
 
 
 def algorithm_class(algorithm: str) -> Any:
@@ -68,14 +60,12 @@ def new_network(architecture: Architecture, observations: gym.Space[Any], action
     algorithm = architecture.algorithm
     aliases = algorithm_class(OF_PACKAGE.get(algorithm, algorithm)).policy_aliases
     name = "MultiInput" if isinstance(observations, gym.spaces.Dict) else "Mlp"
-    name += "LstmPolicy" if algorithm == "RecurrentPPO" else "Policy"
-    if name not in aliases:
-        raise ValueError(f"{algorithm} has no policy for observations {observations}")
+    kind = aliases[name + ("LstmPolicy" if algorithm == "RecurrentPPO" else "Policy")]
     given = policy_arguments({key: value for key, value in architecture.policy.items() if key not in OF_TRAINING})
-    known = inspect.signature(aliases[name].__init__).parameters
+    known = inspect.signature(kind.__init__).parameters
     if unknown := given.keys() - known.keys():
         raise ValueError(f"policies of {algorithm} have no argument {', '.join(sorted(unknown))}")
-    return aliases[name](observations, actions, **({"lr_schedule": lambda _: 0.0} if "lr_schedule" in known else {}), **given)
+    return kind(observations, actions, **({"lr_schedule": lambda _: 0.0} if "lr_schedule" in known else {}), **given)
 
 
 def policy_arguments(given: Mapping[str, Any]) -> dict[str, Any]:
@@ -103,28 +93,3 @@ def read_weights(path: Path) -> dict[str, Any]:
     if not finite:
         raise ValueError(f"{path} has weights that are not finite")
     return dict(weights)
-
-
-def save_weights(path: Path, network: Any) -> None:
-    """Write the tensors of a policy network by name. Raises OSError, RuntimeError."""
-    import torch
-
-    torch.save(dict(network.state_dict()), path)
-
-
-def load_zip(path: Path) -> tuple[Any, bool]:
-    """The policy network in a .zip file of Stable-Baselines3, which unpickles it, and whether it learned from normalised observations.
-
-    Raises ValueError.
-    """
-    from stable_baselines3.common.save_util import load_from_zip_file
-
-    try:
-        found: Any = load_from_zip_file(path, device="cpu")
-        data, parameters, _ = found
-        given = {**data["policy_kwargs"], **({"use_sde": True} if data.get("use_sde") else {})}
-        network = data["policy_class"](data["observation_space"], data["action_space"], lr_schedule=lambda _: 0.0, **given)
-        network.load_state_dict(parameters["policy"])
-    except Exception as error:  # whatever it meets in a damaged file
-        raise ValueError(f"{path} is no agent of Stable-Baselines3, or was cut or damaged: {first_line(error)}") from error
-    return network, data.get("_last_original_obs") is not None

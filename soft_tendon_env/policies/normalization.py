@@ -19,26 +19,19 @@ BOX = ""  # the key of the only part of an observation that is no dictionary
 
 
 class Moments(NamedTuple):
-    """Mean and variance (n,) of a part of the observations."""
-
-    mean: Array
-    variance: Array
+    mean: Array  # (n,) of a part of the observations
+    variance: Array  # (n,)
 
 
 class Normalization:
-    """Observations as an agent sees them: divided by the standard deviations of its training.
-
-    Args:
-        moments: by key of a Dict observation, or under "" for a Box.
-        clip: greatest magnitude of the result.
-        epsilon: added to variances.
-    """
+    """Observations as an agent sees them. moments: by key of a Dict observation, or under "" for a Box; clip: greatest magnitude of the
+    result; epsilon: added to variances."""
 
     def __init__(self, moments: Mapping[str, Moments], clip: float, epsilon: float) -> None:
         self.moments, self.clip, self.epsilon = dict(moments), clip, epsilon
 
     def __call__(self, observation: Any) -> Any:
-        """The normalised observation, of one row or many; groups without statistics pass as they are."""
+        """The normalised observation, of one row or many; parts without statistics pass as they are."""
         if not isinstance(observation, Mapping):
             return self._normalised(observation, self.moments[BOX])
         return {key: self._normalised(part, self.moments[key]) if key in self.moments else part for key, part in observation.items()}
@@ -46,10 +39,6 @@ class Normalization:
     def _normalised(self, values: Any, moments: Moments) -> Any:
         scaled = (values - moments.mean) / np.sqrt(moments.variance + self.epsilon)
         return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
-
-    def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shapes of the parts that are normalised, by key."""
-        return {key: moments.mean.shape for key, moments in self.moments.items()}
 
 
 def normalization_of(statistics: Any) -> Normalization | None:
@@ -67,8 +56,8 @@ def save_normalization(path: Path, normalization: Normalization) -> None:
     np.savez(path, allow_pickle=False, **arrays, clip=np.float64(normalization.clip), epsilon=np.float64(normalization.epsilon))
 
 
-def read_normalization(path: Path) -> Normalization:
-    """Read what `save_normalization` wrote; no object is unpickled. Raises ValueError, FileNotFoundError."""
+def read_normalization(path: Path, space: gym.Space[Any]) -> Normalization:
+    """Read what `save_normalization` wrote, for observations of a space, without unpickling. Raises ValueError, FileNotFoundError."""
     try:
         arrays = arrays_in(read_bytes(path))
         finite = all(array.dtype == np.float64 and np.isfinite(array).all() for array in arrays.values())
@@ -81,16 +70,10 @@ def read_normalization(path: Path) -> Normalization:
         raise ValueError(f"{path} is no .npz file of mean, variance, clip and epsilon, or was damaged: {first_line(error)}") from error
     alike = all(of.mean.shape == of.variance.shape and (of.variance >= 0.0).all() for of in moments.values())
     if arrays or not (moments and finite and alike and clip > 0.0 and epsilon >= 0.0):
-        text = (
-            "mean, variance, clip and epsilon alone: finite numbers of type float64, as many variances of at least 0 as means, clip above 0"
-        )
-        raise ValueError(f"{path} should have {text}")
+        text = "finite numbers of type float64, as many variances of at least 0 as means, clip above 0"
+        raise ValueError(f"{path} should have mean, variance, clip and epsilon alone: {text}")
+    shapes = {key: of.mean.shape for key, of in moments.items()}
+    wanted = {key: part.shape for key, part in (space.spaces if isinstance(space, gym.spaces.Dict) else {BOX: space}).items()}
+    if shapes != wanted:
+        raise ValueError(f"{path} is of observations {shapes.get(BOX, shapes)}, this environment has {wanted.get(BOX, wanted)}")
     return Normalization(moments, clip, epsilon)
-
-
-def check_observations(path: Path, normalization: Normalization, space: gym.Space[Any]) -> None:
-    """Raises ValueError where statistics are of other observations than those of the space."""
-    parts = space.spaces if isinstance(space, gym.spaces.Dict) else {BOX: space}
-    shapes = {key: part.shape for key, part in parts.items()}
-    if (own := normalization.shapes()) != shapes:
-        raise ValueError(f"{path} is of observations {own.get(BOX, own)}, this environment has {shapes.get(BOX, shapes)}")

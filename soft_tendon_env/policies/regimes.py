@@ -24,7 +24,6 @@ class Regime(NamedTuple):
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """All groups that may be observed."""
         return *self.measured, *TARGET_GROUPS
 
 

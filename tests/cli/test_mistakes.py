@@ -35,7 +35,7 @@ OPTIONS = [
     ("compare --config own.toml --task TipPose --cluster 127.0.0.1:1", "Ray"),  # is not there, or does not answer
     ("compare --config own.toml --write-docs docs.md", "docs.md should have the lines <!-- compare Reach --> and "),
     ("run feedforward --seconds 0.01", "seconds is 0.01: it should be at least one control period, 0.02 s, and skip"),
-    ("demo --agent tracking", "--agent is 'tracking': it should be the folder or the .zip file of an agent"),
+    ("demo --agent tracking", "--agent is 'tracking': it should be the folder of an agent"),
     ("train ppo_tip_pos", "neither the path of a .toml file nor a training that ships: did you mean 'ppo_tip_pose'?"),
     ("train ppo_tip_pose --runners 3", "--runners is for --engine rllib"),
     ("sweep ppo_tip_pose other/ppo_tip_pose.toml", "has two files ppo_tip_pose.toml, whose runs would share a folder"),
@@ -55,8 +55,8 @@ FILES = [
     ("train {config} --set hyperparameters.n_steps.x=3", "small.toml, changed: hyperparameters.n_steps.x cannot be set"),
     ("evaluate {best} --set action=increment", "trained with action = 'tension', this environment has"),
     ("evaluate {best} --scene paper", "was trained on an arm with other segments (scene 'three_tendon')"),
-    ("train {config} --set hyperparameters.n_step=1", "hyperparameters.n_step is an unknown key"),
-    ("evaluate {folder}", "a folder: it should be the folder of an agent, such as {best}, a .zip file"),
+    ("train {config} --set hyperparameters.n_steps=0", "hyperparameters.n_steps is 0: it should be a number at least 1"),
+    ("evaluate {folder}", "it should be the folder of an agent (of a training: {best})"),
     ("compare --config {model}", "model.zip: is not valid TOML"),
 ]
 

@@ -17,14 +17,10 @@ def problem(request):
     return unit * A, unit * b, rng.uniform(-1.0, 0.0, size), rng.uniform(0.0, 1.0, size)
 
 
-def solved(A, b, least, greatest, start=None):
-    return allocate(A.T @ A, -A.T @ b, least, greatest, start)
-
-
 def test_another_solver_agrees_and_the_conditions_of_an_optimum_hold(problem):
     """Where bounds are loose the slope is zero, at the least it does not fall inwards, at the greatest neither."""
     A, b, least, greatest = problem
-    found = solved(*problem)
+    found = allocate(A.T @ A, -A.T @ b, least, greatest)
     assert found.solved
     np.testing.assert_allclose(found.x, lsq_linear(A, b, (least, greatest), method="bvls", tol=1e-14).x, atol=1e-7)
     slope = A.T @ (A @ found.x - b) / np.trace(A.T @ A)
@@ -34,17 +30,3 @@ def test_another_solver_agrees_and_the_conditions_of_an_optimum_hold(problem):
     np.testing.assert_allclose(slope[~at_least & ~at_greatest], 0.0, atol=1e-9)
     np.testing.assert_allclose(found.multipliers, -slope * slope.size, atol=1e-9)  # what the bounds push back with
     assert found.limited == np.mean(at_least | at_greatest)
-
-
-@pytest.mark.cases(
-    "wanted, least, greatest, x, limited",
-    [
-        ([9.0, -9.0, 9.0], [-1.0, -2.0, 0.5], [1.0, 2.0, 0.75], [1.0, -2.0, 0.75], 1.0),
-        ([0.1, -0.2, 0.3], [-1.0, -1.0, -1.0], [1.0, 1.0, 1.0], [0.1, -0.2, 0.3], 0.0),
-        ([1.0, 1.0, 1.0], [0.5, -0.25, 0.0], [0.5, -0.25, 0.0], [0.5, -0.25, 0.0], 1.0),
-    ],
-)
-def test_all_bounds_active_none_and_a_single_choice(wanted, least, greatest, x, limited):
-    found = allocate(np.eye(3), -np.array(wanted), np.array(least), np.array(greatest))
-    np.testing.assert_allclose(found.x, x, atol=1e-12)
-    assert found.solved and found.limited == limited

@@ -51,26 +51,19 @@ def test_tensions_stay_within_limits_whatever_happens(build, random_state, limit
     assert np.ptp(asked, axis=0).max() > 0.1
 
 
-@pytest.mark.cases("scene", ["three_tendon", "paper"])
-def test_memory_is_explicit(build, random_state, limits_of, entry, scene):
-    """One controller for two arms decides for each what it would alone, bit for bit, and the same again."""
-    model = build(scene)
+def test_memory_is_explicit(build, random_state, limits_of, entry):
+    """One controller for two arms decides for each what it would alone, bit for bit."""
+    model = build("three_tendon")
     limits = limits_of(model)
-    controller, histories = entry.make(model, limits, PERIOD), [[], []]
-    memories = [None, None]
+    shared, alone = entry.make(model, limits, PERIOD), [entry.make(model, limits, PERIOD) for _ in range(2)]
+    memories, last = [(None, None)] * 2, [None] * 2
     for step in range(4):
         for arm in range(2):
-            decision = controller.act(situation(model, random_state, 10 * arm + step), memories[arm])
-            histories[arm].append(decision)
-            memories[arm] = decision.memory
-    for arm in range(2):
-        other, memory = entry.make(model, limits, PERIOD), None
-        for step, before in enumerate(histories[arm]):
             now = situation(model, random_state, 10 * arm + step)
-            alone, again = other.act(now, memory), other.act(now, memory)
-            assert same(alone, before) and same(again, before)
-            memory = alone.memory
-    assert not same(histories[0][0], histories[1][0])
+            last[arm], own = shared.act(now, memories[arm][0]), alone[arm].act(now, memories[arm][1])
+            assert same(last[arm], own)
+            memories[arm] = last[arm].memory, own.memory
+    assert not same(*last)
 
 
 def test_models_that_cannot_follow_hold_the_last_tensions(build, random_state, limits_of, entry):

@@ -43,13 +43,6 @@ def test_the_step_is_the_formula(arm, random_state, period):
     np.testing.assert_allclose(S @ step.response, period * terms.actuation, atol=1e-10 * np.abs(period * terms.actuation).max())
 
 
-def continuous_poles(settling_time, damping, integral_time=None):
-    """Two of damping ratio zeta, the slowest at -4 / settling_time, and that of the integral."""
-    pair = np.roots([1.0, 2.0 * damping, 1.0])
-    pair = pair / -pair.real.max() * DECADES / settling_time
-    return pair if integral_time is None else np.append(pair, -DECADES / integral_time)
-
-
 def loop(gains, period, integral):
     """The documented loop as a matrix for (e_dot, e, i), or (e_dot, e)."""
     kp, kd, ki = gains
@@ -60,21 +53,16 @@ def loop(gains, period, integral):
     return np.stack([rate, error, total])[:size, :size]
 
 
-def characteristic(matrix):
-    """Coefficients of its characteristic polynomial, by traces and determinants: exact also where eigenvalues coincide."""
-    if len(matrix) == 2:
-        return np.array([-np.trace(matrix), np.linalg.det(matrix)])
-    return np.array([-np.trace(matrix), 0.5 * (np.trace(matrix) ** 2 - np.trace(matrix @ matrix)), -np.linalg.det(matrix)])
-
-
 @pytest.mark.cases("period", PERIODS)
 @pytest.mark.cases("integral_time", INTEGRAL_TIMES)
 def test_the_loop_has_the_poles_of_the_continuous_one(period, integral_time):
-    """Compared as polynomials in (z - 1) / period, which stay well conditioned at short periods and double poles."""
+    """Two of damping ratio zeta, the slowest at -4 / settling_time, and that of the integral. Compared as polynomials in (z - 1) / period,
+    by their values at some points, which stay well conditioned at short periods and double poles."""
     for settling_time, damping in itertools.product(SETTLING_TIMES, DAMPINGS):
+        pair = np.roots([1.0, 2.0 * damping, 1.0])
+        poles = np.append(pair / -pair.real.max() * DECADES / settling_time, [] if integral_time is None else -DECADES / integral_time)
         matrix = loop(discrete_gains(settling_time, damping, period, integral_time), period, integral_time is not None)
-        found = characteristic((matrix - np.eye(len(matrix))) / period)
-        wanted = np.poly(np.expm1(continuous_poles(settling_time, damping, integral_time) * period) / period)[1:]
-        np.testing.assert_allclose(found, wanted.real, rtol=1e-6)
-        slowest = np.exp(-DECADES / max(settling_time, integral_time or 0.0) * period)
-        assert np.abs(np.linalg.eigvals(matrix)).max() == pytest.approx(slowest, rel=1e-4, abs=1e-6) and np.exp(-DECADES) < 0.02
+        scale = np.abs(poles).max()
+        for z in (0.0, 1.0, 1.0j, -3.0):
+            found = np.linalg.det(z * scale * np.eye(len(matrix)) - (matrix - np.eye(len(matrix))) / period)
+            assert found == pytest.approx(np.prod(z * scale - np.expm1(poles * period) / period), rel=1e-6, abs=1e-9 * scale ** len(matrix))

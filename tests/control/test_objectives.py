@@ -39,15 +39,6 @@ def target_of(model, path, ahead=(0.0,)):
 
 
 @pytest.mark.parametrize("objective", KINDS, indirect=True)
-def test_errors_vanish_at_the_target_alone(model, arm, objective):
-    now = arm(0)
-    there = objective.aim(now, target_of(model, [now.q]), 0.0, PERIOD)
-    np.testing.assert_allclose(there.error, 0.0, atol=1e-12)
-    np.testing.assert_allclose(there.velocity, 0.0, atol=1e-12)
-    assert np.linalg.norm(objective.aim(now, target_of(model, [arm(1).q]), 0.0, PERIOD).error) > 0.01 * model.length
-
-
-@pytest.mark.parametrize("objective", KINDS, indirect=True)
 def test_the_jacobian_is_the_fall_of_the_error_near_the_target(model, arm, objective):
     """error(q + dq) = -jacobian dq to first order: what is left falls with the square of dq."""
     q = arm(0).q

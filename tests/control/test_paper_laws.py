@@ -60,17 +60,6 @@ def test_full_actuation_gives_the_tip_the_commanded_acceleration(build, random_s
     np.testing.assert_allclose(terms.tip_jacobian @ q_ddot + terms.tip_bias, command, rtol=1e-6, atol=1e-6 * np.abs(command).max())
 
 
-@pytest.mark.parametrize("name", ["paper", "paper_16dof", "four_tendon"])
-def test_shape_law_holds_the_wanted_shape_with_its_tensions(build, name):
-    model = build(name)
-    tension = 3.0 + np.arange(model.tendon_count)
-    wanted, q = ShapeTarget(tension, np.zeros(model.tendon_count)), model.rest_coordinates(tension)
-    found = shape_tension(model, q, 0.0 * q, wanted, Gains(1000.0, 100.0))
-    np.testing.assert_allclose(found, tension, rtol=1e-12)
-    if not model.arm.effects.count:
-        assert np.abs(acceleration(model.terms(q, 0.0 * q), 0.0 * q, found)).max() < 1e-6
-
-
 def test_shape_laws_are_the_printed_ones(build, random_state):
     wanted, gains = ShapeTarget(np.arange(10.0), 2.0 * np.arange(10.0)), Gains(1000.0, 100.0)
     q, q_dot = random_state(build("paper"), 0)

@@ -15,9 +15,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.policies import agent
-from soft_tendon_env.policies.agent_checks import TrainingWarning, layout_of
+from soft_tendon_env.policies.agent_files import OF_TRAINING, AgentConfig, read_config
 from soft_tendon_env.policies.load import load_policy
-from soft_tendon_env.policies.normalization import normalization_of, save_normalization
+from soft_tendon_env.policies.normalization import normalization_of
 from soft_tendon_env.scene.file import load_scene
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -27,27 +27,21 @@ def make(task="TipPose", **options):
     return gym.make(IDS[task], **{**SMALL, **options})
 
 
-def ppo_with_statistics():
-    """An agent of PPO that has hardly learned, and the statistics that it sees through."""
-    statistics = VecNormalize(DummyVecEnv([make]))
-    return PPO("MlpPolicy", statistics, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu").learn(64), statistics
-
-
-def write_agent(folder, network, normalization, **config):
-    folder.mkdir()
+def write_agent(folder, network, normalization=None, **config):
+    folder.mkdir(exist_ok=True)
     agent.save_agent(folder, network, normalization)
     (folder / "config.json").write_text(json.dumps({"algorithm": "PPO", "options": SMALL, **config}))
     return folder
 
 
 @pytest.mark.parametrize("name", ["PPO", "SAC", "TQC", "RecurrentPPO"])
-def test_a_zip_file_of_any_algorithm_acts_as_its_model(tmp_path, name):
+def test_an_agent_of_any_algorithm_acts_as_its_model(tmp_path, name):
     own = getattr(stable_baselines3, name, None) or getattr(sb3_contrib, name)
     trained = own("MlpLstmPolicy" if name == "RecurrentPPO" else "MlpPolicy", make(), device="cpu", seed=0)
-    trained.save(tmp_path / "model.zip")
     env = make()
     observation, _ = env.reset(seed=0)
-    action, _ = agent.load_agent(str(tmp_path / "model.zip"), env).predict(observation, None, np.ones(1, bool), deterministic=True)
+    loaded = agent.load_agent(str(write_agent(tmp_path / "own", trained.policy, algorithm=name)), env)
+    action, _ = loaded.predict(observation, None, np.ones(1, bool), deterministic=True)
     np.testing.assert_array_equal(action, trained.predict(observation, deterministic=True)[0])
 
 
@@ -55,36 +49,30 @@ def test_a_zip_file_of_any_algorithm_acts_as_its_model(tmp_path, name):
 def test_an_agent_sees_through_its_statistics(tmp_path, task):
     statistics = VecNormalize(DummyVecEnv([lambda: make(task)]), clip_obs=3.0)
     trained = SAC("MultiInputPolicy" if task == "Reach" else "MlpPolicy", statistics, learning_starts=40, seed=0, device="cpu").learn(60)
-    trained.save(tmp_path / "model.zip")
     env = make(task)
     observation, _ = env.reset(seed=0)
-    with pytest.raises(FileNotFoundError, match="should have its statistics.npz beside it"):
-        agent.load_agent(str(tmp_path / "model.zip"), env)
-    (tmp_path / "config.json").write_text(json.dumps({"normalise": {"observations": False}}))
-    raw, _ = agent.load_agent(str(tmp_path / "model.zip"), env).predict(observation)
-    save_normalization(tmp_path / "statistics.npz", normalization_of(statistics))
-    own = write_agent(tmp_path / "own", trained.policy, normalization_of(statistics), algorithm="SAC")
-    for path in (tmp_path / "model.zip", own):
-        action, _ = agent.load_agent(str(path), env).predict(observation)
-        np.testing.assert_array_equal(action, trained.predict(statistics.normalize_obs(observation), deterministic=True)[0])
-        assert not np.array_equal(action, raw)
+    config = {"algorithm": "SAC", "normalise": {"observations": True}}
+    own = write_agent(tmp_path / "own", trained.policy, normalization_of(statistics), **config)
+    action, _ = agent.load_agent(str(own), env).predict(observation)
+    np.testing.assert_array_equal(action, trained.predict(statistics.normalize_obs(observation), deterministic=True)[0])
+    (own / "statistics.npz").unlink()
+    with pytest.raises(FileNotFoundError, match="should have statistics.npz: the agent sees observations through it"):
+        agent.load_agent(str(own), env)
 
 
 @pytest.fixture(scope="module")
 def trained():
-    model, statistics = ppo_with_statistics()
+    """A network of PPO that has hardly learned, and the statistics that it sees through."""
+    statistics = VecNormalize(DummyVecEnv([make]))
+    model = PPO("MlpPolicy", statistics, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu").learn(64)
     return model.policy, normalization_of(statistics)
-
-
-def pickled(path, bad):
-    path.write_bytes(pickle.dumps(bad))
 
 
 @pytest.mark.parametrize("name", ["weights.pt", "statistics.npz", "config.json"])
 def test_what_is_pickled_in_an_agents_files_does_not_run(tmp_path, trained, malice, name):
     folder, ran = write_agent(tmp_path / "agent", *trained), tmp_path / "it_ran"
     agent.load_agent(str(folder), make())
-    pickled(folder / name, malice(ran))
+    (folder / name).write_bytes(pickle.dumps(malice(ran)))
     with pytest.raises(ValueError, match=f"{folder / name}") as error:
         agent.load_agent(str(folder), make())
     assert not ran.exists() and len(str(error.value).splitlines()) == 1
@@ -126,10 +114,11 @@ def table(**changes):
         (arrays(mean=np.zeros(3), variance=np.ones(3)), r"statistics.npz is of observations \(3,\), this environment has"),
         (arrays(mean=None), "statistics.npz should have mean, variance, clip and epsilon alone"),
         (arrays(clip=None), "statistics.npz is no .npz file of mean, variance, clip and epsilon"),
-        (arrays(clip=np.float64(np.nan)), "statistics.npz should have .* finite numbers"),
+        (arrays(clip=np.float64(np.nan)), "statistics.npz should have .* alone: finite numbers"),
         (arrays(variance=-np.ones(48)), "statistics.npz should have .* variances of at least 0"),
         (table(algorithm="PPOO"), "config.json: algorithm is 'PPOO': it should be an algorithm: did you mean 'PPO'"),
         (table(algorithm="SAC"), "weights.pt: the weights are not of a SAC policy"),
+        (table(residual="tracking"), "config.json: residual is an unknown key"),
         (table(hyperparameters={"policy_kwargs": {"net_archs": [7]}}), "policies of PPO have no argument net_archs"),
         (table(hyperparameters={"policy_kwargs": {"activation_fn": "os.system"}}), "activation_fn is 'os.system'"),
     ],
@@ -142,21 +131,28 @@ def test_an_agent_that_is_none_is_refused_in_one_line(tmp_path, trained, spoil, 
     assert str(folder) in str(error.value) and len(str(error.value).splitlines()) == 1
 
 
+def test_keys_of_the_training_alone_are_left_out(tmp_path, trained):
+    folder = write_agent(tmp_path / "own", *trained, **dict.fromkeys(OF_TRAINING))
+    assert read_config(folder) == AgentConfig(algorithm="PPO", options=SMALL)
+
+
+def untrained(folder, **config):
+    """The folder of an agent of PPO that has learned nothing."""
+    network = PPO("MlpPolicy", make(**config["options"]), n_steps=8, batch_size=4, seed=0, device="cpu").policy
+    return str(write_agent(folder, network, **{**config, "options": {**SMALL, **config["options"]}}))
+
+
 @pytest.fixture
 def ppo(tmp_path):
-    """The file of an agent that has learned nothing, with its configuration beside it."""
-    env = make(action="increment")
-    PPO("MlpPolicy", env, n_steps=8, batch_size=4, seed=0, device="cpu").save(tmp_path / "model.zip")
-    config = {"options": {**SMALL, "action": "increment"}, "layout": layout_of(env.unwrapped.episodes)}
-    (tmp_path / "config.json").write_text(json.dumps(config))
-    return str(tmp_path / "model.zip")
+    options = {"action": "increment"}
+    return untrained(tmp_path / "ppo", options=options, layout=agent.layout_of(make(**options).unwrapped.episodes))
 
 
 @pytest.mark.cases(
     "task, options, said",
     [
-        ("TipPose", {"observation": ["rates", "coordinates"]}, "was trained with the observation"),
-        ("TipPose", {"preview": []}, "was trained with the observation"),
+        ("TipPose", {"observation": ["rates", "coordinates"]}, "was trained with observation = "),
+        ("TipPose", {"preview": []}, "was trained with observation = "),
         ("TipPose", {"preview": [0.02, 0.04]}, "was trained with preview = "),
         ("TipPose", {"action": "tension"}, "was trained with action = "),
         ("TipPose", {"scene": "paper"}, "was trained on an arm with other segments"),
@@ -170,24 +166,25 @@ def test_an_agent_is_refused_elsewhere(ppo, task, options, said):
         agent.load_agent(ppo, make(task, **{"action": "increment", **options}))
 
 
+LOOKS = {"observation": ["target_error"]}
+
+
 @pytest.mark.cases(
-    "trained, judged, said",
+    "task, trained, judged, said",
     [
-        ({"action": "increment"}, {}, None),
-        ({"action": "increment", "control_period": 0.01}, {}, "trained with control_period = 0.01, judged with 0.02"),
-        ({"action": "increment"}, {"control_period": 0.005}, "trained with control_period = 0.02, judged with 0.005"),
-        ({"action": "increment", "observation": ["target_error"]}, {"fidelity": "standard"}, "trained with fidelity = 'fast', judged with"),
-        ({"action": "increment"}, {"scene": load_scene("three_tendon")}, None),  # the same in other words
-        ({"task": "Shape", "action": "increment"}, {}, "trained with task = 'Shape', judged with 'TipPose'"),
+        ("TipPose", {}, {}, None),
+        ("TipPose", {"control_period": 0.01}, {}, "trained with control_period = 0.01, judged with 0.02"),
+        ("TipPose", {}, {"control_period": 0.005}, "trained with control_period = 0.02, judged with 0.005"),
+        ("TipPose", LOOKS, {**LOOKS, "fidelity": "standard"}, "trained with fidelity = 'fast', judged with"),
+        ("TipPose", {}, {"scene": load_scene("three_tendon")}, None),  # the same in other words
+        ("Shape", {}, {}, "trained with task = 'Shape', judged with 'TipPose'"),
     ],
 )
-def test_an_agent_says_once_it_is_loaded_that_it_was_trained_otherwise(tmp_path, trained, judged, said):
-    looks = {key: value for key, value in trained.items() if key == "observation"}
-    PPO("MlpPolicy", make(action="increment", **looks), n_steps=8, batch_size=4, seed=0, device="cpu").save(tmp_path / "model.zip")
-    task = {"task": trained.pop("task")} if "task" in trained else {}
-    (tmp_path / "config.json").write_text(json.dumps({**task, "options": {**SMALL, **trained, "preview": [0.1, 0.2]}}))
+def test_an_agent_says_once_it_is_loaded_that_it_was_trained_otherwise(tmp_path, task, trained, judged, said):
+    usual = {"action": "increment", "preview": [0.1, 0.2]}
+    folder = untrained(tmp_path / "own", task=task, options={**usual, **trained})
     with warnings.catch_warnings(record=True) as found:
-        warnings.simplefilter("always", TrainingWarning)
-        load_policy(str(tmp_path / "model.zip"), make(**{"action": "increment", "preview": [0.1, 0.2], **looks, **judged}))
-    texts = [str(warning.message) for warning in found if warning.category is TrainingWarning]
+        warnings.simplefilter("always", agent.TrainingWarning)
+        load_policy(folder, make(**usual, **judged))
+    texts = [str(warning.message) for warning in found if warning.category is agent.TrainingWarning]
     assert len(texts) == (said is not None) and all(f"{said}" in text and "policy_options()" in text for text in texts)

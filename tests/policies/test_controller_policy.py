@@ -1,10 +1,14 @@
 """Controllers as agents: they are told what is, what they decide is done, rows know nothing of each other."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from soft_tendon_env.envs import IDS
+from soft_tendon_env.policies.controller_policy import ControllerPolicy, make_policy
 from soft_tendon_env.policies.protocol import STATELESS_CALLS
+from soft_tendon_env.tools.configuration import ConfigurationError
 
 PREVIEW = (0.02, 0.04, 0.1)
 SINGLE_PRECISION = {"rtol": 1e-6, "atol": 2e-6}
@@ -80,3 +84,40 @@ def test_a_state_that_is_never_given_back_is_warned_of_once(short, probed, begun
         for _ in range(3):
             policy.predict(observation)
     assert len(told) == 1 and told[0].filename == __file__
+
+
+def test_observations_that_say_too_little_are_refused(short, probed):
+    _, probe = probed(short("single", IDS["TipPose"]))
+    blind = short("single", IDS["TipPose"], observation=("tip_position", "coordinates"))
+    with pytest.raises(ConfigurationError, match="observation.*lacks tip_rotation, rates, target_error, preview, which Probe needs"):
+        probed(blind)
+    with pytest.raises(ConfigurationError, match="lacks strain"):
+        ControllerPolicy(probe, short("single", IDS["TipPose"]), estimator=SimpleNamespace(needs=("strain", "strain_rate"), history=0))
+
+
+@pytest.mark.parametrize("preview", [(0.04, 0.02), (0.02, 0.02), (0.02, 0.021)])
+def test_preview_times_increase(short, probed, preview):
+    with pytest.raises(ConfigurationError, match=r"it should be times that increase by at least a control period"):
+        probed(short("single", IDS["TipPose"], preview=preview))
+
+
+@pytest.mark.cases(
+    "task, controller, latency, preview, told",
+    [
+        ("TipPose", "predictive", 0.0, (0.02, 0.04), "0.02, 0.04] s, and it is needed at every control period up to 0.14 s"),
+        ("TipPose", "long_horizon_predictive", 0.0, (0.5,), "up to 0.5 s: make the environment with observation_options"),
+        ("TipPose", "robust_predictive", 0.03, (0.02, 0.04, 0.06, 0.08, 0.12, 0.14, 0.16, 0.18), "up to 0.18 s"),
+        ("Shape", "feedforward", 0.0, (0.02,), "it is needed at every control period up to 0.04 s"),
+        ("TipPose", "tracking", 0.05, (0.02, 0.04, 0.08), "it is needed at every control period up to 0.1 s"),
+        ("TipPose", "tracking", 0.05, (0.02, 0.04, 0.1), None),
+        ("TipPose", "tracking", 0.0, (0.1, 0.2), None),  # goes straight in between, which feedback makes up for
+        ("Reach", "predictive", 0.0, (0.02,), None),  # goals do not move
+    ],
+)
+def test_a_preview_that_lacks_what_a_controller_looks_at_is_refused(short, task, controller, latency, preview, told):
+    env = short("single", IDS[task], preview=preview)
+    if told is None:
+        make_policy(controller, env, latency=latency)
+    else:
+        with pytest.raises(ConfigurationError, match=told):
+            make_policy(controller, env, latency=latency)

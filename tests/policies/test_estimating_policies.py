@@ -5,12 +5,10 @@ import pytest
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import evaluate
-from soft_tendon_env.policies import load_policy, make_policy
-from soft_tendon_env.policies.estimators import register_estimator
+from soft_tendon_env.policies import load_policy
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.regimes import REGIMES
 
-"""Periods that the predictive controller looks ahead."""
 NOISE = {"position": 1e-3, "rotation": 0.009, "length": 5e-4, "curvature": 0.05, "stretch": 1e-3}
 STEADY = {"target": {"type": "random", "knot_period": 1.5}}
 
@@ -49,10 +47,6 @@ def test_a_latency_that_nobody_told_is_found_and_made_up_for(latency):
     assert state[0].estimate.latency == pytest.approx(latency, abs=0.01)
 
 
-def test_a_latency_is_lethal_to_who_does_not_know_it():
-    assert position_error(*made("filtered:predictive@fast", regime="tip", randomize={"latency": 0.055})) > 0.05
-
-
 def test_errors_of_the_arm_are_allowed_for():
     """Stiffness and damping that are wrong, payload, gains and noise together."""
     wrong = {"stiffness": 1.2, "damping": 0.6, "payload": 0.02, "tension_gain": [0.9, 1.1], "latency": 0.015, "noise": NOISE}
@@ -60,15 +54,6 @@ def test_errors_of_the_arm_are_allowed_for():
     assert position_error(env, policy) < 4e-3
 
 
-def test_an_estimator_keeps_its_name():
-    for name in ("kalman", "filtered"):
-        with pytest.raises(ValueError, match=f"there is an estimator '{name}' already: choose another name"):
-            register_estimator(name)(lambda model, setting: None)
-
-
-@pytest.mark.filterwarnings("ignore:an estimate of the latency")
-def test_an_unknown_latency_is_made_up_for_where_goals_jump_and_exact_coordinates_are_warned_of():
+def test_an_unknown_latency_is_made_up_for_where_goals_jump():
     env, policy = made("adaptive:predictive@fast", task="Reach", regime="sensors", target=None)
     assert position_error(env, policy, seed=1_000_000) < 2e-3
-    with pytest.warns(UserWarning, match=r"observed coordinates makes the loop unstable.*observation_options\(..., estimator='adaptive'\)"):
-        make_policy("tracking", gym.make(IDS["Reach"], fidelity="fast"), estimator="adaptive")

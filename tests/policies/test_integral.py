@@ -1,11 +1,10 @@
-"""Integral action: what a policy sees of its target, row by row, and that it leaves nothing constant of the error."""
+"""Integral action: what a policy sees of its target, row by row; agents that ship act with it."""
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.model.statics import ChordSolver
 from soft_tendon_env.policies.integral import IntegralPolicy
 
 FAST = {"scene": "three_tendon", "fidelity": "fast"}
@@ -57,35 +56,3 @@ def test_ways_are_seen_with_their_integral_now_and_ahead():
 def test_a_target_that_is_not_observed_as_a_way_is_refused():
     with pytest.raises(ValueError, match="integral_time needs an observation with one of target_error, .*; it has coordinates, rates"):
         IntegralPolicy(Seen(), rows_of("TipPose", observation=("coordinates", "rates", "target_twist")), TIME)
-
-
-class Beside:
-    """Increments of tension towards where the tip should go by its statics, and a constant beside: it comes to rest off the target."""
-
-    def __init__(self, envs):
-        episodes = envs.unwrapped.episodes
-        q, unit = episodes.arms.rows.q[0].copy(), 0.1 * episodes.model.length
-        response = ChordSolver(episodes.model, q, np.zeros(3)).tip_jacobian[3:] * episodes.actuation.actions.increment
-        self._gain = 0.01 * np.linalg.pinv(response, rcond=0.1) * unit
-        self._ways = episodes.layout.slices["target_error"]
-        self._beside = self._gain @ np.array([0.0, 0.05, 0.05])
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        return (observation[:, self._ways][:, 3:] @ self._gain.T + self._beside).astype(np.float32), state
-
-
-def last_error(integral_time):
-    envs = rows_of("TipPose", 1, action="increment", tension_limits=(-5.0, 5.0), target={"type": "hold", "fraction": 0.02})
-    observation, _ = envs.reset(seed=1)
-    policy = Beside(envs)
-    policy = policy if integral_time is None else IntegralPolicy(policy, envs, integral_time)
-    state = None
-    for step in range(499):
-        action, state = policy.predict(observation, state, np.full(1, step == 0))
-        observation, _, _, _, info = envs.step(action)
-    return float(info["position_error"][0])
-
-
-def test_nothing_constant_is_left_of_the_error():
-    alone, integrated = last_error(None), last_error(2.0)
-    assert alone > 1.5e-3 and integrated < 0.2 * alone
