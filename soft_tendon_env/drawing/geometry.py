@@ -11,21 +11,12 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import rod_radius
 from soft_tendon_env.tools.types import Array
 
-SPACING = 0.65
-"""Distance at which several arms are drawn, in widths of the box that most motions of one need."""
-
-ELEVATION = 28.0
-"""Elevation of the camera [deg], by which, seen from near, a tip's path looks about as it does in frames, which have no perspective."""
-
-VISITED = 0.5
-"""Share of that box, across the straight rod, that a view shows whole."""
-
+SPACING, VISITED = 0.65, 0.5
+"""Distance at which several arms are drawn, in widths of the box that most motions need, and the share of it that views show whole."""
+ELEVATION, FIELD_OF_VIEW = 28.0, np.radians(55.0)
+"""Of the viewer's camera: elevation [deg], by which a tip's path looks about as it does in frames, and vertical field of view."""
 LABEL = 2.5
 """Depth of an arm's name behind its base, in depths of the mount."""
-
-FIELD_OF_VIEW = np.radians(55.0)
-"""Field of view of the viewer's camera, from its lower to its upper edge."""
-
 PULLS = -1.0, 0.0, 0.12, 0.4, 1.0
 PULL_COLORS = np.array([[160, 90, 255], [105, 108, 118], [255, 225, 90], [255, 150, 40], [255, 40, 30]])
 """RGB at these shares of the largest tension that the actuator gives, from pushing over slack to pulling; as frames have them."""

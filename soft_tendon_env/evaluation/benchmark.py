@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Self
 from pydantic import Field, model_validator
 
 from soft_tendon_env.envs import Options
-from soft_tendon_env.envs.options import groups_of, resolved_scene
+from soft_tendon_env.envs.options import groups_of
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation.conditions import AND, SEEDS, SETTINGS, condition
 from soft_tendon_env.evaluation.entrants import agents_of
@@ -179,7 +179,7 @@ def misfit(policy: PolicyName, options: Mapping[str, Any], regime: str) -> str:
     parsed, allowed = Options.parse(dict(options), "options"), REGIMES[regime]
     if isinstance(policy, Agent) and policy.arm.get(CLOCK, parsed.control_period) != parsed.control_period:
         return f"it was trained with {CLOCK} = {policy.arm[CLOCK]}"
-    groups = groups_of(parsed, TASKS[policy.task], resolved_scene(parsed))
+    groups = groups_of(parsed, TASKS[policy.task])
     if beyond := [name for name in groups if name not in allowed.groups]:
         return f"it observes {', '.join(beyond)}"
     count = parsed.sensors if isinstance(parsed.sensors, int) else len(parsed.sensors)

@@ -13,8 +13,6 @@ UNITS = {
     "strain": "of each sensor 1/m, 1/m, 1/m, 1, 1, 1",
     "strain_rate": "of each sensor 1/(m s), 1/(m s), 1/(m s), 1/s, 1/s, 1/s",
     "target_twist": "rad/s, then m/s",
-    "contact_force": "N",
-    "clearance": "m",
 }
 """Units of groups that are inputs as they are; others have units of their own."""
 STATES = ("last_action", "command")

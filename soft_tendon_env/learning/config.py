@@ -131,7 +131,7 @@ class Training(Configuration):
         scene = resolved_scene(options)
         try:
             check_fit(options, task, scene)
-            groups_of(options, task, scene)
+            groups_of(options, task)
         except ConfigurationError as error:
             problems += [Problem(("options", *key), text) for key, text in error.problems]
         try:

@@ -152,7 +152,7 @@ def misfit(robot: Robot, episodes: Episodes) -> str:
     if robot.command_unit != unit:
         driven = f"{COMMANDS[robot.command_unit]}-driven, and the scene's arm is driven by {COMMANDS[unit]}s"  # type: ignore[index] # N or m
         return f"{driven}: give the scene [effects.tendon_elasticity], or take it away"
-    if options.randomize.of_arm or options.randomize.of_actuators or options.randomize.latency != (0.0, 0.0):
+    if options.randomize.numbers or options.randomize.of_actuators or options.randomize.latency != (0.0, 0.0):
         return "as it is: the option randomize should have no more than the noise of its sensors, for policies that know of it"
     if episodes.task.shapes or episodes.model.scene.effects.contact is not None:
         return "measured at its tip and by its sensors alone: take a task of the tip, and a scene without effects.contact"

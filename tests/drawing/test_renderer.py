@@ -36,8 +36,8 @@ def changed(frame, other):
 
 def pixel(renderer, point):
     """Row and column at which a point (3,) [m] is seen."""
-    (artist, *_) = renderer._moving.artists
-    x, y = artist.get_transform().transform(renderer._camera.project(point))
+    (artist, *_) = renderer.artists
+    x, y = artist.get_transform().transform(renderer.turn[:2] @ point)
     return np.array([artist.get_figure().bbox.height - y, x])
 
 
@@ -82,11 +82,11 @@ def test_gravity_points_down_in_the_picture(arm, acceleration):
     assert renderer.frame(picture(np.zeros(3))).min() < 120
     down = pixel(renderer, np.array(acceleration)) - pixel(renderer, np.zeros(3))
     assert down[0] > 0.0 and abs(down[1]) < 1e-6 * down[0]
-    right, up, viewer = renderer._camera.turn
+    right, up, viewer = renderer.turn
     assert np.allclose(np.cross(right, up), viewer), "no mirror image"
-    assert np.allclose(renderer._camera.turn @ renderer._camera.turn.T, np.eye(3)), "equal scales"
+    assert np.allclose(renderer.turn @ renderer.turn.T, np.eye(3)), "equal scales"
     *_, vertical, upright = view_box(model.scene)
-    np.testing.assert_allclose(viewpoint(vertical, upright), renderer._camera.turn, atol=1e-12)  # from where recordings are seen
+    np.testing.assert_allclose(viewpoint(vertical, upright), renderer.turn, atol=1e-12)  # from where recordings are seen
     for point in (np.zeros(3), [model.length, 0.0, 0.0]):
         assert (pixel(renderer, np.array(point)) > 40).all() and (pixel(renderer, np.array(point)) < [440, 560]).all()
 

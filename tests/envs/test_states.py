@@ -86,7 +86,7 @@ REFUSED = [
     (ShapeEnv, {"goal": POSE}, "target is 'hold', which is a pose alone: Shape needs one that is made of tensions"),
     (ReachEnv, {"goal": [0.1, 0.2]}, "options: goal is .*: it should be a position of three numbers .m., or a pose, 4 x 4"),
     (ReachEnv, {"goal": [0.1, 0.2, np.nan]}, r"options: goal.position\[2\] is nan: it should be a finite number"),
-    (ReachEnv, {"goal": ["a", "b", "c"]}, "options: goal is .*: it should be a position of three numbers"),
+    (ReachEnv, {"goal": ["a", "b", "c"]}, r"options: goal.position\[0\] is 'a': it should be a valid number"),
     (ReachEnv, {"goal": [200.0, 100.0, 0.0]}, r"target.position is at \[200.0, 100.0, 0.0\] m: goals should lie within ±0.6 m, 2 lengths"),
     (ReachVectorEnv, {"goal": [[0.1, 0.0, 0.1]]}, "options: goal should have one value per row, 2, each None for what is usual"),
     (ReachVectorEnv, {"goal": [None, [0.1]]}, "options of row 1: goal is .*: it should be a position of three numbers"),

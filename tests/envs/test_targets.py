@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import logm
 
 from soft_tendon_env.envs import ReachEnv, ShapeEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv
-from soft_tendon_env.envs.targets.motions import Circle, CircleCourse, ClosedSpline
+from soft_tendon_env.envs.targets.shipped import Circle, CircleCourse, ClosedSpline
 from soft_tendon_env.envs.trajectories import BANK
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.tools.configuration import ConfigurationError

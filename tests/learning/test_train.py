@@ -18,8 +18,8 @@ import stable_baselines3
 import yaml
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.envs.rewards import Reward
 from soft_tendon_env.envs.tasks import TASKS, register_task
+from soft_tendon_env.envs.tracking import Reward
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS, evaluate, summarise
 from soft_tendon_env.learning import callback, checkpoints, config, monitor, train, training_env, validation
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env
