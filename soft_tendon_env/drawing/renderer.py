@@ -10,30 +10,31 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
-from soft_tendon_env.drawing.shapes import backbones, base_poses, drawing_stations, surface, tendon_curves
+from soft_tendon_env.drawing.shapes import (
+    backbones,
+    base_poses,
+    box_corners,
+    drawing_stations,
+    mount_size,
+    surface,
+    tendon_curves,
+    tension_colors,
+    view_box,
+    viewpoint,
+)
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene, rod_length, rod_radius, tendon_ends
 from soft_tendon_env.tools.types import Array
 
-SECTIONS, AROUND = 40, 32
-"""Sections along the rod (more where it has many borders), and corners around each."""
+SECTIONS, AROUND = 40, 32  # sections along the rod (more where it has many borders), and corners around each
 
 TUBE, MOUNT, TRAIL, OBSTACLE = np.array([[0.62, 0.71, 0.82], [0.40, 0.42, 0.46], [0.42, 0.24, 0.66], [0.80, 0.72, 0.58]])
 PAPER, FLOOR, TEXT, TARGET = (1.0, 1.0, 1.0), (0.86, 0.87, 0.89), (0.30, 0.30, 0.33), (0.05, 0.58, 0.30)
 POSE_AXES = np.array([[0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.12, 0.35, 0.80]])  # x, y, z
-LOADS = np.array([0.0, 0.12, 0.4, 0.7, 1.0])
-LOAD_COLOURS = np.array([[0.97, 0.96, 0.91], [1.0, 0.82, 0.40], [0.96, 0.49, 0.15], [0.80, 0.10, 0.14], [0.40, 0.03, 0.12]])
-"""Colours (red, green, blue) of tensions at these shares of the way from the lower to the upper limit."""
-
-BEHIND, GRID, AXES = 0.1, 0.25, 0.09
-"""Depth of the mount behind the rod's base, distance between lines on the floor, and length of a target's axes, in lengths of the rod."""
-ELEVATION, AZIMUTH = 15.0, -58.0
-"""Direction from which an arm is seen [deg]: above the floor, and around the vertical."""
-ROOM = 0.9, 0.84
-"""Shares of a frame's width and height that the box around the arm fills at most; the title is above."""
-SEAM, FADED = 0.5, 0.7
-"""Width [pt] of edges that close gaps, and how far the colour of a tendon on the far side goes over into the tube's."""
+GRID, AXES = 0.25, 0.09  # distance between lines on the floor, and length of a target's axes, in lengths of the rod
+ROOM = 0.9, 0.84  # shares of a frame's width and height that the box around the arm fills at most; the title is above
+SEAM, FADED = 0.5, 0.7  # width [pt] of edges that close gaps, and how far the colour of a tendon on the far side goes over into the tube's
 
 
 class Picture(NamedTuple):
@@ -73,8 +74,6 @@ class ArmRenderer:
         self._radius, _ = rod_radius(scene, self._arc_length)
         ends = [tendon_ends(scene, tendon) for tendon in scene.tendons]
         self._inside = [(self._arc_length >= start) & (self._arc_length <= end) for start, end in ends]
-        limits = np.array([tendon.tension_limits for tendon in scene.tendons])
-        self._limits = limits[:, 0].min(), limits[:, 1].max()
         self._box, self.turn = view_box(scene)[:2], viewpoint(*view_box(scene)[2:])
 
         dpi = 100.0 * min(width / 640, height / 480)
@@ -123,18 +122,16 @@ class ArmRenderer:
 
     def _tendons(self, backbone: Array, tension: Array) -> list[Pieces]:
         """Lines coloured by tension (n_a,), all on the near surface of the tube; those of the far side are faded."""
-        towards, (least, greatest) = self.turn[2], self._limits
-        loads = np.clip((tension - least) / (greatest - least), 0.0, 1.0)
-        colours = np.stack([np.interp(loads, LOADS, channel) for channel in LOAD_COLOURS.T], axis=1)
+        towards, colours = self.turn[2], tension_colors(self._model, tension) / 255.0
         axis, reach = -backbone[0, :, :3, 3] @ towards, np.gradient(self._arc_length)  # by which neighbours differ in depth
         far_side = axis - 1.5 * self._radius - reach
         near_side = far_side - 0.1 * self._radius - reach
         curves, lines = tendon_curves(self._model, backbone, self._arc_length), []
-        for (curve,), inside, colour, load in zip(curves, self._inside, colours, loads, strict=True):
+        for (curve,), inside, colour in zip(curves, self._inside, colours, strict=True):
             behind = middle(-curve @ towards - axis[inside]) > 0.0
             shade = np.where(behind[:, None], (1.0 - FADED) * colour + FADED * 0.9 * TUBE, colour)
             depth = np.where(behind, middle(far_side[inside]), middle(near_side[inside]))
-            lines.append(line(curve, shade, 1.1 + 1.2 * float(load), depth))
+            lines.append(line(curve, shade, 1.7, depth))
         return lines
 
 
@@ -199,46 +196,6 @@ def trail(points: Array, turn: Array) -> list[Pieces]:
 def middle(values: Array) -> Array:
     """Mean of each value and the next."""
     return np.asarray(0.5 * (values[:-1] + values[1:]))
-
-
-def view_box(scene: Scene) -> tuple[Array, Array, int, bool]:
-    """Lower and upper corner (3,) [m], the vertical axis, and whether its values grow upwards.
-
-    Up is against gravity, or along the straight rod. The box holds what most motions need: a rod of constant curvature goes 0.59
-    lengths aside when bent by 80 degrees, and 0.72 at most. What leaves the box is drawn as well.
-    """
-    gravity = np.zeros(3) if scene.effects.gravity is None else np.array(scene.effects.gravity.acceleration)
-    length, pull = rod_length(scene), float(np.linalg.norm(gravity))
-    hanging = np.array([0.0, 1.05, 1.05]) * length * gravity / pull if pull > 0.0 else np.zeros(3)
-    lower = np.minimum(np.array([-BEHIND, -0.60, -0.60]) * length, hanging)
-    upper = np.maximum(np.array([1.05, 0.60, 0.60]) * length, hanging)
-    axis = int(np.argmax(np.abs(gravity)))
-    return lower, upper, axis, bool(gravity[axis] <= 0.0)
-
-
-def viewpoint(vertical: int, upright: bool, elevation: float = ELEVATION) -> Array:
-    """Rotation (3, 3) of the camera of frames and recordings in the world frame: rows to the right, up and towards the viewer as seen.
-
-    `vertical` and `upright` as `view_box` has them; elevation [deg] above the floor.
-    """
-    elevation, azimuth = np.radians(elevation), np.radians(AZIMUTH if upright else 180.0 - AZIMUTH)
-    sign = 1.0 if upright else -1.0
-    level = np.cos(elevation) * np.array([np.cos(azimuth), np.sin(azimuth)])
-    towards = np.roll([*level, sign * np.sin(elevation)], vertical - 2)
-    right = np.cross(sign * np.eye(3)[vertical], towards)
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(towards, right), towards])
-
-
-def box_corners(lower: Array, upper: Array) -> Array:
-    """Corners (8, 3) of a box."""
-    return np.stack(np.meshgrid(*zip(lower, upper, strict=True)), axis=-1).reshape(-1, 3)
-
-
-def mount_size(scene: Scene) -> tuple[float, float]:
-    """Depth behind the rod's base and radius [m] of the cylinder that holds it."""
-    length = rod_length(scene)
-    return BEHIND * length, max(1.9 * float(rod_radius(scene, np.zeros(1))[0][0]), 0.03 * length)
 
 
 def paint_floor(figure: Any, scene: Scene, turn: Array) -> Any:

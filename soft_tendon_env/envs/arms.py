@@ -22,10 +22,8 @@ from soft_tendon_env.tools.types import Array
 
 Indices = NDArray[np.int64]
 
-LEAST_ROWS = 8
-"""Rows that a thread should have before another one pays for its wake-up."""
-HEAD_START = 2
-"""Rows that one thread steps in about the time that another one takes to wake up and to say that it is done."""
+LEAST_ROWS = 8  # rows that a thread should have before another one pays for its wake-up
+HEAD_START = 2  # rows that one thread steps in about the time that another one takes to wake up and to say that it is done
 
 
 class Arms:

@@ -33,13 +33,6 @@ def why_inside(model: Model, q: Array) -> str:
     return f"the arm begins {where}" if depth > INSIDE * radius[sample] else ""
 
 
-def why_target_inside(model: Model, positions: Array) -> str:
-    """Obstacle standing still that the round tip would be inside of at one of its positions (m, 3) [m]; "": none."""
-    radius = np.repeat(rod_radius(model.scene, np.array([model.length]))[0], len(positions))
-    depth, _, name = deepest(model, positions, radius, standing=True)
-    return f"the tip would be {1e3 * depth:.3g} mm deep in {name}" if depth > INSIDE * radius[0] else ""
-
-
 class ObstacleFreeSpace:
     """The space that obstacles which stand still leave free; `model` is of the arm without obstacles, with the same coordinates."""
 

@@ -45,8 +45,7 @@ from soft_tendon_env.tools.types import Array
 
 MANY = 16
 """Rows from which on all motions that targets come from are computed when an environment is made, since its first resets need most."""
-THRESHOLD, EVERYWHERE = 0.01, 7.0
-"""Distance, in lengths of the rod, within which a goal is reached by default, and that within which all goals are."""
+THRESHOLD = 0.01  # distance, in lengths of the rod, within which a goal is reached by default
 
 
 class Beginning(NamedTuple):
@@ -102,8 +101,7 @@ class Episodes:
         self.starts = starts = Starts(options, self.arms)
         self.limits, self.start_tension, self.start_command = starts.limits, starts.tension, starts.command
         self.threshold = THRESHOLD * self.model.length if options.threshold is None else options.threshold
-        away = self.threshold if task.goal and self.threshold <= EVERYWHERE * self.model.length else 0.0
-        self._draws = TargetDraws(starts.setting, self._courses, self.period, away)
+        self._draws = TargetDraws(starts.setting, self._courses, self.period, self.threshold if task.goal else 0.0)
         self._usual = Beginning(self._draws.settled(options.target or TARGETS[task.target](type=task.target)))
         if self.size >= MANY and self.model.scene.effects.contact is None:  # among obstacles a motion can take seconds
             self._draws.fill_bank(self._usual.target)

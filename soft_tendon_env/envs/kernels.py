@@ -10,8 +10,7 @@ from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
 from soft_tendon_env.mechanics.types import FloatVector, IntVector
 
-EFFORT, SMOOTHNESS = -1, -2
-"""Codes of the reward terms that do not come from a tracking error."""
+EFFORT, SMOOTHNESS = -1, -2  # codes of the reward terms that do not come from a tracking error
 
 
 class TargetTable(Struct):

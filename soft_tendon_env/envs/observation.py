@@ -20,10 +20,8 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene, segment_index
 from soft_tendon_env.tools.types import Array
 
-CLIP = 10.0
-"""Largest absolute value of a scaled entry, unless its group says otherwise."""
-FAR = 100.0
-"""Largest absolute value of a scaled way to the target: ten lengths of the rod."""
+CLIP = 10.0  # largest absolute value of a scaled entry, unless its group says otherwise
+FAR = 100.0  # largest absolute value of a scaled way to the target: ten lengths of the rod
 
 
 class RestValues(NamedTuple):
@@ -129,10 +127,8 @@ GROUPS: Mapping[str, Group] = {
 }
 """The groups that every task has, by the name that options use."""
 
-HISTORY = "history"
-"""The slice of an observation after all groups, if it has a history."""
-CHANGE = 0.1
-"""Unit of a group's changes in a history, as a share of the group's own."""
+HISTORY = "history"  # the slice of an observation after all groups, if it has a history
+CHANGE = 0.1  # unit of a group's changes in a history, as a share of the group's own
 
 
 class Layout:

@@ -5,7 +5,7 @@ import re
 from typing import Annotated, Any, Literal, NoReturn
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, InstanceOf, SerializeAsAny, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, InstanceOf, SerializeAsAny, field_validator
 
 from soft_tendon_env.accuracy.fidelity import at_fidelity, checked_fidelity
 from soft_tendon_env.envs.observation import Group
@@ -20,12 +20,9 @@ from soft_tendon_env.scene.scene import Scene, TensionLimits, extrapolation_colu
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, shown
 from soft_tendon_env.tools.types import Array, NotNegative, Positive
 
-MOST_AHEAD = 10_000
-"""Control periods by which a preview looks ahead: every row keeps its target for that long."""
-GOAL_BOUND = 2.0
-"""Largest coordinate of goals in the world frame, in lengths of the rod."""
-MASK = "reset_mask"
-"""Key of the rows that a vector environment resets, (rows,) bool; the others go on."""
+MOST_AHEAD = 10_000  # control periods by which a preview looks ahead: every row keeps its target for that long
+GOAL_BOUND = 2.0  # largest coordinate of goals in the world frame, in lengths of the rod
+MASK = "reset_mask"  # key of the rows that a vector environment resets, (rows,) bool; the others go on
 
 
 def _target_by_name(target: Any) -> Any:
@@ -108,7 +105,7 @@ class ResetOptions(Configuration):
         state: `State` in which the arm begins, with its rates, the internal states of effects and its time; of an arm like this episode's.
             Commands before are those of an arm at rest.
         goal: position of the tip to reach, three numbers [m] in the world frame (Reach), or its pose, 4 x 4 (Reach, TipPose).
-        target: target of this episode, as the argument `target`.
+        target: target of this episode, as the argument `target`, unless there is a goal.
         episode_steps: steps after which the episode is truncated, where that is sooner than otherwise.
     """
 
@@ -124,12 +121,6 @@ class ResetOptions(Configuration):
         if shape not in ((3,), (4, 4)):
             raise ValueError("should be a position of three numbers [m], or a pose, 4 x 4")
         return Hold(position=goal) if shape == (3,) else Hold(pose=goal)
-
-    @model_validator(mode="after")
-    def _one_of_each(self) -> "ResetOptions":
-        if self.goal is not None and self.target is not None:
-            raise ConfigurationError([Problem(("goal",), "is given, and target too: give one of the two")])
-        return self
 
 
 def reset_options(options: Any, rows: int | None = None) -> dict[int, ResetOptions]:
@@ -198,8 +189,6 @@ def groups_of(options: Options, task: Task) -> dict[str, Group]:
             _fail("observation", f"names {name!r}: {not_among(name, allowed)}")
     if not chosen or len(set(chosen)) < len(chosen):
         _fail("observation", f"is {list(chosen)}: it should name at least one group, each once")
-    if options.history and not any(allowed[name].of_arm for name in chosen):
-        _fail("history", f"is {options.history}, but the observation has no group of the arm to keep, only {', '.join(chosen)}")
     return {name: allowed[name] for name in chosen}
 
 

@@ -15,10 +15,8 @@ from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, plain, shown
 from soft_tendon_env.tools.types import Array
 
-GREATEST = 1e9
-"""Largest absolute value of gains, offsets and latencies that can be drawn."""
-CHUNK = 128
-"""Samples of noise drawn at a time."""
+GREATEST = 1e9  # largest absolute value of gains, offsets and latencies that can be drawn
+CHUNK = 128  # samples of noise drawn at a time
 SHORT = {
     "stiffness": ("segments.*.young_modulus", "factor"),
     "damping": ("segments.*.damping", "factor"),

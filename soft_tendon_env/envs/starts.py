@@ -22,10 +22,8 @@ from soft_tendon_env.tools.checks import shown_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Key, Problem
 from soft_tendon_env.tools.types import Array
 
-BANK = 64
-"""Arms of an environment that draws numbers of its scene."""
-DRAWS = 4
-"""Numbers that an episode takes from its generator before anything else, of which the first chooses the arm."""
+BANK = 64  # arms of an environment that draws numbers of its scene
+DRAWS = 4  # numbers that an episode takes from its generator before anything else, of which the first chooses the arm
 
 
 class Drawn(NamedTuple):

@@ -22,8 +22,7 @@ from soft_tendon_env.tools.configuration import Configuration, ConfigurationErro
 from soft_tendon_env.tools.types import Array
 
 GoalReward = Literal["sparse", "dense"]
-HALF = 5.0
-"""Thresholds at which the dense reward is 1/2: near enough that the last of them still counts."""
+HALF = 5.0  # thresholds at which the dense reward is 1/2: near enough that the last of them still counts
 Scales = Annotated[tuple[Annotated[float, Field(gt=0, ge=1e-9)], ...], Field(min_length=1)]
 
 
@@ -192,12 +191,9 @@ def register_reward_term(function: Callable[[Tracking], Array]) -> Callable[[Tra
     """Function decorator: make a reward term available to every task and to the option `reward`, by the function's name.
 
     It takes a Tracking and returns values (rows,) between 0 and 1, 1 the best, so that no episode gains by ending early. A second function
-    of the same module and name replaces the first. Raises ValueError for a name that is taken.
+    of the same name replaces the first. Raises ValueError for a name that a term of the package has.
     """
-    name = function.__name__
-    taken = {error.term for error in (POSITION, ANGLE, BACKBONE, COORDINATES)} | TERMS.keys()
-    present = getattr(OWN_TERMS.get(name), "of", function)
-    if name in taken or (present.__module__, present.__qualname__) != (function.__module__, function.__qualname__):
+    if (name := function.__name__) in {*TERMS, *(error.term for error in (POSITION, ANGLE, BACKBONE, COORDINATES))}:
         raise ValueError(f"the reward term {name!r} is taken: choose another name")
     OWN_TERMS[name] = Term(function)
     return function

@@ -8,22 +8,18 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from soft_tendon_env.drawing.geometry import camera
 from soft_tendon_env.drawing.palette import RGB, Style, hues, shades
-from soft_tendon_env.drawing.renderer import view_box
+from soft_tendon_env.drawing.shapes import camera, view_box
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 
-RECENT, AHEAD = 10.0, 1.5
-"""Times [s] that plots of a running simulation show, before now and as room for legends."""
+RECENT, AHEAD = 10.0, 1.5  # times [s] that plots of a running simulation show, before now and as room for legends
 
-TOTAL = "reward"
-"""The scalar that the terms of rewards add up to."""
+TOTAL = "reward"  # the scalar that the terms of rewards add up to
 
-ASPECT = 3.3
-"""Width of the view of the arms over its height."""
+ASPECT = 3.3  # width of the view of the arms over its height
 
 LEGEND, NO_LEGEND = rrb.PlotLegend(rrb.Corner2D.RightTop), rrb.PlotLegend(visible=False)
 

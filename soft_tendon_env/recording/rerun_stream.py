@@ -19,9 +19,20 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
 from soft_tendon_env.drawing import palette
-from soft_tendon_env.drawing.geometry import body, label_place, side_by_side, tension_colors
-from soft_tendon_env.drawing.renderer import mount_size, normals, view_box
-from soft_tendon_env.drawing.shapes import backbones, base_poses, drawing_stations, surface, tendon_curves
+from soft_tendon_env.drawing.renderer import normals
+from soft_tendon_env.drawing.shapes import (
+    backbones,
+    base_poses,
+    body,
+    drawing_stations,
+    label_place,
+    mount_size,
+    side_by_side,
+    surface,
+    tendon_curves,
+    tension_colors,
+    view_box,
+)
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.recording.rollout import Rollout
@@ -36,12 +47,10 @@ try:
 except ImportError as error:
     raise DependencyNotInstalled('Rerun is not installed, run `pip install "soft_tendon_env[recording]"`') from error
 
-STATIONS, TRAIL = 25, 3.0
-"""About how many points a backbone is drawn with, and for how long [s] tips leave a line behind."""
+STATIONS, TRAIL = 25, 3.0  # about how many points a backbone is drawn with, and for how long [s] tips leave a line behind
 
 TARGET_COLOR, MOUNT_COLOR, SOLID_COLOR = (255, 255, 255), (110, 112, 120), (186, 164, 128)
-TRANSPARENCY = 80
-"""Alpha of the body, of 255: the tendons inside are to be seen."""
+TRANSPARENCY = 80  # alpha of the body, of 255: the tendons inside are to be seen
 
 AXES = np.stack([np.zeros((3, 3)), np.diag([0.12, 0.08, 0.04])], axis=1)
 """Lines (3, 2, 3) of a target's frame, as shares of the rod's length, the longest along its x: white, since tips and arms have colours."""
@@ -174,7 +183,9 @@ class RerunStream:
         self._send(f"{root}/body", times, cylinders.partition([known.station.size - 1] * rollout.samples))
         self._send(f"{root}/backbone", times, _lines(position))
         curves = tendon_curves(rollout.model, frames, known.station)
-        strips = rr.LineStrips3D.columns(strips=_strips(curves), colors=tension_colors(rollout.model, rollout.tension).ravel())
+        strips = rr.LineStrips3D.columns(
+            strips=_strips(curves), colors=tension_colors(rollout.model, rollout.tension).reshape(-1, 3).astype(np.uint8)
+        )
         self._send(f"{root}/tendons", times, strips.partition([len(curves)] * rollout.samples))
         self._send(f"{root}/tip", times, _poses(rollout.tip_pose))
         self._send(f"{root}/trail", times, _lines(_steps(rollout.tip_pose, known.tip)))

@@ -37,7 +37,6 @@ BAD = [
     (TipPoseEnv, {"observation": ["rates", "rate"]}, "observation names 'rate': did you mean 'rates'"),
     (TipPoseEnv, {"observation": ["target_coordinates"]}, "observation names 'target_coordinates'"),
     (TipPoseEnv, {"observation": ["rates", "rates"]}, "each once"),
-    (TipPoseEnv, {"history": 2, "observation": ["target_error"]}, "history is 2, but the observation has no group of the arm to keep"),
     (
         TipPoseEnv,
         {"preview": [0.1, 0.0099]},

@@ -79,7 +79,6 @@ REFUSED = [
     (TipPoseEnv, "goal", "options should be a dict or None, not str"),
     (TipPoseEnv, {"goal": [0.1, 0.2, 0.3]}, "target.position is a position alone: TipPose needs a pose, 4 x 4"),
     (TipPoseEnv, {"goal": 2.0 * POSE}, r"options: goal.pose is .* it should be a homogeneous matrix"),
-    (TipPoseEnv, {"goal": POSE, "target": "hold"}, "options: goal is given, and target too: give one of the two"),
     (TipPoseEnv, {"target": "hald"}, "options: target.type is 'hald': did you mean 'hold'"),
     (TipPoseEnv, {"target": {"type": "hold", "tension": [1.0]}}, "target.tension has 1 entries: it should have one per tendon, 3"),
     (TipPoseEnv, {"state": np.zeros(3)}, "options: state is .*: it should be an instance of State"),

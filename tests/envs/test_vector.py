@@ -111,17 +111,6 @@ def test_first_episodes_can_be_shorter_by_row(mode):
     assert not any(vector.step(np.zeros((3, 3)))[3].any() for _ in range(11)), "the next reset is a usual one"
 
 
-def test_seeds_can_be_listed(same):
-    vector = TipPoseVectorEnv(3, **SMALL)
-    listed, _ = vector.reset(seed=[4, 9, 4])
-    assert same(listed[0], listed[2]) and not same(listed[0], listed[1])
-    assert same(TipPoseEnv(**SMALL).reset(seed=9)[0], listed[1])
-    assert same(vector.reset(seed=np.int64(4))[0], vector.reset(seed=4)[0]) and np.isfinite(vector.reset(seed=10**400)[0]).all()
-    vector.reset(seed=[4, 9, 4])
-    again, _ = vector.reset(seed=[4, None, 4])
-    assert same(again[0], listed[0]) and not same(again[1], listed[1])
-
-
 def test_ended_rows_must_be_reset_where_nothing_resets_them():
     vector = TipPoseVectorEnv(2, 1, "disabled", **SMALL)
     with pytest.raises(ResetNeeded, match="first reset"):

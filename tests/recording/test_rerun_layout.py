@@ -6,8 +6,8 @@ import pytest
 pytest.importorskip("rerun")
 import rerun.blueprint as rrb  # noqa: E402
 
-from soft_tendon_env.drawing.geometry import side_by_side  # noqa: E402
 from soft_tendon_env.drawing.palette import styles  # noqa: E402
+from soft_tendon_env.drawing.shapes import side_by_side  # noqa: E402
 from soft_tendon_env.recording.rerun_layout import DrawnArm, layout  # noqa: E402
 
 SERIES = {

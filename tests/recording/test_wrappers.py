@@ -90,17 +90,6 @@ def test_an_episode_cut_short_is_recorded_and_one_without_a_step_is_not(file):
     assert file.samples() == [2, 3] and file.closed
 
 
-def test_a_file_given_open_is_shared_and_left_open():
-    file = MemoryFile()
-    recorders = [RecordRollout(make(), file, name=name, place=(0.0, y, 0.0)) for name, y in (("left", 0.0), ("right", 1.5))]
-    again = RecordRollout(make(), file, name="right", place=None)  # an arm that is there
-    for recorder in (*recorders, again):
-        play(recorder, 1)
-        recorder.close()
-    assert file.arms == ["left", "right"] and file.places == [(0.0, 0.0, 0.0), (0.0, 1.5, 0.0)]
-    assert [arm for arm, _, _ in file.written] == ["left", "right", "right"] and not file.closed
-
-
 @pytest.mark.parametrize("mode, samples", [("next_step", [6, 6, 2]), ("same_step", [5, 5, 4]), ("disabled", [6, 6, 3])])
 def test_rows_are_recorded_in_every_mode(mode, samples, file):
     """The step of a reset belongs to no episode; what ends and is reset in one step lacks its last sample."""

@@ -7,7 +7,7 @@ a function of time, the same whatever other times are asked for with it. `exampl
 import importlib
 import pkgutil
 from abc import ABC, abstractmethod
-from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar, get_args
+from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -17,11 +17,10 @@ from soft_tendon_env.envs.contacts import ObstacleFreeSpace
 from soft_tendon_env.mechanics.types import Implicit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, shown
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
-FARTHEST = 1e6
-"""Largest coordinate [m] of a target: a thousand kilometres, whose square is a number still."""
+FARTHEST = 1e6  # largest coordinate [m] of a target: a thousand kilometres, whose square is a number still
 
 Distance = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
 
@@ -157,18 +156,13 @@ TARGETS: dict[str, type[Target]] = {}
 def register_target(target: Class) -> Class:
     """Class decorator: make a `Target` available to options, by its name or as a table with that `type`.
 
-    A second class of the same module and name replaces the first. Raises TypeError for what is no Target with a `type`, ValueError for a
-    name that is taken.
+    A second class of the same module and name replaces the first. Raises ValueError for a name that is taken.
     """
-    is_target = isinstance(target, type) and issubclass(target, Target)
-    kind = target.__pydantic_fields__["type"] if is_target else Target.model_fields["type"]
-    if get_args(kind.annotation) != (kind.default,):
-        allowed = 'a class derived from soft_tendon_env.envs.targets.Target with a field such as `type: Literal["spiral"] = "spiral"`'
-        raise TypeError(f"a target should be {allowed}, not {shown(target)}")
-    present = TARGETS.setdefault(kind.default, target)
+    kind = target.model_fields["type"].default
+    present = TARGETS.get(kind, target)
     if (present.__module__, present.__qualname__) != (target.__module__, target.__qualname__):
-        raise ValueError(f"the target {kind.default!r} is registered twice: {present.__module__}, {target.__module__}")
-    TARGETS[kind.default] = target
+        raise ValueError(f"the target {kind!r} is registered twice: {present.__module__}, {target.__module__}")
+    TARGETS[kind] = target
     return target
 
 

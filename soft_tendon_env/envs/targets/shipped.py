@@ -24,8 +24,7 @@ from soft_tendon_env.envs.targets.statics import Tensions, shape_course
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.types import Array, Positive
 
-MOST_KNOTS = 10_000
-"""Points that a random motion can be drawn with."""
+MOST_KNOTS = 10_000  # points that a random motion can be drawn with
 
 
 @register_target

@@ -15,8 +15,7 @@ from soft_tendon_env.tools.checks import shown_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.types import Array
 
-HALVINGS = 40
-"""How often drawn tensions that the arm cannot hold are halved."""
+HALVINGS = 40  # how often drawn tensions that the arm cannot hold are halved
 MARGIN = 1.03
 """Part of a drawn motion's coordinates that should have strains too: it may reach farther between places where they are looked for."""
 BETWEEN = 2e-4
@@ -27,10 +26,8 @@ PER_KNOT = 4
 NEAR, CLOSE = 0.2, 0.01
 """Angles [rad] from where an equilibrium is expected: within which it is taken, else tensions change by half as much at a time; and within
 which one that is not stable is the end."""
-SAME = 1e-6
-"""Angle [rad] between shapes that count as one."""
-SHORTER = 8
-"""How often changes of tensions are halved before the arm is said to jump."""
+SAME = 1e-6  # angle [rad] between shapes that count as one
+SHORTER = 8  # how often changes of tensions are halved before the arm is said to jump
 JUMPS = "the arm jumps from one shape to another near there"
 
 

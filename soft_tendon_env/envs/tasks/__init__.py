@@ -15,11 +15,9 @@ from soft_tendon_env.envs.tracking import OWN_TERMS, TERMS, Term, Tracking, Trac
 from soft_tendon_env.registration import MAX_EPISODE_STEPS, register_environment
 from soft_tendon_env.tools.configuration import not_among
 
-STATIONS = 20
-"""Places along the backbone at which shapes are compared, the tip the last."""
+STATIONS = 20  # places along the backbone at which shapes are compared, the tip the last
 
-TIP = ("tip_position", "tip_rotation")
-"""Groups that every task of the package observes."""
+TIP = ("tip_position", "tip_rotation")  # groups that every task of the package observes
 
 
 @dataclass(frozen=True)
