@@ -9,11 +9,10 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-import rerun as rr
 from gymnasium.error import Error
 
 from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.recording.rerun_stream import RerunStream
+from soft_tendon_env.recording.rerun_stream import RerunStream, new_recording
 from soft_tendon_env.recording.wrappers import RowRecorder
 
 PORT = 9876  # at which Rerun's viewers listen by default
@@ -38,7 +37,7 @@ class RerunViewer(RerunStream):
     def __init__(self, port: int) -> None:
         if not is_open(port):
             open_viewer(port)
-        recording = rr.RecordingStream(NAME)
+        recording = new_recording(NAME)
         recording.connect_grpc(f"rerun+http://127.0.0.1:{port}/proxy")
         super().__init__(recording, NAME, "the viewer")
 

@@ -3,9 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-import rerun as rr
-
-from soft_tendon_env.recording.rerun_stream import RerunStream
+from soft_tendon_env.recording.rerun_stream import RerunStream, new_recording
 from soft_tendon_env.recording.rollout import Rollout
 
 
@@ -21,7 +19,7 @@ class RerunFile(RerunStream):
         self.path = Path(path)
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self.path.write_bytes(b"")  # Rerun itself would only warn
-        recording = rr.RecordingStream(self.path.stem)
+        recording = new_recording(self.path.stem)
         self._checked(recording.save, self.path)
         super().__init__(recording, self.path.stem, str(self.path))
 

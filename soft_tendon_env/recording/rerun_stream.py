@@ -59,6 +59,11 @@ TENDON_WIDTH, TRAIL_WIDTH, TARGET_WIDTH, TARGET_SIZE = -1.0, -1.25, -0.75, -4.0
 """Radii of lines and points in pixels: Rerun takes negative ones so."""
 
 
+def new_recording(name: str) -> rr.RecordingStream:
+    """A recording that goes nowhere yet."""
+    return rr.RecordingStream(name)
+
+
 class RerunStream:
     """A recording of Rerun, and the arms in it; `RerunFile` and `RerunViewer` say where it goes."""
 
