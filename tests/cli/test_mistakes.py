@@ -34,7 +34,7 @@ OPTIONS = [
     (("compare", "--config", "key.toml"), "key.toml: episods is an unknown key (given 3): did you mean 'episodes'?"),
     (("compare", "--config", "own.toml", "--task", "TipPose", "--cluster", "127.0.0.1:1"), "Ray"),  # is not there, or does not answer
     (("compare", "--config", "own.toml", "--write-docs", "docs.md"), "docs.md should have the lines <!-- compare Reach --> and "),
-    (("record", "tracking", "--target", "square"), "--target: type is 'square': valid: circle, hold, out_of_reach, ramp, random, steps"),
+    (("record", "tracking", "--target", "square"), "--target: type is 'square': valid: circle, hold, ramp, random, steps"),
     (("export", "tracking"), "agent is 'tracking': it should be the folder or the .zip file of an agent, or agent, ppo, sac, dagger"),
     (("export", "agent", "--out", "agent.pt"), "--out is agent.pt: it should be the path of an .onnx file, such as agent.onnx"),
     (("run", "feedforward", "--seconds", "0.01"), "seconds is 0.01: it should be at least one control period, 0.02 s, and skip"),

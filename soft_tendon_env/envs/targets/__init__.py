@@ -158,7 +158,7 @@ def register_target(target: Class) -> Class:
 
     A second class of the same module and name replaces the first. Raises ValueError for a name that is taken.
     """
-    kind = target.model_fields["type"].default
+    kind = target.__pydantic_fields__["type"].default
     present = TARGETS.get(kind, target)
     if (present.__module__, present.__qualname__) != (target.__module__, target.__qualname__):
         raise ValueError(f"the target {kind!r} is registered twice: {present.__module__}, {target.__module__}")
