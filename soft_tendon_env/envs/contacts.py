@@ -8,8 +8,7 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import rod_radius
 from soft_tendon_env.tools.types import Array
 
-INSIDE = 0.1
-"""Depth in an obstacle, in radii of the rod, from which an arm at rest counts as inside of it: ten times what its own weight makes."""
+INSIDE = 0.1  # depth in an obstacle, in radii of the rod, from which an arm counts as inside: ten times what its own weight makes
 
 
 def deepest(model: Model, positions: Array, radius: Array, standing: bool = False) -> tuple[float, int, str]:

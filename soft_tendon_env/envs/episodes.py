@@ -43,8 +43,7 @@ from soft_tendon_env.model.step_control import cause_of, step_control
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
-MANY = 16
-"""Rows from which on all motions that targets come from are computed when an environment is made, since its first resets need most."""
+MANY = 16  # rows from which on all motions of a bank are computed when an environment is made
 THRESHOLD = 0.01  # distance, in lengths of the rod, within which a goal is reached by default
 
 

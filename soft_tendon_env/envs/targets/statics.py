@@ -16,10 +16,8 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem, sho
 from soft_tendon_env.tools.types import Array
 
 HALVINGS = 40  # how often drawn tensions that the arm cannot hold are halved
-MARGIN = 1.03
-"""Part of a drawn motion's coordinates that should have strains too: it may reach farther between places where they are looked for."""
-BETWEEN = 2e-4
-"""How far the forces may be off between the places that a spline goes through, see `At.residual`; usual motions have 1e-6 to 5e-5."""
+MARGIN = 1.03  # part of a drawn motion's coordinates that should have strains too: it may reach farther between places
+BETWEEN = 2e-4  # how far forces may be off between the places of a spline, see `At.residual`; usual motions have 1e-6 to 5e-5
 PER_KNOT = 4
 """Places per knot of the tensions at which a motion is looked at. The spline through four equilibria moves the tip of a loaded arm by up to
 1e-4 of its length off those between, through two by up to 2e-3."""
