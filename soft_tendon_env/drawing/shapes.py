@@ -24,7 +24,7 @@ PULL_COLORS = np.array([[160, 90, 255], [105, 108, 118], [255, 225, 90], [255, 1
 SPACING, VISITED = 0.65, 0.5
 """Distance at which several arms are drawn, in widths of the box that most motions need, and the share of it that views show whole."""
 ELEVATION, FIELD_OF_VIEW = 28.0, np.radians(55.0)
-"""Of the viewer's camera: elevation [deg], by which a tip's path looks about as it does in frames, and vertical field of view."""
+"""Elevation [deg] of the viewer's camera, by which a tip's path looks about as it does in frames, and its vertical field of view."""
 LABEL = 2.5  # depth of an arm's name behind its base, in depths of the mount
 
 
