@@ -101,7 +101,8 @@ def ball_error(seen):
 def following(tracking):
     """Their reward of a period, -(d / 0.2 + max(rate of d, 0) / 0.3), and 1.5 more within 10 mm, from LEAST to MOST as 0 to 1."""
     off = tracking.tip_pose[:, :3, 3] - tracking.target_pose[:, :3, 3]
-    leaving = (off * (tip_velocity(tracking.reading) - tracking.target_twist[:, 3:])).sum(axis=1) / np.maximum(tracking.distance, 1e-9)
+    apart = tip_velocity(tracking.reading) - tracking.target.tip_twist[:, 0, 3:]
+    leaving = (off * apart).sum(axis=1) / np.maximum(tracking.distance, 1e-9)
     reward = 1.5 * (tracking.distance < 0.01) - tracking.distance / 0.2 - np.maximum(leaving, 0.0) / 0.3
     return np.clip((reward - LEAST) / (MOST - LEAST), 0.0, 1.0)
 

@@ -14,7 +14,7 @@ import pytest
 from soft_tendon_env.control import CONTROLLERS, ControllerOutput
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.envs import IDS, TARGETS, TASKS
-from soft_tendon_env.envs.rewards import OWN_TERMS
+from soft_tendon_env.envs.tracking import OWN_TERMS
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
 from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.mechanics.workspace import make_workspace

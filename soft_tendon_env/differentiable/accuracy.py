@@ -13,14 +13,11 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.tools.types import Array
 
-LEAST_COSINE = 0.99
-"""Cosine with differences below which gradients lead a training astray."""
-WITHIN = (0.05, 0.2, 0.6)
-"""Shares of the range of commands: the least of a trial, where it begins, and its greatest."""
+LEAST_COSINE = 0.99  # cosine with differences below which gradients lead a training astray
+WITHIN = (0.05, 0.2, 0.6)  # shares of the range of commands: the least of a trial, where it begins, and its greatest
 WAY = 0.01
 """Share of the range by which commands are moved for the differences: as an optimiser's steps, above the jumps of an adaptive order."""
-CHANGE = 0.05
-"""Share of the range that commands of absolute actions change by in a period."""
+CHANGE = 0.05  # share of the range that commands of absolute actions change by in a period
 DIRECTIONS, PERIODS, ROWS = 16, 16, 4
 
 

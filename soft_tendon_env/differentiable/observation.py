@@ -12,7 +12,6 @@ from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.observation import CHANGE, Observed, RestValues
 from soft_tendon_env.envs.randomization import Measured
 from soft_tendon_env.envs.targets import TargetSamples
-from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 
 
 class TensorObservation:
@@ -59,10 +58,10 @@ class TensorObservation:
 
 
 def tensors_observed(episodes: Episodes, arms: ArmTensors, action: torch.Tensor, command: torch.Tensor) -> Any:
-    """Observed quantities of the present step, that groups are computed from, as tensors and without contact; see TensorObservation.now."""
+    """Observed quantities of the present step as tensors, see TensorObservation.now."""
     seen = episodes.observed
     target, measured = as_tensors(*seen.target), _measured(seen, arms)
-    given: dict[str, Any] = {"arms": SimpleNamespace(rows=arms, reading=arms), "contact": SimpleNamespace()}
+    given: dict[str, Any] = {"arms": SimpleNamespace(rows=arms, reading=arms)}
     given |= {"measured": measured, "error": pose_logarithm(measured.tip_pose, target[0]), "action": action, "command": command}
     return replace(seen, target=TargetSamples(*target), rest=RestValues(*as_tensors(*seen.rest)), **given)
 
@@ -77,11 +76,3 @@ def _measured(seen: Observed, arms: ArmTensors) -> Any:
     pose = shifted["tip_pose"]
     pose[:, :3, :3] = arms.tip_pose[:, :3, :3] @ turn
     return Measured(**shifted)
-
-
-def check_groups(episodes: Episodes) -> None:
-    """Raises ConfigurationError naming the chosen observation groups that have no gradients: those of contact."""
-    bad = [name for name, group in episodes.layout.groups.items() if group.of_contact]
-    if bad:
-        text = f"names {', '.join(bad)}: a rollout in PyTorch allows groups of what Observed has but contact"
-        raise ConfigurationError([Problem(("observation",), text)], "environment")

@@ -13,8 +13,7 @@ from soft_tendon_env.differentiable.poses import body_cotangent
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.tools.checks import checked_array
 
-STATE = ("q", "q_dot", "state")
-"""State of a row through which gradients pass."""
+STATE = ("q", "q_dot", "state")  # state of a row through which gradients pass
 
 
 class ArmTensors(NamedTuple):

@@ -8,7 +8,7 @@ import torch
 from gymnasium.error import ResetNeeded
 
 from soft_tendon_env.differentiable.actuation import TensorActuation, inward_clip
-from soft_tendon_env.differentiable.observation import TensorObservation, check_groups
+from soft_tendon_env.differentiable.observation import TensorObservation
 from soft_tendon_env.differentiable.period import arm_tensors, control_period
 from soft_tendon_env.differentiable.poses import pose_logarithm
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
@@ -42,15 +42,13 @@ def rollout(env: Any, policy: Callable[[Any], torch.Tensor], periods: int, dtype
     (rows, size) of this dtype, of goal-conditioned tasks a dictionary of them. Actions and commands beyond their limits are clipped with
     gradients that lead back inside.
 
-    Raises ResetNeeded before the first reset, ConfigurationError for observation groups of contact, TypeError or ValueError for other
-    environments and for actions of another shape or with NaN; `backward` raises what Arms.adjoint does, as where effects have internal
-    states that follow the motion, or rows have been drawn anew since.
+    Raises ResetNeeded before the first reset, TypeError or ValueError for other environments and for actions of another shape or with NaN;
+    `backward` raises what Arms.adjoint does, as where effects have internal states that follow the motion, or rows have been drawn anew.
     """
     episodes, periods = episodes_of(env), checked_count("periods", periods, 1)
     if not hasattr(episodes, "present"):
         raise ResetNeeded("rollout was called before reset")
     arms, actuation, action = arm_tensors(episodes.arms), TensorActuation(episodes.actuation), torch.tensor(episodes.observed.action)
-    check_groups(episodes)
     observation = TensorObservation(episodes, dtype)
     steps: list[tuple[torch.Tensor, ...]] = []
     seen = observation.now(arms, action, actuation.command)

@@ -26,12 +26,9 @@ BLUE, ORANGE, GREEN, PINK, VIOLET, YELLOW, TEAL, BROWN = OTHERS
 MODEL_BASED = {"paper": BLUE, "printed": BLUE, "feedforward": BROWN, "tracking": ORANGE, "predictive": GREEN, "mpc": GREEN}
 LEARNED = {"agent": PINK, "dagger": (190, 60, 200), "ppo": VIOLET, "sac": YELLOW, "tqc": (150, 160, 60), "apg": TEAL}
 FILTERS = {"filtered": 0.8, "filter": 0.8, "adaptive": 0.6}
-"""Shares of the lightness."""
 SIBLINGS = (1.0, 0.75, 1.25, 0.5, 1.45, 0.62)
-"""Shares of the lightness of policies that are alike otherwise, such as several trainings by one algorithm."""
+"""Shares of the lightness: of policies behind a filter, and of those that are alike otherwise, such as trainings by one algorithm."""
 LIGHTEST = 0.92
-SHADES = 0.45, 1.3
-"""Lightness of the first and the last series of one arm, relative to the arm's."""
 
 
 class Style(NamedTuple):
@@ -41,10 +38,9 @@ class Style(NamedTuple):
     marker: str
 
     @property
-    def rgb(self) -> tuple[float, float, float]:
+    def rgb(self) -> tuple[float, ...]:
         """The colour as Matplotlib takes it, 0 to 1."""
-        red, green, blue = (value / 255 for value in self.colour)
-        return red, green, blue
+        return tuple(value / 255 for value in self.colour)
 
 
 def style(policy: str, taken: Collection[Style] = ()) -> Style:
@@ -55,7 +51,7 @@ def style(policy: str, taken: Collection[Style] = ()) -> Style:
     if (kind := next((word for word in words if word in kinds), None)) is not None:
         share = next((FILTERS[word] for word in words if word in FILTERS), 1.0)
         marker = "o" if kind in LEARNED else "s" if share == 1.0 else "D"
-        own_shades = (lightened(kinds[kind], share * own) if share * own != 1.0 else kinds[kind] for own in SIBLINGS)
+        own_shades = (kinds[kind] if share * own == 1.0 else lightened(kinds[kind], share * own) for own in SIBLINGS)
         if (free := next((shade for shade in own_shades if shade not in colours), None)) is not None:
             return Style(free, marker)
     return Style(next((other for other in OTHERS if other not in colours), OTHERS[len(taken) % len(OTHERS)]), marker)
@@ -77,7 +73,7 @@ def lightened(colour: RGB, share: float) -> RGB:
 
 def shades(colour: RGB, count: int) -> list[RGB]:
     """Series of one arm: its colour, from dark to light."""
-    return [lightened(colour, share) for share in np.linspace(*SHADES, count)]
+    return [lightened(colour, share) for share in np.linspace(0.45, 1.3, count)]
 
 
 def hues(count: int) -> list[RGB]:

@@ -10,34 +10,31 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
-from soft_tendon_env.drawing.shapes import backbones, base_poses, drawing_stations, surface, tendon_curves
+from soft_tendon_env.drawing.shapes import (
+    backbones,
+    base_poses,
+    box_corners,
+    drawing_stations,
+    mount_size,
+    surface,
+    tendon_curves,
+    tension_colors,
+    view_box,
+    viewpoint,
+)
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene, rod_length, rod_radius, tendon_ends
 from soft_tendon_env.tools.types import Array
 
-SECTIONS, AROUND = 40, 32
-"""Sections along the rod (more where it has many borders), and corners around each."""
+SECTIONS, AROUND = 40, 32  # sections along the rod (more where it has many borders), and corners around each
 
 TUBE, MOUNT, TRAIL, OBSTACLE = np.array([[0.62, 0.71, 0.82], [0.40, 0.42, 0.46], [0.42, 0.24, 0.66], [0.80, 0.72, 0.58]])
 PAPER, FLOOR, TEXT, TARGET = (1.0, 1.0, 1.0), (0.86, 0.87, 0.89), (0.30, 0.30, 0.33), (0.05, 0.58, 0.30)
 POSE_AXES = np.array([[0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.12, 0.35, 0.80]])  # x, y, z
-LOADS = np.array([0.0, 0.12, 0.4, 0.7, 1.0])
-LOAD_COLOURS = np.array([[0.97, 0.96, 0.91], [1.0, 0.82, 0.40], [0.96, 0.49, 0.15], [0.80, 0.10, 0.14], [0.40, 0.03, 0.12]])
-"""Colours (red, green, blue) of tensions at these shares of the way from the lower to the upper limit."""
-
-BEHIND = 0.1
-"""Depth of the mount behind the rod's base, in lengths of the rod."""
-GRID = 0.25
-"""Distance between lines on the floor, in lengths of the rod."""
-ELEVATION, AZIMUTH = 15.0, -58.0
-"""Direction from which an arm is seen [deg]: above the floor, and around the vertical."""
-ROOM = 0.9, 0.84
-"""Shares of a frame's width and height that the box around the arm fills at most; the title is above."""
-SEAM = 0.5
-"""Width [pt] of edges that close the gaps between neighbouring quadrilaterals."""
-FADED = 0.7
-"""How far the colour of a tendon on the far side of the tube goes over into the tube's."""
+GRID, AXES = 0.25, 0.09  # distance between lines on the floor, and length of a target's axes, in lengths of the rod
+ROOM = 0.9, 0.84  # shares of a frame's width and height that the box around the arm fills at most; the title is above
+SEAM, FADED = 0.5, 0.7  # width [pt] of edges that close gaps, and how far the colour of a tendon on the far side goes over into the tube's
 
 
 class Picture(NamedTuple):
@@ -53,31 +50,17 @@ class Picture(NamedTuple):
     effects: Effects | None = None  # of the arm, where they are not those of its scene
 
 
-class Camera(NamedTuple):
-    """Parallel projection of points (..., 3) [m]."""
-
-    turn: Array  # (3, 3) rows: right, up and towards the viewer as seen
-
-    def project(self, points: Array) -> Array:
-        """(..., 2) [m]"""
-        return np.asarray(points @ self.turn[:2].T)
-
-    def depth(self, points: Array) -> Array:
-        """(...,) [m], greater is farther away."""
-        return np.asarray(-points @ self.turn[2])
-
-
 class Pieces(NamedTuple):
     """Quadrilaterals to be painted from far to near; a line is one without area, visible by its edge."""
 
     corners: Array  # (n, 4, 3) [m]
     colour: Array  # (n, 3) of area and edge
     width: Array  # (n,) of the edge [pt]
-    depth: Array  # (n,) [m]
+    depth: Array  # (n,) [m] along the view, greater is farther away
 
 
 class ArmRenderer:
-    """Draws frames of one arm. It has a figure of its own, so that every thread or process can have a renderer."""
+    """Draws frames of one arm in parallel projection. It has a figure of its own, so that every thread or process can have a renderer."""
 
     def __init__(self, model: Model, width: int = 640, height: int = 480) -> None:
         """Frames of width x height pixels. Raises gymnasium's DependencyNotInstalled if matplotlib is missing."""
@@ -91,14 +74,12 @@ class ArmRenderer:
         self._radius, _ = rod_radius(scene, self._arc_length)
         ends = [tendon_ends(scene, tendon) for tendon in scene.tendons]
         self._inside = [(self._arc_length >= start) & (self._arc_length <= end) for start, end in ends]
-        limits = np.array([tendon.tension_limits for tendon in scene.tendons])
-        self._limits = limits[:, 0].min(), limits[:, 1].max()
-        self._box, self._camera = view_box(scene)[:2], Camera(viewpoint(*view_box(scene)[2:]))
+        self._box, self.turn = view_box(scene)[:2], viewpoint(*view_box(scene)[2:])
 
         dpi = 100.0 * min(width / 640, height / 480)
         figure = Figure(figsize=((width + 0.1) / dpi, (height + 0.1) / dpi), dpi=dpi, facecolor=PAPER)  # 0.1: pixels are rounded down
         self._canvas = FigureCanvasAgg(figure)
-        self._moving = Moving(figure, paint_floor(figure, scene, self._camera))
+        self.artists = moving_artists(figure, paint_floor(figure, scene, self.turn))
         self._canvas.draw()
         self._background = self._canvas.copy_from_bbox(figure.bbox)
 
@@ -106,14 +87,29 @@ class ArmRenderer:
         """The picture (height, width, 3), red, green, blue."""
         base = base_poses(self._model, np.array([scene.time]), scene.effects)
         backbone = backbones(self._model, scene.strain[None], self._arc_length, base)
-        pieces = [*self._arm(backbone[0], base[0]), *self._tendons(backbone, scene.tension), *trail(scene.trail, self._camera)]
+        pieces = [*self._arm(backbone[0], base[0]), *self._tendons(backbone, scene.tension), *trail(scene.trail, self.turn)]
         solids = (scene.effects or self._model.scene.effects).solids(scene.time)
-        pieces += [solid(surface(shape, self._box), OBSTACLE, self._camera) for shape in solids]
-        self._moving.show(pieces, scene, self._camera, 0.09 * self._model.length)
+        pieces += [solid(surface(shape, self._box), OBSTACLE, self.turn) for shape in solids]
+        self._show(pieces, scene)
         self._canvas.restore_region(self._background)
-        for artist in self._moving.artists:
+        for artist in self.artists:
             artist.draw(self._canvas.get_renderer())
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
+
+    def _show(self, pieces: list[Pieces], scene: Picture) -> None:
+        """Let the artists take over what a frame shows."""
+        areas, target, pose, place, title = self.artists
+        corners, colour, width, depth = (np.concatenate(values) for values in zip(*pieces, strict=True))
+        order, across = np.argsort(-depth, kind="stable"), self.turn[:2].T
+        areas.set_verts(corners[order] @ across)
+        areas.set_facecolor(colour[order])
+        areas.set_linewidth(width[order])
+        target.set_data(*(np.empty((0, 2)) if scene.target_backbone is None else scene.target_backbone @ across).T)
+        at = np.empty((0, 4, 4)) if scene.target_pose is None else scene.target_pose[None]
+        place.set_data(*(at[:, :3, 3] @ across).T)
+        ends = [np.stack([own[:3, 3], own[:3, 3] + AXES * self._model.length * own[:3, k]]) @ across for own in at for k in range(3)]
+        pose.set_segments([*ends, *ends])
+        title.set_text(scene.title)
 
     def _arm(self, backbone: Array, base: Array) -> list[Pieces]:
         """Mount and tube, both closed by rings without radius; backbone (m, 4, 4), base (4, 4)."""
@@ -122,61 +118,39 @@ class ArmRenderer:
         depth, radius = mount_size(self._model.scene)
         ends[:2, 0, 3] = -depth
         mount = tube(base @ ends, np.array([0.0, 1.0, 1.0, 0.0]) * radius)
-        return [solid(mount, MOUNT, self._camera), solid(rod, TUBE, self._camera)]
+        return [solid(mount, MOUNT, self.turn), solid(rod, TUBE, self.turn)]
 
     def _tendons(self, backbone: Array, tension: Array) -> list[Pieces]:
         """Lines coloured by tension (n_a,), all on the near surface of the tube; those of the far side are faded."""
-        camera, (least, greatest) = self._camera, self._limits
-        loads = np.clip((tension - least) / (greatest - least), 0.0, 1.0)
-        colours = np.stack([np.interp(loads, LOADS, channel) for channel in LOAD_COLOURS.T], axis=1)
-        axis, reach = camera.depth(backbone[0, :, :3, 3]), np.gradient(self._arc_length)  # by which neighbours differ in depth
+        towards, colours = self.turn[2], tension_colors(self._model, tension) / 255.0
+        axis, reach = -backbone[0, :, :3, 3] @ towards, np.gradient(self._arc_length)  # by which neighbours differ in depth
         far_side = axis - 1.5 * self._radius - reach
         near_side = far_side - 0.1 * self._radius - reach
         curves, lines = tendon_curves(self._model, backbone, self._arc_length), []
-        for (curve,), inside, colour, load in zip(curves, self._inside, colours, loads, strict=True):
-            behind = middle(camera.depth(curve) - axis[inside]) > 0.0
+        for (curve,), inside, colour in zip(curves, self._inside, colours, strict=True):
+            behind = middle(-curve @ towards - axis[inside]) > 0.0
             shade = np.where(behind[:, None], (1.0 - FADED) * colour + FADED * 0.9 * TUBE, colour)
             depth = np.where(behind, middle(far_side[inside]), middle(near_side[inside]))
-            lines.append(line(curve, shade, 1.1 + 1.2 * float(load), depth))
+            lines.append(line(curve, shade, 1.7, depth))
         return lines
 
 
-class Moving:
-    """The artists that change from frame to frame, always the same ones."""
+def moving_artists(figure: Any, axes: Any) -> list[Any]:
+    """The artists that change from frame to frame: areas, the target's backbone, its axes, its place, the title."""
+    from matplotlib.collections import LineCollection, PolyCollection
+    from matplotlib.lines import Line2D
 
-    def __init__(self, figure: Any, axes: Any) -> None:
-        from matplotlib.collections import LineCollection, PolyCollection
-        from matplotlib.lines import Line2D
-
-        shared: dict[str, Any] = {"animated": True, "clip_on": False, "transform": axes.transData}
-        self._pieces: Any = PolyCollection([], edgecolors="face", joinstyle="round", **shared)
-        self._target = Line2D([], [], color=TARGET, alpha=0.55, linewidth=4.0, solid_capstyle="round", **shared)
-        self._pose = LineCollection([], colors=[PAPER] * 3 + [*POSE_AXES], linewidths=[3.6] * 3 + [2.0] * 3, capstyle="round", **shared)
-        self._place = Line2D([], [], marker="o", markersize=5.5, color=TARGET, markeredgecolor=PAPER, markeredgewidth=0.9, **shared)
-        self._title = figure.text(0.5, 0.955, "", ha="center", va="center", fontsize=10, color=TEXT, animated=True, parse_math=False)
-        self.artists: list[Any] = [self._pieces, self._target, self._pose, self._place, self._title]
-        for artist in self.artists[:-1]:
-            figure.add_artist(artist)
-
-    def show(self, pieces: list[Pieces], scene: Picture, camera: Camera, size: float) -> None:
-        """Take over what a frame shows; `size` [m] of the axes of the target pose."""
-        corners, colour, width, depth = (np.concatenate(values) for values in zip(*pieces, strict=True))
-        order = np.argsort(-depth, kind="stable")
-        self._pieces.set_verts(camera.project(corners[order]))
-        self._pieces.set_facecolor(colour[order])
-        self._pieces.set_linewidth(width[order])
-        backbone = np.empty((0, 3)) if scene.target_backbone is None else scene.target_backbone
-        self._target.set_data(*camera.project(backbone).T)
-        places = np.empty((0, 3)) if scene.target_pose is None else scene.target_pose[None, :3, 3]
-        self._place.set_data(*camera.project(places).T)
-        arms = np.empty((0, 2, 3)) if scene.target_pose is None else pose_axes(scene.target_pose, size)
-        self._pose.set_segments(list(camera.project(np.concatenate([arms, arms]))))
-        self._title.set_text(scene.title)
-
-
-def pose_axes(pose: Array, size: float) -> Array:
-    """The axes x, y and z of a pose (4, 4) as lines (3, 2, 3) of length `size` [m]."""
-    return pose[:3, 3] + np.stack([np.zeros((3, 3)), size * pose[:3, :3].T], axis=1)
+    shared: dict[str, Any] = {"animated": True, "clip_on": False, "transform": axes.transData}
+    artists: list[Any] = [
+        PolyCollection([], edgecolors="face", joinstyle="round", **shared),
+        Line2D([], [], color=TARGET, alpha=0.55, linewidth=4.0, solid_capstyle="round", **shared),
+        LineCollection([], colors=[PAPER] * 3 + [*POSE_AXES], linewidths=[3.6] * 3 + [2.0] * 3, capstyle="round", **shared),
+        Line2D([], [], marker="o", markersize=5.5, color=TARGET, markeredgecolor=PAPER, markeredgewidth=0.9, **shared),
+    ]
+    for artist in artists:
+        figure.add_artist(artist)
+    title = figure.text(0.5, 0.955, "", ha="center", va="center", fontsize=10, color=TEXT, animated=True, parse_math=False)
+    return [*artists, title]
 
 
 def tube(poses: Array, radius: Array) -> Array:
@@ -194,17 +168,15 @@ def normals(corners: Array) -> Array:
     return normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
 
 
-def solid(corners: Array, colour: Array, camera: Camera) -> Pieces:
-    """The visible quadrilaterals of a closed surface, lit from above left."""
+def solid(corners: Array, colour: Array, turn: Array) -> Pieces:
+    """The visible quadrilaterals of a closed surface, lit from above left; turn: see `viewpoint`."""
     normal = normals(corners)
-    visible = normal @ camera.turn[2] > 0.0
-    light = np.array([-0.45, 0.65, 0.62]) @ camera.turn
-    gleam = np.array([-0.25, 0.36, 0.90]) @ camera.turn  # half way between light and viewer
-    diffuse = np.clip(normal[visible] @ light, 0.0, None)[:, None]
-    glossy = np.clip(normal[visible] @ gleam, 0.0, None)[:, None] ** 24
+    visible = normal @ turn[2] > 0.0
+    normal, seen = normal[visible], corners[visible]
+    diffuse = np.clip(normal @ (np.array([-0.45, 0.65, 0.62]) @ turn), 0.0, None)[:, None]
+    glossy = np.clip(normal @ (np.array([-0.25, 0.36, 0.90]) @ turn), 0.0, None)[:, None] ** 24  # half way between light and viewer
     shade = np.clip(colour * (0.60 + 0.46 * diffuse) + 0.20 * glossy, 0.0, 1.0)
-    seen = corners[visible]
-    return Pieces(seen, shade, np.full(len(seen), SEAM), camera.depth(seen.mean(axis=1)))
+    return Pieces(seen, shade, np.full(len(seen), SEAM), -seen.mean(axis=1) @ turn[2])
 
 
 def line(points: Array, colour: Array, width: float, depth: Array) -> Pieces:
@@ -213,12 +185,12 @@ def line(points: Array, colour: Array, width: float, depth: Array) -> Pieces:
     return Pieces(corners, colour, np.full(len(corners), width), depth)
 
 
-def trail(points: Array, camera: Camera) -> list[Pieces]:
+def trail(points: Array, turn: Array) -> list[Pieces]:
     """A line through past positions (k, 3) [m] that pales with age."""
     if len(points) < 2:
         return []
     age = np.linspace(0.75, 0.0, len(points) - 1)[:, None]
-    return [line(points, age * np.array(PAPER) + (1.0 - age) * TRAIL, 1.2, middle(camera.depth(points)))]
+    return [line(points, age * np.array(PAPER) + (1.0 - age) * TRAIL, 1.2, middle(-points @ turn[2]))]
 
 
 def middle(values: Array) -> Array:
@@ -226,52 +198,12 @@ def middle(values: Array) -> Array:
     return np.asarray(0.5 * (values[:-1] + values[1:]))
 
 
-def view_box(scene: Scene) -> tuple[Array, Array, int, bool]:
-    """Lower and upper corner (3,) [m], the vertical axis, and whether its values grow upwards.
-
-    Up is against gravity, or along the straight rod. The box holds what most motions need: a rod of constant curvature goes 0.59
-    lengths aside when bent by 80 degrees, and 0.72 at most. What leaves the box is drawn as well.
-    """
-    gravity = np.zeros(3) if scene.effects.gravity is None else np.array(scene.effects.gravity.acceleration)
-    length, pull = rod_length(scene), float(np.linalg.norm(gravity))
-    hanging = np.array([0.0, 1.05, 1.05]) * length * gravity / pull if pull > 0.0 else np.zeros(3)
-    lower = np.minimum(np.array([-BEHIND, -0.60, -0.60]) * length, hanging)
-    upper = np.maximum(np.array([1.05, 0.60, 0.60]) * length, hanging)
-    axis = int(np.argmax(np.abs(gravity)))
-    return lower, upper, axis, bool(gravity[axis] <= 0.0)
-
-
-def viewpoint(vertical: int, upright: bool, elevation: float = ELEVATION) -> Array:
-    """Rotation (3, 3) of the camera of frames and recordings in the world frame: rows to the right, up and towards the viewer as seen.
-
-    `vertical` and `upright` as `view_box` has them; elevation [deg] above the floor.
-    """
-    elevation, azimuth = np.radians(elevation), np.radians(AZIMUTH if upright else 180.0 - AZIMUTH)
-    sign = 1.0 if upright else -1.0
-    level = np.cos(elevation) * np.array([np.cos(azimuth), np.sin(azimuth)])
-    towards = np.roll([*level, sign * np.sin(elevation)], vertical - 2)
-    right = np.cross(sign * np.eye(3)[vertical], towards)
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(towards, right), towards])
-
-
-def box_corners(lower: Array, upper: Array) -> Array:
-    """Corners (8, 3) of a box."""
-    return np.stack(np.meshgrid(*zip(lower, upper, strict=True)), axis=-1).reshape(-1, 3)
-
-
-def mount_size(scene: Scene) -> tuple[float, float]:
-    """Depth behind the rod's base and radius [m] of the cylinder that holds it."""
-    length = rod_length(scene)
-    return BEHIND * length, max(1.9 * float(rod_radius(scene, np.zeros(1))[0][0]), 0.03 * length)
-
-
-def paint_floor(figure: Any, scene: Scene, camera: Camera) -> Any:
+def paint_floor(figure: Any, scene: Scene, turn: Array) -> Any:
     """Flat axes in which the box around the arm fills the figure, with lines on its floor; coordinates are those of the camera [m]."""
     from matplotlib.collections import LineCollection
 
     lower, upper, vertical, upright = view_box(scene)
-    corners = camera.project(box_corners(lower, upper))
+    corners = box_corners(lower, upper) @ turn[:2].T
     size, middle = figure.bbox.size, 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     half = 0.5 * np.max(np.ptp(corners, axis=0) / (ROOM * size)) * size
     middle[1] += 0.3 * (1.0 - ROOM[1]) * half[1]
@@ -283,6 +215,6 @@ def paint_floor(figure: Any, scene: Scene, camera: Camera) -> Any:
         for place in np.arange(np.ceil(lower[across] / spacing), upper[across] / spacing) * spacing:
             ends = np.full((2, 3), (lower if upright else upper)[vertical])
             ends[:, across], ends[:, along] = place, (lower[along], upper[along])
-            lines.append(camera.project(ends))
+            lines.append(ends @ turn[:2].T)
     axes.add_collection(LineCollection(lines, colors=[FLOOR], linewidths=0.8))
     return axes

@@ -1,4 +1,7 @@
-"""Backbone and tendon curves of an arm in space, and surfaces of simple solids as quadrilaterals, for pictures and recordings."""
+"""Curves, bodies and solids of arms in space, where several arms stand, and the cameras that see them, for pictures and recordings."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,11 +12,20 @@ from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.coordinates import effects_outside
 from soft_tendon_env.model.grid import discretisation
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import tendon_ends, tendon_offset
+from soft_tendon_env.scene.scene import Scene, rod_length, rod_radius, tendon_ends, tendon_offset
 from soft_tendon_env.tools.types import Array
 
-AROUND, ALONG, FINENESS = 32, 8, 12
-"""Quadrilaterals around a round solid, along a straight one, and along a side of a face."""
+AROUND, ALONG, FINENESS = 32, 8, 12  # quadrilaterals around a round solid, along a straight one, and along a side of a face
+BEHIND = 0.1  # depth of the mount behind the rod's base, in lengths of the rod
+FROM, AZIMUTH = 15.0, -58.0  # direction from which an arm is seen [deg]: above the floor, and around the vertical
+PULLS = -1.0, 0.0, 0.12, 0.4, 1.0
+PULL_COLORS = np.array([[160, 90, 255], [105, 108, 118], [255, 225, 90], [255, 150, 40], [255, 40, 30]])
+"""RGB at these shares of the largest tension that the actuator gives, from pushing over slack to pulling."""
+SPACING, VISITED = 0.65, 0.5
+"""Distance at which several arms are drawn, in widths of the box that most motions need, and the share of it that views show whole."""
+ELEVATION, FIELD_OF_VIEW = 28.0, np.radians(55.0)
+"""Elevation [deg] of the viewer's camera, by which a tip's path looks about as it does in frames, and its vertical field of view."""
+LABEL = 2.5  # depth of an arm's name behind its base, in depths of the mount
 
 
 def drawing_stations(model: Model, count: int) -> Array:
@@ -101,3 +113,113 @@ def _turned(radius: Array, height: Array) -> Array:
     x, y = np.cos(angle)[None, :] * radius[:, None], np.sin(angle)[None, :] * radius[:, None]
     grid = np.stack([x, y, np.broadcast_to(height[:, None], x.shape)], axis=-1)
     return np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=2).reshape(-1, 4, 3)
+
+
+def view_box(scene: Scene) -> tuple[Array, Array, int, bool]:
+    """Lower and upper corner (3,) [m], the vertical axis, and whether its values grow upwards.
+
+    Up is against gravity, or along the straight rod. The box holds what most motions need: a rod of constant curvature goes 0.59
+    lengths aside when bent by 80 degrees, and 0.72 at most. What leaves the box is drawn as well.
+    """
+    gravity = np.zeros(3) if scene.effects.gravity is None else np.array(scene.effects.gravity.acceleration)
+    length, pull = rod_length(scene), float(np.linalg.norm(gravity))
+    hanging = np.array([0.0, 1.05, 1.05]) * length * gravity / pull if pull > 0.0 else np.zeros(3)
+    lower = np.minimum(np.array([-BEHIND, -0.60, -0.60]) * length, hanging)
+    upper = np.maximum(np.array([1.05, 0.60, 0.60]) * length, hanging)
+    axis = int(np.argmax(np.abs(gravity)))
+    return lower, upper, axis, bool(gravity[axis] <= 0.0)
+
+
+def viewpoint(vertical: int, upright: bool, elevation: float = FROM) -> Array:
+    """Rotation (3, 3) of the camera of frames and recordings in the world frame: rows to the right, up and towards the viewer as seen.
+
+    `vertical` and `upright` as `view_box` has them; elevation [deg] above the floor.
+    """
+    elevation, azimuth = np.radians(elevation), np.radians(AZIMUTH if upright else 180.0 - AZIMUTH)
+    sign = 1.0 if upright else -1.0
+    level = np.cos(elevation) * np.array([np.cos(azimuth), np.sin(azimuth)])
+    towards = np.roll([*level, sign * np.sin(elevation)], vertical - 2)
+    right = np.cross(sign * np.eye(3)[vertical], towards)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(towards, right), towards])
+
+
+def box_corners(lower: Array, upper: Array) -> Array:
+    """Corners (8, 3) of a box."""
+    return np.stack(np.meshgrid(*zip(lower, upper, strict=True)), axis=-1).reshape(-1, 3)
+
+
+def mount_size(scene: Scene) -> tuple[float, float]:
+    """Depth behind the rod's base and radius [m] of the cylinder that holds it."""
+    length = rod_length(scene)
+    return BEHIND * length, max(1.9 * float(rod_radius(scene, np.zeros(1))[0][0]), 0.03 * length)
+
+
+class Body(NamedTuple):
+    """Cylinders from station to station, axis along their z: all that a tapered rod needs to be seen."""
+
+    length: Array  # (m - 1,) [m], unstrained
+    radius: Array  # (m - 1,) [m]
+    center: Array  # (samples, m - 1, 3) [m]
+    quaternion: Array  # (samples, m - 1, 4), x y z w
+
+
+class Camera(NamedTuple):
+    """A perspective camera."""
+
+    position: Array  # (3,) [m]
+    target: Array  # (3,) [m], seen in the middle
+    up: Array  # (3,)
+
+
+def body(model: Model, arc_length: Array, position: Array) -> Body:
+    """The body at stations (m,) [m] whose positions are (samples, m, 3) [m]."""
+    radius, _ = rod_radius(model.scene, 0.5 * (arc_length[1:] + arc_length[:-1]))
+    center = 0.5 * (position[:, 1:] + position[:, :-1])
+    return Body(np.diff(arc_length), radius, center, rotation_from_z(np.diff(position, axis=1)))
+
+
+def rotation_from_z(direction: Array) -> Array:
+    """Quaternions (..., 4), x y z w, of the shortest rotations that take z to these directions (..., 3) of any length."""
+    x, y, z = np.moveaxis(direction, -1, 0)
+    quaternion = np.stack([-y, x, np.zeros_like(x), np.sqrt(x**2 + y**2 + z**2) + z], axis=-1)
+    size = np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    half_turn = np.array([1.0, 0.0, 0.0, 0.0])  # to -z any half turn across z is as short
+    return np.where(size > 0.0, quaternion / np.where(size > 0.0, size, 1.0), half_turn)
+
+
+def side_by_side(model: Model, number: int) -> tuple[float, float, float]:
+    """The place [m] of the arm of this number, 0, 1, ..., among several of a kind: in a row from left to right, as the viewer opens."""
+    lower, upper, vertical, upright = view_box(model.scene)
+    right = viewpoint(vertical, upright)[0]
+    x, y, z = (SPACING * number * float(np.abs(right) @ (upper - lower)) * right).tolist()
+    return x, y, z
+
+
+def label_place(model: Model) -> Array:
+    """Place (3,) [m] of the name of an arm at the origin: behind its mount."""
+    return np.array([-LABEL * mount_size(model.scene)[0], 0.0, 0.0])
+
+
+def camera(models: Sequence[Model], places: Array, aspect: float) -> Camera:
+    """The camera that sees arms at places (arms, 3) [m] and their names whole, in a view of this width over height."""
+    *_, vertical, upright = view_box(models[0].scene)
+    turn = viewpoint(vertical, upright, ELEVATION)
+    seen = np.concatenate([_visited(model) + place for model, place in zip(models, places, strict=True)]) @ turn.T
+    middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+    slope = np.tan(0.5 * FIELD_OF_VIEW) * np.array([aspect, 1.0])
+    distance = (np.abs(seen[:, :2] - middle[:2]) / slope + (seen[:, 2:] - middle[2])).max()
+    return Camera((middle + [0.0, 0.0, distance]) @ turn, middle @ turn, np.eye(3)[vertical] * (1.0 if upright else -1.0))
+
+
+def _visited(model: Model) -> Array:
+    """Corners (9, 3) [m] of what an arm at the origin moves in, and the place of its name."""
+    lower, upper, *_ = view_box(model.scene)
+    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower) * [1.0, VISITED, VISITED]
+    return np.concatenate([box_corners(middle - half, middle + half), label_place(model)[None]])
+
+
+def tension_colors(model: Model, tension: Array) -> Array:
+    """Red, green and blue, 0 to 255, (.., n_a, 3) for tensions (.., n_a) [N], by their share of the largest that each actuator gives."""
+    largest = np.abs([tendon.tension_limits for tendon in model.scene.tendons]).max(axis=1)
+    return np.stack([np.interp(tension / largest, PULLS, channel) for channel in PULL_COLORS.T], axis=-1)

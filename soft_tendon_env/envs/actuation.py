@@ -13,8 +13,7 @@ from soft_tendon_env.envs.options import Options
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
-MOST_LATENCY = 1_000
-"""Control periods by which commands can be late: every row keeps its commands for that long."""
+MOST_LATENCY = 1_000  # control periods by which commands can be late: every row keeps its commands for that long
 
 
 @dataclass(frozen=True)

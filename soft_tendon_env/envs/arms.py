@@ -8,15 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.effects import Effects
-from soft_tendon_env.envs.kernels import ContactReading, read_contact_rows
 from soft_tendon_env.mechanics.motion import batch
 from soft_tendon_env.mechanics.motion.adjoint import AdjointMemory, Cotangents, adjoint_rows, make_adjoint_memory, make_cotangents
 from soft_tendon_env.mechanics.motion.advance import Scheme
 from soft_tendon_env.mechanics.motion.scratch import Motion, Scratch, make_scratch
 from soft_tendon_env.mechanics.motion.status import MESSAGES, OK
 from soft_tendon_env.mechanics.motion.tape import Tape, make_tape
-from soft_tendon_env.mechanics.types import Arm, Implicit
+from soft_tendon_env.mechanics.types import Implicit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.step_control import linear_rate, step_control, step_method
 from soft_tendon_env.tools.parallel import processors
@@ -24,10 +22,8 @@ from soft_tendon_env.tools.types import Array
 
 Indices = NDArray[np.int64]
 
-LEAST_ROWS = 8
-"""Rows that a thread should have before another one pays for its wake-up."""
-HEAD_START = 2
-"""Rows that one thread steps in about the time that another one takes to wake up and to say that it is done."""
+LEAST_ROWS = 8  # rows that a thread should have before another one pays for its wake-up
+HEAD_START = 2  # rows that one thread steps in about the time that another one takes to wake up and to say that it is done
 
 
 class Arms:
@@ -60,7 +56,6 @@ class Arms:
         self._changes = np.zeros(rows, dtype=np.int64)  # of each row's arm
         self._no_tape = make_tape(model.arm, 0, 0)
         self._adjoint_memory: list[AdjointMemory] | None = None
-        self._contact: tuple[Arm, Any] | None = None
 
     @property
     def shape(self) -> Array:
@@ -133,14 +128,6 @@ class Arms:
         self.rows.q[members], self.rows.q_dot[members], self.rows.step[members] = q, 0.0, self._scheme.control.step
         self.share(lambda part, scratch: batch.place_rows(self._batch, part, commands, scratch.work), members)
 
-    def read_contact(self, members: Indices, section: Indices, reading: ContactReading) -> None:
-        """Contact of the rows `members` with their obstacles into `reading`; `section` (samples,) of the arm in which each sample lies."""
-        model, number = self.model, [*self.model.acting].index("contact")
-        if self._contact is None:
-            self._contact = model.arm, model.acting["contact"].parameters(model.discretisation)
-        like = self._contact
-        self.share(lambda part, scratch: read_contact_rows(like, number, self.rows, part, section, scratch.work, reading), members)
-
     def share(self, work: Callable[[Indices, Scratch], None], members: Indices, head_start: int = 0) -> None:
         """Split the rows among the threads; this one takes `head_start` more, which it does while the others wake up."""
         if self.threads == 1 or members.size < self.threads + head_start:
@@ -191,10 +178,6 @@ class Arms:
     def model_of(self, row: int) -> Model:
         """The model of a row's arm."""
         return self._models[row]
-
-    def effects_of(self, row: int) -> Effects:
-        """The effects of a row."""
-        return self._models[row].scene.effects
 
     def _own_pool(self) -> ThreadPoolExecutor | None:
         """The threads of this process: a fork copies the pool but none of its threads, and perhaps locks that they held."""

@@ -1,33 +1,14 @@
-"""Contact of rows with obstacles: what observations, errors and rewards read of it, and which starts and targets keep clear."""
+"""Obstacles: which starts and targets keep clear of them."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.envs.arms import Arms, Indices
-from soft_tendon_env.envs.kernels import ContactReading
+from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import rod_radius
 from soft_tendon_env.tools.types import Array
 
-SECTIONS = 5
-"""Equal sections of the rod by which contact is observed."""
-INSIDE = 0.1
-"""Depth in an obstacle, in radii of the rod, from which an arm at rest counts as inside of it: ten times what its own weight makes."""
-NO_CONTACT = ContactReading(np.zeros((0, 0, 3)), np.zeros((0, 0)), np.zeros(0), np.zeros(0))
-
-
-class Contacts:
-    """Contact of rows of arms with the obstacles of their scene, by sections of the rod."""
-
-    def __init__(self, arms: Arms) -> None:
-        places, rows = arms.model.scene.effects.contact.sample_places(arms.model.discretisation), arms.size
-        self._arms, self._section = arms, np.minimum(SECTIONS * places / arms.model.length, SECTIONS - 1).astype(np.int64)
-        self._reading = ContactReading(np.zeros((rows, SECTIONS, 3)), np.zeros((rows, SECTIONS)), np.zeros(rows), np.zeros(rows))
-
-    def read(self, members: Indices) -> ContactReading:
-        """Contact now, after the rows `members` have moved on; new arrays."""
-        self._arms.read_contact(members, self._section, self._reading)
-        return ContactReading(*(part.copy() for part in self._reading))
+INSIDE = 0.1  # depth in an obstacle, in radii of the rod, from which an arm counts as inside: ten times what its own weight makes
 
 
 def deepest(model: Model, positions: Array, radius: Array, standing: bool = False) -> tuple[float, int, str]:
@@ -51,25 +32,17 @@ def why_inside(model: Model, q: Array) -> str:
     return f"the arm begins {where}" if depth > INSIDE * radius[sample] else ""
 
 
-def why_target_inside(model: Model, positions: Array) -> str:
-    """Obstacle standing still that the round tip would be inside of at one of its positions (m, 3) [m]; "": none."""
-    radius = np.repeat(rod_radius(model.scene, np.array([model.length]))[0], len(positions))
-    depth, _, name = deepest(model, positions, radius, standing=True)
-    return f"the tip would be {1e3 * depth:.3g} mm deep in {name}" if depth > INSIDE * radius[0] else ""
-
-
 class ObstacleFreeSpace:
     """The space that obstacles which stand still leave free; `model` is of the arm without obstacles, with the same coordinates."""
 
-    def __init__(self, arms: Arms, among: Model) -> None:
-        """`among`: the model of the arms among the obstacles that count."""
-        scene, self._arms, self._among = arms.model.scene, arms, among
-        self.model = arms.model.with_scene(scene.model_copy(update={"effects": scene.effects.everywhere()}))
-        places = among.scene.effects.contact.sample_places(among.discretisation)
-        self._places, self._radius = arms.model.grid.places(places, np.empty(0)), rod_radius(among.scene, places)[0]
+    def __init__(self, arms: Arms) -> None:
+        model, scene, self._arms = arms.model, arms.model.scene, arms
+        self.model = model.with_scene(scene.model_copy(update={"effects": scene.effects.everywhere()}))
+        places = scene.effects.contact.sample_places(model.discretisation)
+        self._places, self._radius = model.grid.places(places, np.empty(0)), rod_radius(scene, places)[0]
 
     def holds(self, q: Array) -> NDArray[np.bool_]:
         """Whether the arm is clear of them at coordinates q (m, n): (m,)."""
         reading, good = self._arms.read_samples(q, np.zeros_like(q), self._places)
         positions = np.ascontiguousarray(reading.backbone[..., :3, 3])
-        return good & np.array([deepest(self._among, places, self._radius, standing=True)[0] < 0.0 for places in positions])
+        return good & np.array([deepest(self._arms.model, places, self._radius, standing=True)[0] < 0.0 for places in positions])

@@ -12,10 +12,9 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.envs.actuation import Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
-from soft_tendon_env.envs.contacts import NO_CONTACT, Contacts
-from soft_tendon_env.envs.kernels import ContactReading
 from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, stress_free_strain, units_of
 from soft_tendon_env.envs.options import (
     GOAL_BOUND,
@@ -28,11 +27,10 @@ from soft_tendon_env.envs.options import (
     sensor_places,
 )
 from soft_tendon_env.envs.randomization import Measured, Sensors
-from soft_tendon_env.envs.rewards import Reward, Weight, goal_distance, goal_reward
 from soft_tendon_env.envs.starts import Drawn, Starts
 from soft_tendon_env.envs.targets import TARGETS, Course, Target, TargetSamples
 from soft_tendon_env.envs.tasks import STATIONS, Task
-from soft_tendon_env.envs.tracking import CONTACT_ERRORS, Tracking, TrackingError, norm
+from soft_tendon_env.envs.tracking import Reward, Tracking, Weight, goal_distance, goal_reward, norm
 from soft_tendon_env.envs.trajectories import TargetDraws, TargetTrajectories
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
@@ -45,10 +43,8 @@ from soft_tendon_env.model.step_control import cause_of, step_control
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
-MANY = 16
-"""Rows from which on all motions that targets come from are computed when an environment is made, since its first resets need most."""
-THRESHOLD, EVERYWHERE = 0.01, 7.0
-"""Distance within which a goal is reached, in lengths of the rod, unless options say otherwise, and that beyond which all goals are."""
+MANY = 16  # rows from which on all motions of a bank are computed when an environment is made
+THRESHOLD = 0.01  # distance, in lengths of the rod, within which a goal is reached by default
 
 
 class Beginning(NamedTuple):
@@ -61,10 +57,9 @@ class Beginning(NamedTuple):
 class Episodes:
     """Rows of episodes of one task.
 
-    After `begin` or `step`: `errors` (name to (rows,)), `terms` (likewise), `reward` (rows,), `diverged` (rows,);
-    `observation()` and `info()` make what environments return. `step_count` (rows,), `tension` (rows, n_a) [N] applied at last and
-    `target` (TargetSamples of rows, 1 + previews, `ahead` (1 + previews,) [s] of now) are the present ones, and `observed` what the
-    observation is made of. `arms.reading` and `arms.rows` are written in place at every step.
+    After `begin` or `step`: `errors` and `terms` (name to (rows,)), `reward` and `diverged` (rows,), `step_count` (rows,), `tension`
+    (rows, n_a) [N] applied at last, `target` (rows, 1 + previews, ..) at `ahead` (1 + previews,) [s] of now, and `observed`, of which the
+    observation is made. `arms.reading` and `arms.rows` are written in place.
 
     From the options: `limits` of tensions (n_a, 2) [N], `start_tension` (n_a,) [N] at reset and `start_command` (n_a,) that holds it,
     `sensors` (s,) arc lengths [m] of strain sensors, `goal_bound` the largest coordinate [m] of goals, `threshold` [m] of reached ones.
@@ -79,40 +74,37 @@ class Episodes:
         self.goal_bound, self.sensors = GOAL_BOUND * model.length, sensor_places(options, scene)
         stations = np.linspace(0.0, model.length, STATIONS + 1)[1:] if task.shapes else np.empty(0)
         self.arms = Arms(model, rows, self.period, stations, self.sensors, threads)
-        self._contacts = Contacts(self.arms) if model.scene.effects.contact else None
-        self._make_draws(options, task)
+        starts = self._make_draws(options, task)
         self._make_actuation(options, rows)
         if task.goal is None:
             given = options.reward if isinstance(options.reward, dict) else {name: Weight(weight=own) for name, own in task.reward.items()}
-            terms = {**task.terms, **{error.term: error.as_term for error in self._measures}}
-            self._reward_terms = Reward(given, terms, self._strongest, model.length)
-        self._sensors = (
-            Sensors(options.randomize.noise, rows, model.tendon_count, self.sensors.size) if options.randomize.of_sensors else None
-        )
+            self._reward_terms = Reward(given, task.terms, self._strongest, model.length)
+        noise = options.randomize.noise
+        self._sensors = Sensors(noise, rows, model.tendon_count, self.sensors.size) if noise != SensorNoise() else None
         self._all, self._transmits, self._simulated = np.arange(rows, dtype=np.int64), model.arm.effects.transmission.acts, True
-        self.arms.place(self._all, np.tile(self.starts.rest.q, (rows, 1)), self.start_tension)
+        self.arms.place(self._all, np.tile(starts.q, (rows, 1)), self.start_tension)
         reading = self.arms.reading
         self._rest_values = RestValues(reading.tendon_length[0].copy(), stress_free_strain(scene, self.sensors))
         self.step_count: Indices = np.zeros(rows, dtype=np.int64)
-        self.errors = {error.name: np.full(rows, np.nan) for error in self._measures}
+        self.errors = {error.name: np.full(rows, np.nan) for error in task.errors}
         self.diverged, self.terms = np.zeros(rows, dtype=bool), dict[str, Array]()
         self.target, error, _ = self._courses.now_and_ahead(self.step_count, reading.tip_pose)
-        self.observed = self._seen(reading, error, self._contact(self._all))
+        self.observed = self._seen(reading, error)
         self.history = History(rows, options.history, self.layout.kept) if options.history else None
 
-    def _make_draws(self, options: Options, task: Task) -> None:
+    def _make_draws(self, options: Options, task: Task) -> Starts:
         """Make what episodes begin with: starts and targets."""
         ahead = [0, *(round(time / self.period) for time in options.preview)]
         self.ahead = self.period * np.array(ahead, dtype=np.float64)
         self._courses = TargetTrajectories(self.arms, self.period, ahead, task.shapes)
         self.starts = starts = Starts(options, self.arms)
-        self.limits, (self.start_tension, self.start_command, _) = starts.limits, starts.rest
+        self.limits, self.start_tension, self.start_command = starts.limits, starts.tension, starts.command
         self.threshold = THRESHOLD * self.model.length if options.threshold is None else options.threshold
-        away = self.threshold if task.goal and self.threshold <= EVERYWHERE * self.model.length else 0.0
-        self._draws = TargetDraws(starts.setting, self._courses, self.period, away)
+        self._draws = TargetDraws(starts.setting, self._courses, self.period, self.threshold if task.goal else 0.0)
         self._usual = Beginning(self._draws.settled(options.target or TARGETS[task.target](type=task.target)))
         if self.size >= MANY and self.model.scene.effects.contact is None:  # among obstacles a motion can take seconds
             self._draws.fill_bank(self._usual.target)
+        return starts
 
     def _make_actuation(self, options: Options, rows: int) -> None:
         """Make the actuators, and what they did last."""
@@ -130,19 +122,14 @@ class Episodes:
     @cached_property
     def layout(self) -> Layout:
         """The layout of observations."""
-        groups = groups_of(self.options, self.task, self.model.scene)
+        groups = groups_of(self.options, self.task)
         return Layout(groups, units_of(self.model, self._strongest), self.observed, self.options.history)
 
     def __getstate__(self) -> dict[str, Any]:
-        """All of it but what is found again, whose functions have no names. Raises TypeError."""
+        """All but what is found again, whose functions have no names. Raises TypeError."""
         if not self._simulated:
             raise TypeError("an environment whose arm is a robot cannot be copied: there is one robot")
-        return {name: value for name, value in self.__dict__.items() if name not in ("layout", "_measures")}
-
-    @cached_property
-    def _measures(self) -> list[TrackingError]:
-        """The errors of the task, and those of contact where arms can touch something."""
-        return [*self.task.errors, *(CONTACT_ERRORS if self._contacts else ())]
+        return {name: value for name, value in self.__dict__.items() if name != "layout"}
 
     def beginnings(self, given: Mapping[int, ResetOptions], members: Indices) -> dict[int, Beginning]:
         """How those of the rows `members` begin that are given options. Raises ConfigurationError, TypeError, ValueError."""
@@ -151,7 +138,7 @@ class Episodes:
             own, target = given[row], self._usual.target
             if own.state is not None and not self._simulated:
                 raise ConfigurationError([Problem((), "should have no state: robots begin at rest")], "options")
-            if own.state is not None and not self.options.randomize.of_arm:
+            if own.state is not None and not self.options.randomize.numbers:
                 checked_motion(self.model, own.state)
             if (wanted := own.goal or own.target) is not None:
                 check_target(wanted, self.task, self.model.scene)
@@ -162,7 +149,7 @@ class Episodes:
     def begin(self, members: Indices, generators: Sequence[np.random.Generator], beginnings: Mapping[int, Beginning] | None = None) -> None:
         """New episodes for the rows `members`, each drawn from its generator; `beginnings` of rows that do not begin as usual."""
         hows = [(beginnings or {}).get(row, self._usual) for row in members.tolist()]
-        rows, drawn, (_, command, _) = list(zip(members.tolist(), hows, generators, strict=True)), dict[int, Drawn](), self.starts.rest
+        rows, drawn, command = list(zip(members.tolist(), hows, generators, strict=True)), dict[int, Drawn](), self.start_command
         for row, _, generator in rows:
             drawn[row] = self.starts.begin(row, generator)
             self.actuation.begin(row, generator, command)
@@ -174,7 +161,7 @@ class Episodes:
         if motions:
             self._put(motions)
         for row, how, generator in rows:
-            self._draws.begin(row, how.target, generator, drawn[row].setting, self.arms.reading.tip_pose[row, :3, 3])
+            self._draws.begin(row, how.target, generator, self.arms.reading.tip_pose[row, :3, 3])
             if self._sensors is not None:  # after the target, which is the same with and without noise
                 self._sensors.begin(row, int(generator.integers(2**63)))
         self._observe(members)
@@ -215,7 +202,7 @@ class Episodes:
         self.tension, self._applied, self._action, self._action_change = parts
 
     def _observe(self, members: Indices) -> None:
-        """Compare the arms with their targets, after the rows `members` moved on: observation, errors, reward."""
+        """Compare the arms with their targets, after the rows `members` moved on."""
         self._courses.prepare(self.step_count, members)
         reading = self.arms.reading
         self.target, error, off = self._courses.now_and_ahead(self.step_count, reading.tip_pose)
@@ -225,13 +212,12 @@ class Episodes:
             measured = self._sensors.measured(reading, self.step_count, members)
             measured_error = np.empty_like(error)
             pose_errors(measured.tip_pose, self.target.tip_pose, measured_error)
-        contact = self._contact(members)
-        self.observed = self._seen(measured, measured_error, contact)
+        self.observed = self._seen(measured, measured_error)
         self.present = self.layout.present(self.observed)
         if self.history is not None:
             self.history.keep(self.present, self.step_count, members)
-        tracking = Tracking(self.arms, reading, error[:, 0], off[0], off[1], self.target, self._applied, self._action_change, contact)
-        self.errors = {error.name: error.value(tracking) for error in self._measures}
+        tracking = Tracking(self.arms, reading, error[:, 0], off[0], off[1], self.target, self._applied, self._action_change)
+        self.errors = {error.name: error.value(tracking) for error in self.task.errors}
         self.diverged = self.arms.outcome.status != OK
         if self.options.tip_speed_limit is not None:
             self.diverged |= norm(reading.tip_twist[:, 3:]) > self.options.tip_speed_limit
@@ -244,11 +230,8 @@ class Episodes:
             self.reward = self.goal_reward(achieved, desired)
         self.reward[self.diverged] = 0.0
 
-    def _seen(self, measured: Reading | Measured, error: Array, contact: ContactReading) -> Observed:
-        return Observed(self.arms, measured, error, self.target, self._action, self.actuation.command, contact, self._rest_values)
-
-    def _contact(self, members: Indices) -> ContactReading:
-        return NO_CONTACT if self._contacts is None else self._contacts.read(members)
+    def _seen(self, measured: Reading | Measured, error: Array) -> Observed:
+        return Observed(self.arms, measured, error, self.target, self._action, self.actuation.command, self._rest_values)
 
     def goal_reward(self, achieved: ArrayLike, desired: ArrayLike) -> Array:
         """Rewards (...) of goals (..., 3) [m]. Raises ValueError for goals of other shapes."""
@@ -269,7 +252,7 @@ class Episodes:
 
     @property
     def target_backbone(self) -> Array:
-        """Target backbones (rows, stations, 3) [m]; no stations unless the task compares shapes."""
+        """Target backbones (rows, stations, 3) [m], no stations unless the task compares shapes."""
         return self.target.backbone[:, 0]
 
     def observation(self) -> Any:
@@ -300,10 +283,6 @@ class Episodes:
         """The motion of a row, as Simulation has it."""
         motion = Motion(*(getattr(self.arms.rows, name)[row] for name in Motion._fields))
         return state_of(self.arms.model_of(row), motion, float(self.arms.rows.step[row]))
-
-    def drawn_numbers(self, row: int) -> dict[str, float]:
-        """Numbers of the scene that were drawn for a row's episode, by dotted keys, as `Scene.replace` takes them."""
-        return dict(self.starts.drawn.of_row[row].numbers)
 
 
 def _replaced(values: Array, members: Indices, new: Array) -> Array:

@@ -15,8 +15,7 @@ from soft_tendon_env.tools.types import Array
 RENDER_MODES = ("rgb_array", "human")
 LIVE = "soft_tendon_env.recording.live:LiveRows"
 """Entry point of the renderer of "human", which is imported when an environment is made with it: Rerun is an extra."""
-TRAIL = 250
-"""Tip positions that are shown."""
+TRAIL = 250  # tip positions that are shown
 
 Frames = tuple[NDArray[np.uint8], ...]
 
@@ -76,5 +75,5 @@ class RowRenderer:
             target_backbone=episodes.target_backbone[row] if episodes.task.shapes else None,
             title=f"t = {episodes.step_count[row] * episodes.period:.2f} s   {errors}",
             time=float(episodes.arms.rows.clock[row, 0]),
-            effects=episodes.arms.effects_of(row),
+            effects=episodes.arms.model_of(row).scene.effects,
         )

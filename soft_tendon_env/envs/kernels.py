@@ -1,21 +1,16 @@
-"""Compiled kernels of the environments, of all rows at once: targets ahead and pose errors, scaled observations, reward terms, contact."""
+"""Compiled kernels of the environments, of all rows at once: targets ahead and pose errors, scaled observations, reward terms."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.contact.forces import read_contacts
 from soft_tendon_env.mechanics.algebra.lie import dot
-from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
-from soft_tendon_env.mechanics.motion.batch import place_nodes
+from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
-from soft_tendon_env.mechanics.terms.external_forces import nodes_of
 from soft_tendon_env.mechanics.types import FloatVector, IntVector
 
-EFFORT, SMOOTHNESS = -1, -2
-"""Codes of the reward terms that do not come from a tracking error."""
+EFFORT, SMOOTHNESS = -1, -2  # codes of the reward terms that do not come from a tracking error
 
 
 class TargetTable(Struct):
@@ -104,35 +99,3 @@ def reward_terms(table, errors, command, action_change, terms, reward):
             terms[i, row] = value
             total += table.weight[i] * value
         reward[row] = total
-
-
-class ContactReading(NamedTuple):
-    """Contact of every row of arms, by sections of the arm; vectors in the world frame."""
-
-    force: np.ndarray  # (rows, sections, 3) [N] on the arm
-    clearance: np.ndarray  # (rows, sections) [m] between the surfaces of arm and obstacles, negative where they overlap
-    penetration: np.ndarray  # (rows,) [m] the deepest
-    load: np.ndarray  # (rows,) [N] sum of the sizes of all contact forces
-
-
-@kernel(refcount=True)
-def read_contact_rows(like, number, rows, members, section, work, reading):
-    """Contact of the rows named in `members` into `reading`; like: arm and parameters as theirs, of the effect of that number; section
-    (samples,): that in which each sample lies."""
-    for row in members:
-        own = struct_at(like[0], rows.arm, row)
-        place_nodes(own, rows, row, work)
-        contact = struct_at(like[1], own.effects.parameters, number)
-        obstacles, samples = contact.obstacles.shape[0], contact.samples.shape[0]
-        gap, position, force = np.empty((obstacles, samples)), np.empty((samples, 3)), np.empty((obstacles, samples, 3))
-        read_contacts(contact, nodes_of(own, work), gap, position, force)
-        reading.force[row] = 0.0
-        reading.clearance[row] = math.inf
-        reading.penetration[row], reading.load[row] = 0.0, 0.0
-        for j in range(obstacles):
-            for m in range(samples):
-                reading.clearance[row, section[m]] = min(reading.clearance[row, section[m]], gap[j, m])
-                reading.penetration[row] = max(reading.penetration[row], -gap[j, m])
-                reading.load[row] += math.sqrt(dot(force[j, m], force[j, m]))
-                for k in range(3):
-                    reading.force[row, section[m], k] += force[j, m, k]

@@ -12,7 +12,7 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from soft_tendon_env.envs.arms import Arms
-from soft_tendon_env.envs.kernels import ContactReading, scale_and_clip
+from soft_tendon_env.envs.kernels import scale_and_clip
 from soft_tendon_env.envs.randomization import Measured
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.mechanics.motion.batch import Reading
@@ -20,10 +20,8 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene, segment_index
 from soft_tendon_env.tools.types import Array
 
-CLIP = 10.0
-"""Largest absolute value of a scaled entry, unless its group says otherwise."""
-FAR = 100.0
-"""Largest absolute value of a scaled way to the target: ten lengths of the rod."""
+CLIP = 10.0  # largest absolute value of a scaled entry, unless its group says otherwise
+FAR = 100.0  # largest absolute value of a scaled way to the target: ten lengths of the rod
 
 
 class RestValues(NamedTuple):
@@ -35,10 +33,10 @@ class RestValues(NamedTuple):
 
 @dataclass(slots=True)
 class Observed:
-    """Quantities that observation groups are computed from, rows first; measured quantities carry the sensors' noise.
+    """Quantities that observation groups are computed from, rows first; measured ones carry the sensors' noise.
 
-    Made of these: `q` and `q_dot` (rows, n), `tip_pose` (rows, 4, 4) as measured, `tip_twist` (rows, 6) in the tip's frame, and
-    `tendon_length` (rows, n_a) [m] as measured, `target_length` of targets made of tensions, less those at rest without tension.
+    Made of these: `q` and `q_dot` (rows, n), `tip_pose` (rows, 4, 4) as measured, `tip_twist` (rows, 6) in its frame, and `tendon_length`
+    (rows, n_a) [m] as measured, and `target_length` of the target, less those at rest without tension.
     """
 
     arms: Arms
@@ -47,7 +45,6 @@ class Observed:
     target: TargetSamples  # (rows, 1 + previews, ..), its q for targets made of tensions
     action: Array  # (rows, n_a) the last one, in [-1, 1]
     command: Array  # (rows, n_a) [N] asked for last, before actuators err
-    contact: ContactReading  # no rows without obstacles
     rest: RestValues
 
     q = property(lambda self: self.arms.rows.q)
@@ -59,20 +56,19 @@ class Observed:
 
 
 class Units(NamedTuple):
-    """Units of length, coordinates, tensions and forces, by which entries are divided."""
+    """Units of length, coordinates and tensions, by which entries are divided."""
 
     length: float  # [m], the rod's
     q: Array  # (n,) the coordinates that bend the arm by about a radian each
     tension: Array  # (n_a,) [N] the largest allowed
-    force: float  # [N] that bends the arm by about a radian, where it acts on the tip
 
 
 @dataclass(frozen=True)
 class Group:
     """An observation group: what it is, its values (rows, size), and the units that they are divided by, as many or a part that repeats.
 
-    of_shape: it is of targets that are shapes; of_target: of a target that goal-conditioned tasks give as a goal instead; of_contact: of
-    obstacles, which the scene then needs; of_arm: measured of the arm, or asked of it, which is what a history keeps.
+    of_shape: it is of targets that are shapes; of_target: of a target that goal-conditioned tasks give as a goal instead; of_arm: measured
+    of the arm, or asked of it, which is what a history keeps.
     """
 
     description: str
@@ -81,7 +77,6 @@ class Group:
     bound: float = CLIP
     of_shape: bool = False
     of_target: bool = False
-    of_contact: bool = False
     of_arm: bool = False
 
 
@@ -129,19 +124,11 @@ GROUPS: Mapping[str, Group] = {
     ),
     "last_action": Group("the last action", lambda o: o.action, bound=1.0, of_arm=True),
     "command": Group("tensions asked for last", lambda o: o.command, lambda u: u.tension, 1.0, of_arm=True),
-    "contact_force": Group(
-        "contact forces on sections, base to tip", lambda o: _flat(o.contact.force), lambda u: u.force, FAR, of_contact=True, of_arm=True
-    ),
-    "clearance": Group(  # of its surface, negative inside
-        "least distance of sections from obstacles", lambda o: o.contact.clearance, lambda u: 0.1 * u.length, of_contact=True, of_arm=True
-    ),
 }
 """The groups that every task has, by the name that options use."""
 
-HISTORY = "history"
-"""The slice of an observation after all groups, if it has a history."""
-CHANGE = 0.1
-"""Unit of a group's changes in a history, as a share of the group's own."""
+HISTORY = "history"  # the slice of an observation after all groups, if it has a history
+CHANGE = 0.1  # unit of a group's changes in a history, as a share of the group's own
 
 
 class Layout:
@@ -188,14 +175,12 @@ class Layout:
 class History:
     """Rows of past observations: what was measured of the arm and asked of it, noise and all. At reset it has always been so.
 
-    They are observed as differences from now, in a tenth of their units: what an arm does in a period would hardly show beside where it is.
+    `frames` (rows, 1 + periods, m) are what was observed, the latest first; observed are their differences from now, in a tenth of their
+    units: what an arm does in a period would hardly show beside where it is.
     """
 
     def __init__(self, rows: int, periods: int, kept: NDArray[np.int64]) -> None:
-        """periods: control periods that are kept besides the present one; kept: (m,) columns of what is observed.
-
-        `frames` (rows, 1 + periods, m) are what was observed, the latest first.
-        """
+        """periods: control periods that are kept besides the present one; kept: (m,) columns of what is observed."""
         self._kept, self.frames = kept, np.zeros((rows, 1 + periods, kept.size), dtype=np.float32)
 
     def keep(self, present: NDArray[np.float32], step_count: NDArray[np.int64], members: NDArray[np.int64]) -> None:
@@ -214,7 +199,7 @@ class History:
 
 def units_of(model: Model, tension: Array) -> Units:
     """The units of a model, for tensions up to `tension` (n_a,) [N]."""
-    return Units(model.length, model.coordinate_scale(), tension, 2.0 * model.bending_energy / model.length)
+    return Units(model.length, model.coordinate_scale(), tension)
 
 
 def stress_free_strain(scene: Scene, arc_length: Array) -> Array:

@@ -5,38 +5,31 @@ import re
 from typing import Annotated, Any, Literal, NoReturn
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, InstanceOf, SerializeAsAny, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, InstanceOf, SerializeAsAny, field_validator
 
 from soft_tendon_env.accuracy.fidelity import at_fidelity, checked_fidelity
 from soft_tendon_env.envs.observation import Group
 from soft_tendon_env.envs.randomization import Randomization
-from soft_tendon_env.envs.rewards import GoalReward, Weight, weights_of
 from soft_tendon_env.envs.targets import TARGETS, Target
-from soft_tendon_env.envs.targets.set_points import Hold
+from soft_tendon_env.envs.targets.shipped import Hold
 from soft_tendon_env.envs.tasks import Task
+from soft_tendon_env.envs.tracking import GoalReward, Weight, weights_of
 from soft_tendon_env.model.state import State
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene, TensionLimits, extrapolation_columns, rod_length, scene_to_dict
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, shown
 from soft_tendon_env.tools.types import Array, NotNegative, Positive
 
-MOST_AHEAD = 10_000
-"""Control periods by which a preview looks ahead: every row keeps its target for that long."""
-GOAL_BOUND = 2.0
-"""Largest coordinate of goals in the world frame, in lengths of the rod."""
-SCENES = "should be the name of a shipped scene, the path of a TOML file, a Scene, or a table, such as scene_to_dict gives"
-
-
-MASK = "reset_mask"
-"""Key of the rows that a vector environment resets, (rows,) bool; the others go on."""
+MOST_AHEAD = 10_000  # control periods by which a preview looks ahead: every row keeps its target for that long
+GOAL_BOUND = 2.0  # largest coordinate of goals in the world frame, in lengths of the rod
+MASK = "reset_mask"  # key of the rows that a vector environment resets, (rows,) bool; the others go on
 
 
 def _target_by_name(target: Any) -> Any:
     settings = {"type": target} if isinstance(target, str) else target
     if not isinstance(settings, dict):
         return target
-    kind = str(settings.get("type"))
-    if kind not in TARGETS:
+    if (kind := str(settings.get("type"))) not in TARGETS:
         raise ConfigurationError([Problem(("type",), f"is {shown(settings.get('type'))}: {not_among(kind, TARGETS)}")])
     return TARGETS[kind](**settings)
 
@@ -58,8 +51,8 @@ class Options(Configuration):
         action: "tension" maps [-1, 1] to the tension limits; "increment" maps it to changes of at most `tension_rate` times the control
             period.
         tension_rate: largest rate of change [N/s] of actions that are increments.
-        target: name of a target ("random", "hold", "circle", "ramp", "steps", "out_of_reach" or a registered one), a table with that `type`
-            and its settings, or a target object. None takes the task's default.
+        target: name of a target ("random", "hold", "circle", "ramp", "steps" or a registered one), a table with that `type` and its
+            settings, or a target object. None takes the task's default.
         observation: "full", "measurable" (tip pose, tendon lengths, strain sensors), or a list of observation groups.
         preview: times ahead [s] at which the target is observed too, rounded to whole control periods (1 to 10,000). The default is 0.1 and
             0.2 s, or one and two control periods where a period is longer than that.
@@ -96,7 +89,7 @@ class Options(Configuration):
     @classmethod
     def _plain_scene(cls, scene: Any) -> Any:
         if not isinstance(scene, str | dict | Scene):
-            raise ValueError(SCENES)
+            raise ValueError("should be the name of a shipped scene, the path of a TOML file, a Scene, or a table as of scene_to_dict")
         return scene_to_dict(scene) if isinstance(scene, Scene) else scene
 
     @field_validator("reward", mode="before")
@@ -112,7 +105,7 @@ class ResetOptions(Configuration):
         state: `State` in which the arm begins, with its rates, the internal states of effects and its time; of an arm like this episode's.
             Commands before are those of an arm at rest.
         goal: position of the tip to reach, three numbers [m] in the world frame (Reach), or its pose, 4 x 4 (Reach, TipPose).
-        target: target of this episode, as the argument `target`.
+        target: target of this episode, as the argument `target`, unless there is a goal.
         episode_steps: steps after which the episode is truncated, where that is sooner than otherwise.
     """
 
@@ -124,26 +117,16 @@ class ResetOptions(Configuration):
     @field_validator("goal", mode="before")
     @classmethod
     def _as_hold(cls, goal: Any) -> Any:
-        try:
-            place: Any = np.asarray(goal, dtype=np.float64)
-            return {(3,): lambda: Hold(position=place), (4, 4): lambda: Hold(pose=place)}[place.shape]()
-        except (KeyError, TypeError, ValueError) as error:
-            if isinstance(error, ConfigurationError):
-                raise
-            raise ValueError("should be a position of three numbers [m], or a pose, 4 x 4") from None
-
-    @model_validator(mode="after")
-    def _one_of_each(self) -> "ResetOptions":
-        if self.goal is not None and self.target is not None:
-            raise ConfigurationError([Problem(("goal",), "is given, and target too: give one of the two")])
-        return self
+        shape = np.shape(goal) if isinstance(goal, list | tuple | np.ndarray) else ()
+        if shape not in ((3,), (4, 4)):
+            raise ValueError("should be a position of three numbers [m], or a pose, 4 x 4")
+        return Hold(position=goal) if shape == (3,) else Hold(pose=goal)
 
 
 def reset_options(options: Any, rows: int | None = None) -> dict[int, ResetOptions]:
-    """The options of a reset by row; `rows` of a vector environment, None for one environment, which is row 0.
+    """The options of a reset by row: one value for every key of each of `rows`, None for what is usual; `rows` None: those of row 0.
 
-    A vector environment takes for every key a sequence of one value per row, None for what is usual. Raises ConfigurationError, TypeError
-    where they are no table.
+    Raises ConfigurationError, TypeError where they are no table.
     """
     if not isinstance(options, dict | None):
         raise TypeError(f"options should be a dict or None, not {type(options).__name__}")
@@ -161,8 +144,8 @@ def reset_options(options: Any, rows: int | None = None) -> dict[int, ResetOptio
 
 
 def resolved_scene(options: Options) -> Scene:
-    """The scene of the options: at their fidelity, with their tension limits, and with as many columns of extrapolation as the least
-    damping and the greatest stiffness allow that can be drawn, where the scene leaves them open. Raises ConfigurationError."""
+    """The scene of the options: at their fidelity, with their tension limits, and, where it leaves them open, as many columns of
+    extrapolation as suit the least damping and the greatest stiffness that can be drawn. Raises ConfigurationError."""
     scene = at_fidelity(given_scene(options.scene), options.fidelity)
     tendons = range(0 if options.tension_limits is None else len(scene.tendons))
     changes: dict[str, Any] = {f"tendons.{i}.tension_limits": options.tension_limits for i in tendons}
@@ -190,13 +173,11 @@ def given_scene(scene: Any) -> Scene:
 
 def sensor_places(options: Options, scene: Scene) -> Array:
     """Arc lengths (s,) [m] of the strain sensors."""
-    count = options.sensors
-    if isinstance(count, int):
-        return rod_length(scene) * (np.arange(count) + 0.5) / count
-    return np.array(count, dtype=np.float64)
+    own = options.sensors
+    return rod_length(scene) * (np.arange(own) + 0.5) / own if isinstance(own, int) else np.array(own, dtype=np.float64)
 
 
-def groups_of(options: Options, task: Task, scene: Scene) -> dict[str, Group]:
+def groups_of(options: Options, task: Task) -> dict[str, Group]:
     """The chosen observation groups by name. Raises ConfigurationError."""
     chosen, allowed = options.observation, task.observable
     if isinstance(chosen, str):
@@ -206,12 +187,8 @@ def groups_of(options: Options, task: Task, scene: Scene) -> dict[str, Group]:
     for name in chosen:
         if name not in allowed:
             _fail("observation", f"names {name!r}: {not_among(name, allowed)}")
-        if allowed[name].of_contact and scene.effects.contact is None:
-            _fail("observation", f"names {name!r}, which needs a scene with obstacles, effects.contact")
     if not chosen or len(set(chosen)) < len(chosen):
         _fail("observation", f"is {list(chosen)}: it should name at least one group, each once")
-    if options.history and not any(allowed[name].of_arm for name in chosen):
-        _fail("history", f"is {options.history}, but the observation has no group of the arm to keep, only {', '.join(chosen)}")
     return {name: allowed[name] for name in chosen}
 
 

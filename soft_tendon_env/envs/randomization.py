@@ -15,10 +15,8 @@ from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, plain, shown
 from soft_tendon_env.tools.types import Array
 
-GREATEST = 1e9
-"""Largest absolute value of gains, offsets and latencies that can be drawn."""
-CHUNK = 128
-"""Samples of noise drawn at a time."""
+GREATEST = 1e9  # largest absolute value of gains, offsets and latencies that can be drawn
+CHUNK = 128  # samples of noise drawn at a time
 SHORT = {
     "stiffness": ("segments.*.young_modulus", "factor"),
     "damping": ("segments.*.damping", "factor"),
@@ -68,9 +66,12 @@ class Randomization(Configuration):
         valid = [*type(self).model_fields, *SHORT, *TABLES]
         own = {name: value for name, value in values.items() if name in type(self).model_fields}
         table = {name: value for name, value in values.items() if name not in own}
-        unknown = [name for name in table if name not in SHORT and name.replace("[", ".").split(".")[0] not in TABLES]
-        if unknown:
-            problems = [Problem((name,), f"is an unknown key (given {shown(table[name])}): {not_among(name, valid)}") for name in unknown]
+        problems = [
+            Problem((name,), f"is an unknown key (given {shown(value)}): {not_among(name, valid)}")
+            for name, value in table.items()
+            if name not in SHORT and name.replace("[", ".").split(".")[0] not in TABLES
+        ]
+        if problems:
             raise ConfigurationError(problems, type(self).__name__)
         super().__init__(**own | {"numbers": _in_full(dotted_ranges(plain({**own.get("numbers", {}), **table})))})
 
@@ -82,19 +83,9 @@ class Randomization(Configuration):
             raise ConfigurationError([Problem(("randomize", *key), text) for key, text in error.problems], "environment") from None
 
     @property
-    def of_arm(self) -> bool:
-        """Whether rows can differ from the scene's arm, or from its effects."""
-        return bool(self.numbers)
-
-    @property
     def of_actuators(self) -> bool:
         """Whether applied tensions can differ from commanded ones, apart from latency."""
         return (self.tension_gain, self.tension_offset) != ((1.0, 1.0), (0.0, 0.0))
-
-    @property
-    def of_sensors(self) -> bool:
-        """Whether observations can differ from what is."""
-        return self.noise != SensorNoise()
 
 
 def _in_full(numbers: dict[str, Any]) -> dict[str, Any]:

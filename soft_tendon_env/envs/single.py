@@ -58,12 +58,10 @@ class EpisodesEnv:
             raise ResetNeeded(f"{called} was used before reset")
 
     def _frames(self) -> Frames | None:
-        """Frames of all rows, with a warning where there is no renderer."""
-        if self._renderer is not None:
-            frames: Frames | None = self._renderer.frames()
-            return frames
-        gym.logger.warn("render was called, but the environment was made without a render_mode")
-        return None
+        if self._renderer is None:
+            gym.logger.warn("render was called, but the environment was made without a render_mode")
+        frames: Frames | None = None if self._renderer is None else self._renderer.frames()
+        return frames
 
 
 class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
@@ -91,7 +89,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         self._begun, self._most_steps = True, given[0].episode_steps or np.inf if given else np.inf
         if self._renderer is not None:
             self._renderer.begin(ONE)
-        return self._observation(), self._info()
+        return of_row(self.episodes.observation(), 0), self._info()
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """One control period. Raises ValueError or TypeError for an action of wrong shape or type or with NaN, before anything changes."""
@@ -103,7 +101,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         terminated, truncated = info["diverged"], bool(self.episodes.step_count[0] >= self._most_steps)
         if terminated:
             info["cause"] = self.episodes.cause(0)
-        return self._observation(), float(self.episodes.reward[0]), terminated, truncated, info
+        return of_row(self.episodes.observation(), 0), float(self.episodes.reward[0]), terminated, truncated, info
 
     @property
     def state(self) -> State:
@@ -114,10 +112,6 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         """The episode's target at times (m,) [s] from its beginning, past or future."""
         self._refuse("target_at", self._begun)
         return self.episodes.target_at(0, checked_array("times", times, (None,)))
-
-    def _observation(self) -> Any:
-        observation = self.episodes.observation()
-        return {key: value[0] for key, value in observation.items()} if isinstance(observation, dict) else observation[0]
 
     def _info(self) -> dict[str, Any]:
         return {name: value.item(0) for name, value in self.episodes.info().items()}
@@ -136,6 +130,11 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         if self._renderer is not None:
             self._renderer.close()
         self.closed = True
+
+
+def of_row(observation: Any, row: int) -> Any:
+    """A row of observations."""
+    return {key: value[row] for key, value in observation.items()} if isinstance(observation, dict) else observation[row]
 
 
 def compute_reward(self: EpisodesEnv, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any) -> Any:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.episodes import Beginning
 from soft_tendon_env.envs.options import MASK, reset_options
-from soft_tendon_env.envs.single import EpisodesEnv, class_of
+from soft_tendon_env.envs.single import EpisodesEnv, class_of, of_row
 from soft_tendon_env.envs.tasks import Task, task_of_class
 from soft_tendon_env.model.state import State
 from soft_tendon_env.tools.checks import checked_array, checked_count
@@ -68,8 +68,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
     def reset(self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """New episodes: of all rows, or of those that `options={"reset_mask": (rows,) bool}` names.
 
-        options: besides, the entries of `ResetOptions`, each one value for all rows or a sequence of one per row, None for what is usual;
-            "episode_steps" for instance, so that rows that have begun together do not all end together.
+        options: the entries of `ResetOptions`, each a sequence of one value per row, None for what is usual.
         seed: an int s seeds row i with s + i; a list names one for each, None to go on with its generator.
         Raises ValueError or TypeError for bad seeds and options, before anything changes.
         """
@@ -95,8 +94,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
 
     def _begin(self, members: Indices, beginnings: Mapping[int, Beginning] | None = None) -> None:
         self.episodes.begin(members, [self._generators[row] for row in members], beginnings)
-        self._ended[members] = False
-        self._most_steps[members] = self._usual_steps
+        self._ended[members], self._most_steps[members] = False, self._usual_steps
         if self._renderer is not None:
             self._renderer.begin(members)
 
@@ -128,7 +126,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         """Reset the ended rows at once; what they ended with goes to final_obs and final_info."""
         ended, final_obs = self._ended.copy(), np.full(self.num_envs, None, dtype=object)
         for row in np.flatnonzero(ended):
-            final_obs[row] = {key: value[row] for key, value in observation.items()} if isinstance(observation, dict) else observation[row]
+            final_obs[row] = of_row(observation, int(row))
         final_info = {key: value & ended if key.startswith("_") else value for key, value in info.items()}
         self._begin(np.flatnonzero(ended))
         final = {"final_obs": final_obs, "_final_obs": ended, "final_info": final_info, "_final_info": ended}
@@ -137,8 +135,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
     def _info(self, stepped: NDArray[np.bool_]) -> dict[str, Any]:
         """The episodes' info with its masks; rewards belong to rows that have stepped."""
         info, everywhere = self.episodes.info(), np.ones(self.num_envs, dtype=bool)
-        masks = {f"_{name}": stepped if name.startswith("reward_") else everywhere for name in info}
-        return {**info, **masks}
+        return info | {f"_{name}": stepped if name.startswith("reward_") else everywhere for name in info}
 
     @property
     def state(self) -> tuple[State, ...]:
@@ -156,14 +153,14 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         return self._frames()
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Stop the threads."""
+        """Stop the threads; the viewer stays open."""
         self.episodes.arms.close()
         if self._renderer is not None:
             self._renderer.close()
 
 
 def _checked_seeds(seed: Any, rows: int) -> list[int | None]:
-    """A seed for each row: s + i from a number s, or those of a list, None to go on. Raises TypeError or ValueError."""
+    """A seed for each row, None to go on. Raises TypeError or ValueError."""
     if seed is None:
         return [None] * rows
     if isinstance(seed, list | tuple | np.ndarray) and np.ndim(seed):

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from pydantic import Field, model_validator
 
 from soft_tendon_env.envs import Options
-from soft_tendon_env.envs.options import groups_of, resolved_scene
+from soft_tendon_env.envs.options import groups_of
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.conditions import SEEDS, SETTINGS
@@ -150,7 +150,7 @@ def misfit(policy: PolicyName, options: Mapping[str, Any], regime: str) -> str:
     parsed, allowed = Options.parse(dict(options), "options"), REGIMES[regime]
     if isinstance(policy, Agent) and (period := policy.arm["control_period"]) != parsed.control_period:
         return f"it was trained with control_period = {period}"
-    groups = groups_of(parsed, TASKS[policy.task], resolved_scene(parsed))
+    groups = groups_of(parsed, TASKS[policy.task])
     if beyond := [name for name in groups if name not in allowed.groups]:
         return f"it observes {', '.join(beyond)}"
     count = parsed.sensors if isinstance(parsed.sensors, int) else len(parsed.sensors)

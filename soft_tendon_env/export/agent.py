@@ -19,7 +19,7 @@ import onnx
 import torch
 
 from soft_tendon_env.differentiable.actuation import TensorActuation
-from soft_tendon_env.differentiable.observation import TensorObservation, check_groups
+from soft_tendon_env.differentiable.observation import TensorObservation
 from soft_tendon_env.differentiable.period import as_tensors
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.observation import Observed, RestValues
@@ -155,7 +155,6 @@ def export_agent(policy: Policy, env: gym.Env[Any, Any], origin: Mapping[str, An
     known = isinstance(agent, NetworkPolicy) and isinstance(agent.normalise, Normalization | None)
     if not isinstance(agent, NetworkPolicy) or not known or hasattr(agent.network, "lstm_actor"):
         raise ValueError(f"policy should be a trained agent without recurrence, as load_agent gives it, not {type(agent).__name__}")
-    check_groups(episodes)
     module = _ControlPeriod(episodes, agent, integral).eval()
     options: dict[str, Any] = {"input_names": [*module.inputs], "output_names": module.outputs, "opset_version": OPSET, "dynamo": False}
     with warnings.catch_warnings(record=True, action="always") as told, torch.no_grad():

@@ -89,7 +89,7 @@ class Training(Configuration):
             except ConfigurationError as error:
                 raise ConfigurationError(Problem(("scene",), f"cannot be used: {line}") for line in str(error).splitlines()) from error
             check_fit(options, task, scene)
-            groups_of(options, task, scene)
+            groups_of(options, task)
             episode_steps(self.seconds, self.evaluation.skip, self.options)
         except ConfigurationError as error:
             problems += [Problem(("options", *key), text) for key, text in error.problems]

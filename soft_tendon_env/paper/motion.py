@@ -18,7 +18,7 @@ from soft_tendon_env.control.objectives import TipPose
 from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
-from soft_tendon_env.envs.targets.motions import Circle
+from soft_tendon_env.envs.targets.shipped import Circle
 from soft_tendon_env.evaluation.play import play_steps
 from soft_tendon_env.policies.controller_policy import ControllerPolicy
 from soft_tendon_env.tools.messages import say

@@ -13,7 +13,7 @@ import numpy as np
 import soft_tendon_env as ste
 from soft_tendon_env.control.dynamics import Gains
 from soft_tendon_env.control.paper_laws import ShapeTarget, shape_tension
-from soft_tendon_env.envs.targets.motions import Rise
+from soft_tendon_env.envs.targets.shipped import Rise
 from soft_tendon_env.evaluation.metrics import root_mean_square
 from soft_tendon_env.paper.motion import ClosedLoop, Law, Motion, below_for_good, integrate, when
 from soft_tendon_env.paper.report import ACTUAL, DESIRED, Claim, Result, box, draw_arms, draw_errors, draw_tensions, save

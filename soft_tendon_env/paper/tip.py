@@ -22,7 +22,7 @@ import numpy as np
 import soft_tendon_env as ste
 from soft_tendon_env.control.dynamics import Gains
 from soft_tendon_env.control.paper_laws import LeftInverse, TipPoseTarget, energy_left_inverse, euclidean_left_inverse, tip_pose_tension
-from soft_tendon_env.envs.targets.motions import Circle, CircleCourse
+from soft_tendon_env.envs.targets.shipped import Circle, CircleCourse
 from soft_tendon_env.evaluation.metrics import root_mean_square
 from soft_tendon_env.evaluation.tables import markdown_table
 from soft_tendon_env.paper.motion import PERIOD, ClosedLoop, Law, Motion, below_for_good, integrate, track, when

@@ -5,7 +5,7 @@ Importing this package imports nothing of Rerun; `RerunFile`, and the wrappers o
 
 from typing import TYPE_CHECKING, Any
 
-from soft_tendon_env.drawing.geometry import side_by_side
+from soft_tendon_env.drawing.shapes import side_by_side
 from soft_tendon_env.recording.rollout import Rollout, RolloutBuffer, collect
 from soft_tendon_env.recording.wrappers import RecordRollout, VectorRecordRollout
 

@@ -12,30 +12,17 @@ import numpy as np
 from gymnasium.error import Error
 
 from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.recording.rerun_stream import STATIONS, TRAIL, RerunStream, new_recording
-from soft_tendon_env.recording.wrappers import RowRecorder, row_info
+from soft_tendon_env.recording.rerun_stream import RerunStream, new_recording
+from soft_tendon_env.recording.wrappers import RowRecorder
 
-PORT = 9876
-"""Port at which Rerun's viewers listen by default."""
-
-OPENS_WITHIN = 20.0
-"""Time that the viewer may take to open [s]: one, or a few where there is no graphics processor."""
-
-SETTLES = 0.5
-"""For how long [s] a viewer that listens may still find that it can open no window."""
-
-PICTURE_PERIOD = 0.04
-"""Wall-clock time [s] between parts that are sent: 25 a second look smooth."""
-
-LAG = 0.2
-"""A simulation that is later than this [s] does not try to catch up with the clock."""
-
-ROWS = 6
-"""Rows of a vector environment that are shown, the first ones."""
-
+PORT = 9876  # at which Rerun's viewers listen by default
+OPENS_WITHIN = 20.0  # [s] that the viewer may take to open: one, or a few without a graphics processor
+SETTLES = 0.5  # [s] in which a viewer that listens may still find that it can open no window
+PICTURE_PERIOD = 0.04  # [s] of wall-clock time between parts that are sent: 25 a second look smooth
+LAG = 0.2  # [s] from which on a simulation that is late does not try to catch up with the clock
+ROWS = 6  # of a vector environment that are shown, the first ones
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 """Variables of the environment of which one is set where windows can be opened, on Linux."""
-
 NAME = "soft_tendon_env"
 
 
@@ -52,7 +39,7 @@ class RerunViewer(RerunStream):
             open_viewer(port)
         recording = new_recording(NAME)
         recording.connect_grpc(f"rerun+http://127.0.0.1:{port}/proxy")
-        super().__init__(recording, NAME, "the viewer", STATIONS, TRAIL)
+        super().__init__(recording, NAME, "the viewer")
 
 
 class LiveRows:
@@ -61,24 +48,21 @@ class LiveRows:
     def __init__(self, episodes: Episodes) -> None:
         """Raises gymnasium.error.Error where no viewer can be opened."""
         self._episodes, self._viewer, self._due = episodes, RerunViewer(PORT), -np.inf
-        rows = range(min(len(episodes.step_count), ROWS))
-        names = ["arm"] if len(episodes.step_count) == 1 else [f"row_{row}" for row in rows]
-        self._recorders = {}
-        for row, name in zip(rows, names, strict=True):
+        self._recorders = dict[int, RowRecorder]()
+        for row in range(min(episodes.size, ROWS)):
+            name = "arm" if episodes.size == 1 else f"row_{row}"
             self._viewer.add_arm(name, episodes.model)
-            self._recorders[row] = RowRecorder(self._viewer, name, episodes, row, np.empty(0), None, PICTURE_PERIOD)
+            self._recorders[row] = RowRecorder(self._viewer, name, episodes, row, PICTURE_PERIOD)
 
     def begin(self, members: Iterable[int]) -> None:
         """New episodes of the rows `members`."""
-        info = self._episodes.info()
-        for row, recorder in self._shown(members):
-            recorder.begin(row_info(info, row))
+        for recorder in self._shown(members):
+            recorder.begin()
 
     def step(self, members: Iterable[int]) -> None:
         """Send where the rows `members` are after a step, and wait until it is time for the next."""
-        info, reward = self._episodes.info(), self._episodes.reward
-        for row, recorder in self._shown(members):
-            recorder.step(np.empty(0), float(reward[row]), row_info(info, row))
+        for recorder in self._shown(members):
+            recorder.step()
         now = time.perf_counter()
         self._due += self._episodes.period
         if self._due < now - LAG:  # one that is late does not hurry afterwards
@@ -96,8 +80,8 @@ class LiveRows:
             recorder.finish()
         self._viewer.close()
 
-    def _shown(self, members: Iterable[int]) -> Iterable[tuple[int, RowRecorder]]:
-        return [(row, self._recorders[row]) for row in members if row in self._recorders]
+    def _shown(self, members: Iterable[int]) -> Iterable[RowRecorder]:
+        return [self._recorders[row] for row in members if row in self._recorders]
 
 
 def is_open(port: int) -> bool:

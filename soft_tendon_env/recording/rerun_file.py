@@ -3,26 +3,25 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from soft_tendon_env.recording.rerun_stream import STATIONS, TRAIL, RerunStream, new_recording
+from soft_tendon_env.recording.rerun_stream import RerunStream, new_recording
 from soft_tendon_env.recording.rollout import Rollout
 
 
 class RerunFile(RerunStream):
     """A Rerun file that opens as a 3-D view beside plots. Also a context manager.
 
-    `stations`: about how many points a backbone is drawn with. `trail` [s]: how long the tip leaves a line behind.
     Whatever `write` has returned from stays readable if the process is killed, unless in the very moment of another write; `close` adds the
     index that `rerun rrd verify` asks for.
     It and `write` raise OSError if the file cannot be written, because a disk is full for instance.
     """
 
-    def __init__(self, path: str | Path, *, stations: int = STATIONS, trail: float = TRAIL) -> None:
+    def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self.path.write_bytes(b"")  # Rerun itself would only warn
         recording = new_recording(self.path.stem)
         self._checked(recording.save, self.path)
-        super().__init__(recording, self.path.stem, str(self.path), stations, trail)
+        super().__init__(recording, self.path.stem, str(self.path))
 
     def write(self, rollout: Rollout, arm: str = "arm", *, continues: bool = False) -> None:
         """Append an episode of an arm or, if it `continues`, the next stretch of the arm's last episode; on disk when this returns.

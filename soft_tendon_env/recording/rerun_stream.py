@@ -4,7 +4,7 @@ In one recording several arms run side by side, and the episodes of each arm fol
 
 - timelines: `sim_time` [s] and `step` go on from episode to episode, `episode` counts them; an arm's first sample is at 0, 0, 0;
 - `world/ARM/...`, in metres: `backbone`, `body`, `mount`, `tendons`, `tip`, `trail`, `target`, `target_trail`, `target_backbone`,
-  `markers`, `solids/NUMBER` of the effects, and the arm's `name` with the title of its episode;
+  `solids/NUMBER` of the effects, and the arm's `name` with the title of its episode;
 - `tension/ARM` [N] and `action/ARM`: a row of numbers per sample; `error/ARM/NAME`, `reward/ARM/NAME`, `other/ARM/NAME`: one number, in SI
   units;
 - `plot/NAME/ARM`: for the plots, an error in millimetres, in degrees, or in its own unit;
@@ -19,9 +19,20 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
 from soft_tendon_env.drawing import palette
-from soft_tendon_env.drawing.geometry import body, label_place, side_by_side, tension_colors
-from soft_tendon_env.drawing.renderer import mount_size, normals, view_box
-from soft_tendon_env.drawing.shapes import backbones, base_poses, drawing_stations, surface, tendon_curves
+from soft_tendon_env.drawing.renderer import normals
+from soft_tendon_env.drawing.shapes import (
+    backbones,
+    base_poses,
+    body,
+    drawing_stations,
+    label_place,
+    mount_size,
+    side_by_side,
+    surface,
+    tendon_curves,
+    tension_colors,
+    view_box,
+)
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.recording.rollout import Rollout
@@ -36,12 +47,10 @@ try:
 except ImportError as error:
     raise DependencyNotInstalled('Rerun is not installed, run `pip install "soft_tendon_env[recording]"`') from error
 
-STATIONS, TRAIL = 25, 3.0
-"""About how many points a backbone is drawn with, and how long [s] tips leave a line behind."""
+STATIONS, TRAIL = 25, 3.0  # about how many points a backbone is drawn with, and for how long [s] tips leave a line behind
 
 TARGET_COLOR, MOUNT_COLOR, SOLID_COLOR = (255, 255, 255), (110, 112, 120), (186, 164, 128)
-TRANSPARENCY = 80
-"""Alpha of the body, of 255: the tendons inside are to be seen."""
+TRANSPARENCY = 80  # alpha of the body, of 255: the tendons inside are to be seen
 
 AXES = np.stack([np.zeros((3, 3)), np.diag([0.12, 0.08, 0.04])], axis=1)
 """Lines (3, 2, 3) of a target's frame, as shares of the rod's length, the longest along its x: white, since tips and arms have colours."""
@@ -51,7 +60,7 @@ TENDON_WIDTH, TRAIL_WIDTH, TARGET_WIDTH, TARGET_SIZE = -1.0, -1.25, -0.75, -4.0
 
 
 def new_recording(name: str) -> rr.RecordingStream:
-    """A recording that goes nowhere yet. The viewer keeps one layout per name."""
+    """A recording that goes nowhere yet."""
     return rr.RecordingStream(name)
 
 
@@ -60,9 +69,9 @@ class RerunStream:
 
     live = False
 
-    def __init__(self, recording: rr.RecordingStream, name: str, where: str, stations: int, trail: float) -> None:
-        """`name`: of the recording, in the viewer; `where` it goes, for messages; the others: see `RerunFile`."""
-        self._where, self._stations, self._trail = where, stations, trail
+    def __init__(self, recording: rr.RecordingStream, name: str, where: str) -> None:
+        """`name`: of the recording, in the viewer, which keeps one layout per name; `where` it goes, for messages."""
+        self._where = where
         self._arms: dict[str, DrawnArm] = {}
         self._styles: dict[str, LineStyle] = {}
         self._recording: rr.RecordingStream | None = recording
@@ -82,8 +91,6 @@ class RerunStream:
     def close(self) -> None:
         """Complete the recording. Nothing can be written afterwards."""
         if self._recording is not None:
-            if not self.live and any(arm.series for arm in self._arms.values()):
-                self._lay_out(complete=True)
             self._recording.disconnect()
             self._recording = None
 
@@ -96,7 +103,7 @@ class RerunStream:
             raise ValueError(f"arm {arm!r} is in {self._where} already")
         where = np.array([*(side_by_side(model, len(self._arms)) if place is None else place)], dtype=float)
         own = palette.style(arm, [other.style for other in self._arms.values()])
-        new = DrawnArm(model, own, where, drawing_stations(model, self._stations))
+        new = DrawnArm(model, own, where, drawing_stations(model, STATIONS))
         straight = model.grid.unpacked(model.arm.rod.reference_strain)
         backbones(model, straight[None], new.station)  # compiles, if need be, before an episode waits for it
         self._arms[arm] = new
@@ -164,7 +171,6 @@ class RerunStream:
             "/tip": rr.TransformAxes3D(0.05 * length),
             "/target_backbone": rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR),
             "/target_trail": rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR),
-            "/markers": rr.Points3D.from_fields(radii=TARGET_SIZE, colors=TARGET_COLOR),
         }
         self._send_static("world", getattr(rr.ViewCoordinates, f"RIGHT_HAND_{'XYZ'[vertical]}_{'UP' if upright else 'DOWN'}"))
         for name, what in parts.items():
@@ -182,7 +188,9 @@ class RerunStream:
         self._send(f"{root}/body", times, cylinders.partition([known.station.size - 1] * rollout.samples))
         self._send(f"{root}/backbone", times, _lines(position))
         curves = tendon_curves(rollout.model, frames, known.station)
-        strips = rr.LineStrips3D.columns(strips=_strips(curves), colors=tension_colors(rollout.model, rollout.tension).ravel())
+        strips = rr.LineStrips3D.columns(
+            strips=_strips(curves), colors=tension_colors(rollout.model, rollout.tension).reshape(-1, 3).astype(np.uint8)
+        )
         self._send(f"{root}/tendons", times, strips.partition([len(curves)] * rollout.samples))
         self._send(f"{root}/tip", times, _poses(rollout.tip_pose))
         self._send(f"{root}/trail", times, _lines(_steps(rollout.tip_pose, known.tip)))
@@ -199,9 +207,6 @@ class RerunStream:
             known.target = rollout.target_pose[-1:, :3, 3]
         if rollout.target_backbone is not None and rollout.target_backbone.shape[1]:
             self._send(f"{root}/target_backbone", times, _lines(rollout.target_backbone))
-        if rollout.markers is not None:
-            points = rr.Points3D.columns(positions=rollout.markers.reshape(-1, 3))
-            self._send(f"{root}/markers", times, points.partition([rollout.markers.shape[1]] * rollout.samples))
 
     def _send_solids(self, root: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
         """The solids where others than before are to be seen, and how they move: their surfaces are where they are at time 0."""
@@ -239,16 +244,16 @@ class RerunStream:
             for kind, names in series.items():
                 known.series[kind] = [*dict.fromkeys([*known.series.get(kind, []), *names])]
             if all(each.series for each in self._arms.values()):  # a layout takes space: not one for each arm that appears
-                self._lay_out(complete=False)
+                self._lay_out()
 
-    def _lay_out(self, complete: bool) -> None:
+    def _lay_out(self) -> None:
         """Send the names and colours of all lines in plots, and what the viewer is to show of all arms."""
         styles = line_styles(self._arms)
         for entity, style in styles.items():
             if self._styles.get(entity) != style:
                 self._send_static(entity, rr.SeriesLines(names=style.names, colors=style.colors))
         self._styles = styles
-        self._open_recording().send_blueprint(layout(self._arms, self._trail, live=self.live, complete=complete))
+        self._open_recording().send_blueprint(layout(self._arms, TRAIL, live=self.live))
 
 
 def _kind(scalar: str) -> str:

@@ -127,7 +127,7 @@ def misfit(robot: Robot, episodes: Episodes) -> str:
     senses, options, groups = {*robot.senses}, episodes.options, episodes.layout.slices
     if robot.command_unit != (unit := episodes.model.command_unit):
         return f"which takes {robot.command_unit!r}, and the scene's arm takes {unit!r}: see [effects.tendon_elasticity]"
-    if options.randomize.of_arm or options.randomize.of_actuators or options.randomize.latency != (0.0, 0.0):
+    if options.randomize.numbers or options.randomize.of_actuators or options.randomize.latency != (0.0, 0.0):
         return "as it is: the option randomize should have no more than the noise of its sensors, for policies that know of it"
     needed = {**{FIELDS[name]: name for name in groups if name in FIELDS}, "tip_pose": "the errors of the task"}
     needed |= {"tip_twist": "the option tip_speed_limit"} if options.tip_speed_limit is not None else {}

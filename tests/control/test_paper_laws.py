@@ -14,7 +14,7 @@ from soft_tendon_env.control.paper_laws import (
     tip_pose_tension,
 )
 from soft_tendon_env.control.rigid_motions import adjoint, inverse_pose, pose_error
-from soft_tendon_env.envs.targets.motions import Circle, CircleCourse
+from soft_tendon_env.envs.targets.shipped import Circle, CircleCourse
 
 GAINS = Gains(10_000.0, 1000.0)
 CIRCLE = CircleCourse(Circle())

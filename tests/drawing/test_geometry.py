@@ -4,16 +4,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from soft_tendon_env.drawing.geometry import (
+from soft_tendon_env.drawing.shapes import (
     FIELD_OF_VIEW,
-    body,
     camera,
     label_place,
     rotation_from_z,
     side_by_side,
 )
-from soft_tendon_env.drawing.shapes import backbones, drawing_stations
-from soft_tendon_env.scene.scene import rod_radius
 
 
 @example((0.0, 0.0, -2.0))
@@ -21,18 +18,6 @@ from soft_tendon_env.scene.scene import rod_radius
 def test_rotation_takes_z_to_the_direction(direction):
     turned = Rotation.from_quat(rotation_from_z(np.array(direction))).apply([0.0, 0.0, 1.0])
     np.testing.assert_allclose(turned, direction / np.linalg.norm(direction), atol=1e-7)
-
-
-def test_body_of_a_straight_arm_is_the_arm(build):
-    model = build("paper")
-    stations = drawing_stations(model, 25)
-    position = backbones(model, model.grid.unpacked(model.arm.rod.reference_strain)[None], stations)[..., :3, 3]
-    pieces = body(model, stations, position)
-    middle = 0.5 * (stations[1:] + stations[:-1])
-    np.testing.assert_allclose(pieces.center[0], np.outer(middle, [1.0, 0.0, 0.0]), atol=1e-12)
-    np.testing.assert_allclose(pieces.radius, rod_radius(model.scene, middle)[0])
-    axes = Rotation.from_quat(pieces.quaternion[0]).apply([0.0, 0.0, 1.0])
-    np.testing.assert_allclose(axes, np.tile([1.0, 0.0, 0.0], (middle.size, 1)), atol=1e-12)
 
 
 GRAVITIES = [None, (9.81, 0.0, 0.0), (-9.81, 0.0, 0.0), (0.0, -9.81, 0.0), (0.0, 0.0, -9.81)]

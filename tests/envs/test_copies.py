@@ -25,7 +25,7 @@ KINDS = {
     "plain": SMALL,
     "memory": {**SMALL, "scene": MEMORY, **DRAWN, "history": 2, "observation": "measurable", "sensors": 2},
     "increments": {**SMALL, "action": "increment", "tension_limits": [1.0, 12.0], "target": "steps"},
-    "obstacles": {**SMALL, "scene": AMONG, "observation": ["coordinates", "clearance", "contact_force", "target_error"]},
+    "obstacles": {**SMALL, "scene": AMONG, "observation": ["coordinates", "target_error"]},
     "held": {**SMALL, "scene": {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}, "target": "hold"},
     "spline": {**SMALL, "scene": {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}, "sensors": [0.1]},
 }

@@ -5,13 +5,11 @@ import pickle
 import numpy as np
 import pytest
 
-from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, TipPoseEnv, TipPoseVectorEnv
+from soft_tendon_env.envs import ReachEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.starts import BANK
 from soft_tendon_env.model.build import build_model
-from soft_tendon_env.model.contact_forces import contact_forces
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.scene.parameters import scene_with_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -28,8 +26,8 @@ CASES = {
         },
     ),
     "contact": (
-        {**GRAVITY, "effects.contact.obstacles": [BALL, {**FLOOR, "friction": 0.3}]},
-        {"effects.contact.obstacles.0.position": [0.25, [0.04, 0.06], [-0.02, 0.02]], "effects.contact.obstacles.1.friction": [0.1, 0.5]},
+        {**GRAVITY, "effects.contact": {"obstacles": [BALL, FLOOR], "friction": 0.3}},
+        {"effects.contact.friction": [0.1, 0.5], "segments.*.density": {"factor": [0.5, 2.0]}},
     ),
     "material": (
         {**GRAVITY, "tendons.0.routing.offset": [0.01, 0.0]},
@@ -56,8 +54,7 @@ def options_of(case, **more):
 
 def scene_with(env, row=0):
     """The scene of an environment with the numbers that were drawn for a row."""
-    drawn = env.episodes.drawn_numbers(row)
-    return scene_with_numbers(env.episodes.model.scene, drawn).replace({"quadrature.intervals": env.episodes.model.grid.per_piece})
+    return env.episodes.arms.model_of(row).scene.replace({"quadrature.intervals": env.episodes.model.grid.per_piece})
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -86,13 +83,13 @@ def test_episodes_take_arms_of_a_bank_that_the_options_alone_decide(same):
     found = {}
     for seed in range(300):
         observation, _ = first.reset(seed=seed)
-        found[seed] = first.episodes.drawn_numbers(0)["segments.0.density"], first.episodes.actuation.delay(0), observation
+        found[seed] = first.episodes.arms.model_of(0).scene.segments[0].density, first.episodes.actuation.delay(0), observation
     drawn = {density for density, *_ in found.values()}
     assert 55 < len(drawn) <= BANK and 0.9 < min(drawn) / (0.5 * 1070) < 1.1 and 0.9 < max(drawn) / (2.0 * 1070) < 1.1
     for seed in (250, 7, 1):
         for env, row in ((second, 0), (rows, 1), (pickle.loads(pickle.dumps(first)), 0)):
             observation, _ = env.reset(seed=seed - row)
-            own = env.episodes.drawn_numbers(row)["segments.0.density"], env.episodes.actuation.delay(row), observation
+            own = env.episodes.arms.model_of(row).scene.segments[0].density, env.episodes.actuation.delay(row), observation
             assert same((*own[:2], observation[row] if row else observation), found[seed])
     assert same(first.reset(seed=5)[0], first.reset(seed=5)[0]) and not same(first.reset()[0], first.reset()[0])
 
@@ -129,11 +126,15 @@ def test_what_cannot_be_drawn_is_refused_when_the_environment_is_made(how):
     [
         ({"segments.0.length": [0.2, 0.3]}, "segments.0.length is no parameter: it decides where the quadrature points lie"),
         ({"quadrature.intervals": 4}, "quadrature.intervals is an unknown key"),
+        (
+            {"effects.contact.obstacles.0.radius": [0.01, 0.02]},
+            r"randomize.effects.contact.obstacles.0.radius cannot be drawn: obstacles are",
+        ),
     ],
 )
 def test_other_keys_that_cannot_be_drawn_are_refused(ranges, message):
     with pytest.raises(ConfigurationError, match=message):
-        TipPoseEnv(**SMALL, randomize=ranges)
+        TipPoseEnv(scene={"scene": "three_tendon", "effects.contact.obstacles": [BALL]}, fidelity="fast", randomize=ranges)
 
 
 def test_an_arm_that_cannot_be_held_is_refused_when_the_environment_is_made():
@@ -143,28 +144,3 @@ def test_an_arm_that_cannot_be_held_is_refused_when_the_environment_is_made():
             fidelity="fast",
             randomize={"effects": {"gravity.acceleration.0": {"factor": [1.0, 1e4]}}},
         )
-
-
-def test_obstacles_are_drawn_again_where_the_arm_would_begin():
-    ball = {"type": "sphere", "position": [0.15, 0.1, 0.0], "radius": 0.03}
-    scene = {"scene": "three_tendon", "quadrature.intervals": 6, "effects.contact.obstacles": [ball]}
-    env = ReachEnv(scene=scene, fidelity="fast", randomize={"effects": {"contact.obstacles.0.position.1": [-0.05, 0.05]}})
-    for seed in range(5):
-        env.reset(seed=seed)
-        assert contact_forces(env.episodes.arms.model_of(0), env.state).penetration[0] < 1e-3
-
-
-def test_targets_keep_clear_of_the_row_s_obstacles():
-    ball = {"type": "sphere", "position": [0.25, 0.0, 0.15], "radius": 0.05}
-    scene = {"scene": "three_tendon", "quadrature.intervals": 6, "effects.contact.obstacles": [ball]}
-    ranges = {"contact.obstacles.0.position": [[0.2, 0.3], [-0.1, 0.1], [0.08, 0.12]]}
-    vector = ReachVectorEnv(12, scene=scene, fidelity="fast", target={"type": "hold", "fraction": 0.6}, randomize={"effects": ranges})
-    vector.reset(seed=0)
-    close = 0
-    for row in range(12):
-        place = [vector.episodes.drawn_numbers(row)[f"effects.contact.obstacles.0.position.{i}"] for i in range(3)]
-        away = np.linalg.norm(vector.episodes.target_pose[row, :3, 3] - place)
-        assert away > 0.05 + 0.9 * 0.01
-        close += away < 0.1
-    assert close > 0
-    vector.close()

@@ -3,7 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.wrappers import RecordVideo, RenderCollection
+from gymnasium.wrappers import RecordVideo
 
 from soft_tendon_env.registration import IDS
 
@@ -25,16 +25,6 @@ def test_a_video_of_an_episode_is_recorded(env, tmp_path):
     video.close()
     (file,) = tmp_path.glob("*.mp4")
     assert file.stat().st_size > 5_000
-
-
-def test_frames_are_collected_and_change(env):
-    frames = RenderCollection(env)
-    frames.reset(seed=0)
-    for _ in range(3):
-        frames.step(np.ones(3, dtype=np.float32))
-    found = frames.render()
-    assert len(found) == 4 and all(frame.shape == SHAPE and frame.dtype == np.uint8 for frame in found)
-    assert (found[0] != found[-1]).any()
 
 
 def test_rows_have_a_frame_each(env):

@@ -3,34 +3,14 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.envs.kernels import TargetTable, scale_and_clip, targets_ahead
-from soft_tendon_env.mechanics.motion.pose_errors import move_poses, pose_errors
+from soft_tendon_env.envs.kernels import scale_and_clip
+from soft_tendon_env.mechanics.motion.pose_errors import move_poses
 
 
 def random_poses(rng, *shape):
     poses = np.empty((1, int(np.prod(shape)), 4, 4))
     move_poses(np.eye(4)[None], rng.normal(size=(*poses.shape[:2], 6)), poses)
     return poses.reshape(*shape, 4, 4)
-
-
-@pytest.mark.no_jit
-@pytest.mark.parametrize("size", [0, 6, 9])
-def test_rows_get_the_samples_of_their_own_steps(size):
-    rng = np.random.default_rng(0)
-    rows, room, ahead = 5, 11, np.array([0, 2, 7])
-    table = TargetTable(pose=random_poses(rng, rows, room), other=rng.normal(size=(rows, room, size)), ahead=ahead)
-    step_count, tip_pose = np.array([0, 3, 10, 11, 47]), random_poses(rng, rows)
-    pose, other, error = np.full((rows, 3, 4, 4), np.nan), np.full((rows, 3, size), np.nan), np.full((rows, 3, 6), np.nan)
-    off = np.full((2, rows), np.nan)
-    targets_ahead(table, step_count, tip_pose, pose, other, error, off)
-    place = (step_count[:, None] + ahead) % room
-    np.testing.assert_array_equal(pose, table.pose[np.arange(rows)[:, None], place])
-    np.testing.assert_array_equal(other, table.other[np.arange(rows)[:, None], place])
-    expected = np.empty_like(error)
-    pose_errors(tip_pose, pose, expected)
-    np.testing.assert_array_equal(error, expected)
-    np.testing.assert_allclose(off[0], np.linalg.norm(pose[:, 0, :3, 3] - tip_pose[:, :3, 3], axis=1), rtol=1e-14)
-    np.testing.assert_allclose(off[1], np.linalg.norm(error[:, 0, :3], axis=1), rtol=1e-14)
 
 
 @pytest.mark.no_jit

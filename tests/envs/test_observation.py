@@ -29,8 +29,7 @@ def log(g):
 
 def test_groups_are_what_they_say(arm):
     sensors = [0.0, 0.1, 0.3]
-    names = [name for name, group in GROUPS.items() if not group.of_contact]  # which have a file of their own
-    env = ShapeEnv(**arm, observation=names, sensors=sensors, preview=[0.1])
+    env = ShapeEnv(**arm, observation=[*GROUPS], sensors=sensors, preview=[0.1])
     env.reset(seed=0)
     action = np.array([0.4, -0.9, 0.1])
     for _ in range(12):
@@ -39,7 +38,7 @@ def test_groups_are_what_they_say(arm):
     episodes = env.episodes
     model, rows, L = episodes.model, episodes.arms.rows, episodes.model.length
     q, q_dot = rows.q[0].copy(), rows.q_dot[0].copy()
-    terms, rest = model.terms(q, q_dot), episodes.starts.rest.q
+    terms, rest = model.terms(q, q_dot), episodes.starts.q
     wanted = episodes.target
     target, ahead, target_q = wanted.tip_pose[0, 0], wanted.tip_pose[0, 1], wanted.q[0]
     unit = units(model)

@@ -109,15 +109,6 @@ def test_noise_is_on_what_is_measured_and_on_nothing_else():
     assert np.abs((columns[1:] * columns[:-1]).sum(axis=2) - 1).max() > 1e-4  # no two samples alike
 
 
-def test_randomising_one_thing_leaves_the_target_as_it_is(everything):
-    """The same seed gives the same target on plain and random arms; sensors with noise draw a seed of their own."""
-    without_noise = {key: value for key, value in everything.items() if key != "noise"}
-    plain, random = ShapeEnv(**SMALL), ShapeEnv(**SMALL, randomize=without_noise)
-    for env in (plain, random):
-        env.reset(seed=4)
-    np.testing.assert_array_equal(plain.episodes.target_pose, random.episodes.target_pose)
-
-
 UNDAMPED = {
     "no damping": {"damping": 0.0},
     "as little as none": {"damping": [0.0, 1.0]},

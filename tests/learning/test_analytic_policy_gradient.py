@@ -81,9 +81,5 @@ def test_refusals():
     stuck = {"scene": {"scene": "three_tendon", "effects.viscoelastic_memory": {"branches": [{"modulus": 0.5, "relaxation_time": 0.1}]}}}
     with pytest.raises(ValueError, match=r"effects\.viscoelastic_memory has internal states"):
         APG("MlpPolicy", envs(**stuck), **SMALL)
-    floor = {"obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.04]}]}
-    lying = {"scene": {"scene": "three_tendon", "effects.contact": floor}, "observation": [*OBSERVED, "clearance"]}
-    with pytest.raises(ConfigurationError, match="clearance"):
-        APG("MlpPolicy", envs(**lying), **SMALL).learn(128)
     with pytest.raises(ConfigurationError, match="rewards coordinate_error"):
         APG("MlpPolicy", envs("Shape", reward={"coordinates": {"weight": 1.0}}), **SMALL).learn(128)

@@ -5,17 +5,8 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.recording import RecordRollout, collect
-from soft_tendon_env.recording.rollout import scalar_columns
 
 STEPS = 6
-
-
-def test_scalars_are_numbers_and_bools_and_nan_where_missing():
-    records = {"error": 1, "cause": "none"}, {"error": np.float32(0.5), "success": True}, {"success": np.False_, "array": [1.0]}
-    columns = scalar_columns([*records])
-    assert list(columns) == ["error", "success"]
-    np.testing.assert_array_equal(columns["error"], [1.0, 0.5, np.nan])
-    np.testing.assert_array_equal(columns["success"], [np.nan, 1.0, 0.0])
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.recording import RecordRollout, VectorRecordRollout, wrappers
-from soft_tendon_env.recording.wrappers import row_info
 from soft_tendon_env.registration import IDS
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast", "max_episode_steps": 5}
@@ -62,9 +61,9 @@ def play(env, episodes):
 
 
 def test_every_episode_is_recorded_from_reset_to_end(file):
-    seen = play(RecordRollout(make(), "unused.rrd", episode_trigger=lambda number: number != 1), 3)
+    seen = play(RecordRollout(make(), "unused.rrd"), 2)
     assert file.samples() == [6, 6]
-    for episode, (arm, rollout, continues) in zip((0, 2), file.written, strict=True):
+    for episode, (arm, rollout, continues) in enumerate(file.written):
         tension, error = zip(*seen[6 * episode : 6 * episode + 6], strict=True)
         assert arm == "arm" and not continues and rollout.title == f"episode {episode}, target random, seed {episode}"
         np.testing.assert_array_equal(rollout.tension, tension)
@@ -91,17 +90,6 @@ def test_an_episode_cut_short_is_recorded_and_one_without_a_step_is_not(file):
     assert file.samples() == [2, 3] and file.closed
 
 
-def test_a_file_given_open_is_shared_and_left_open():
-    file = MemoryFile()
-    recorders = [RecordRollout(make(), file, name=name, place=(0.0, y, 0.0)) for name, y in (("left", 0.0), ("right", 1.5))]
-    again = RecordRollout(make(), file, name="right", place=None)  # an arm that is there
-    for recorder in (*recorders, again):
-        play(recorder, 1)
-        recorder.close()
-    assert file.arms == ["left", "right"] and file.places == [(0.0, 0.0, 0.0), (0.0, 1.5, 0.0)]
-    assert [arm for arm, _, _ in file.written] == ["left", "right", "right"] and not file.closed
-
-
 @pytest.mark.parametrize("mode, samples", [("next_step", [6, 6, 2]), ("same_step", [5, 5, 4]), ("disabled", [6, 6, 3])])
 def test_rows_are_recorded_in_every_mode(mode, samples, file):
     """The step of a reset belongs to no episode; what ends and is reset in one step lacks its last sample."""
@@ -116,9 +104,3 @@ def test_rows_are_recorded_in_every_mode(mode, samples, file):
     first = {arm: rollout for arm, rollout, _ in reversed(file.written)}
     assert [first[f"row_{row}"].title for row in range(2)] == [f"episode 0, target random, seed {7 + row}" for row in range(2)]
     np.testing.assert_array_equal(first["row_1"].action[1:], np.tile(-ACTION, (samples[0] - 1, 1)))
-
-
-def test_masks_say_which_infos_a_row_has():
-    infos = {"a": np.array([1.0, 2.0]), "_a": np.array([True, False]), "b": np.array([3, 4]), "episode": {"r": np.zeros(2)}, "note": "text"}
-    assert row_info(infos, 0) == {"a": 1.0, "b": 3}
-    assert row_info(infos, 1) == {"b": 4}

@@ -7,7 +7,7 @@ a function of time, the same whatever other times are asked for with it. `exampl
 import importlib
 import pkgutil
 from abc import ABC, abstractmethod
-from typing import Annotated, Any, NamedTuple, TypeVar, get_args
+from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -17,24 +17,23 @@ from soft_tendon_env.envs.contacts import ObstacleFreeSpace
 from soft_tendon_env.mechanics.types import Implicit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, shown
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
-FARTHEST = 1e6
-"""Largest coordinate [m] of a target: a thousand kilometres, whose square is a number still."""
+FARTHEST = 1e6  # largest coordinate [m] of a target: a thousand kilometres, whose square is a number still
 
 Distance = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
 
 
 class Setting(NamedTuple):
-    """The arms that targets are drawn for, their tension limits, and their linear response to tensions."""
+    """The arms that targets are drawn for."""
 
     arms: Arms
     limits: Array  # (n_a, 2) [N]
     tension: Array  # (n_a,) [N] nearest to zero within them
     rest: Array  # (n,) coordinates in which that tension holds the arm
     response: Array  # (n_a, n) that makes tensions the coordinates in which they hold the unloaded arm, to first order
-    model: Model  # whose equilibria targets are: that of the arms, among the obstacles of the row where these are drawn
+    model: Model  # whose equilibria drawn targets are: that of the arms, without obstacles where there is a free space
     free: ObstacleFreeSpace | None = None  # where drawn motions stay, if there are obstacles and the arm does not rest against one
 
 
@@ -81,7 +80,7 @@ Course = PoseCourse | ShapeCourse
 class Target(Configuration):
     """Base of the targets' configurations. A class has a field `type: Literal["name"] = "name"`, the name that options use.
 
-    Properties that a class may have otherwise:
+    What a class may have otherwise:
         is_random: whether episodes differ in it; one that does not is drawn once for all of them.
         gives_shapes: whether its course is a ShapeCourse, which tasks that compare shapes need.
         repeats: time [s] after which a drawn course repeats; None: it does not.
@@ -89,6 +88,7 @@ class Target(Configuration):
     """
 
     type: str
+    begins_at_rest: ClassVar[bool] = False
 
     @property
     def is_random(self) -> bool:
@@ -96,10 +96,6 @@ class Target(Configuration):
 
     @property
     def gives_shapes(self) -> bool:
-        return False
-
-    @property
-    def begins_at_rest(self) -> bool:
         return False
 
     @property
@@ -122,29 +118,32 @@ def _fraction(value: Any) -> Any:
 
 
 class DrawnShapes(Target):
-    """Base of targets that are shapes at rest, under a given `tension` (n_a) [N] or random ones within `fraction` of their limits, which
-    may be a range (least, greatest) from which every episode draws it."""
+    """Base of targets that are shapes at rest, under random tensions within `fraction` of their limits, which may be a range (least,
+    greatest) from which every episode draws it."""
 
     fraction: Annotated[float | tuple[float, float], BeforeValidator(_fraction)] = 0.25
 
     @property
-    def given_tension(self) -> tuple[float, ...] | None:
-        """The tensions that are given."""
-        return getattr(self, "tension", None)
-
-    @property
     def is_random(self) -> bool:
-        return self.given_tension is None
+        return True
 
     @property
     def gives_shapes(self) -> bool:
         return True
 
+
+class GivenShapes(DrawnShapes):
+    """Base of targets that are shapes at rest under a given `tension` (n_a) [N], or else random ones."""
+
+    tension: tuple[float, ...] | None = None
+
+    @property
+    def is_random(self) -> bool:
+        return self.tension is None
+
     def check(self, scene: Scene) -> None:
-        """Raises ConfigurationError unless there is a tension per tendon, if they are given."""
-        given, tendons = self.given_tension, len(scene.tendons)
-        if given is not None and len(given) != tendons:
-            text = f"has {len(given)} entries: it should have one per tendon, {tendons}"
+        if self.tension is not None and len(self.tension) != len(scene.tendons):
+            text = f"has {len(self.tension)} entries: it should have one per tendon, {len(scene.tendons)}"
             raise ConfigurationError([Problem(("target", "tension"), text)], "environment")
 
 
@@ -157,18 +156,13 @@ TARGETS: dict[str, type[Target]] = {}
 def register_target(target: Class) -> Class:
     """Class decorator: make a `Target` available to options, by its name or as a table with that `type`.
 
-    Registering a class of the same module and name again replaces it, as in a notebook. Raises TypeError for what is no Target with a
-    `type`, ValueError for a name that is taken.
+    A second class of the same module and name replaces the first. Raises ValueError for a name that is taken.
     """
-    is_target = isinstance(target, type) and issubclass(target, Target)
-    kind = target.__pydantic_fields__["type"] if is_target else Target.model_fields["type"]
-    if get_args(kind.annotation) != (kind.default,):
-        allowed = 'a class derived from soft_tendon_env.envs.targets.Target with a field such as `type: Literal["spiral"] = "spiral"`'
-        raise TypeError(f"a target should be {allowed}, not {shown(target)}")
-    present = TARGETS.setdefault(kind.default, target)
+    kind = target.__pydantic_fields__["type"].default
+    present = TARGETS.get(kind, target)
     if (present.__module__, present.__qualname__) != (target.__module__, target.__qualname__):
-        raise ValueError(f"the target {kind.default!r} is registered twice: {present.__module__}, {target.__module__}")
-    TARGETS[kind.default] = target
+        raise ValueError(f"the target {kind!r} is registered twice: {present.__module__}, {target.__module__}")
+    TARGETS[kind] = target
     return target
 
 

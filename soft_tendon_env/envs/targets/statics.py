@@ -15,24 +15,17 @@ from soft_tendon_env.tools.checks import shown_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.types import Array
 
-HALVINGS = 40
-"""How often drawn tensions that the arm cannot hold are halved."""
-MARGIN = 1.03
-"""Part of a drawn motion's coordinates that should have strains too: it may reach farther between places where they are looked for."""
-BETWEEN = 2e-4
-"""How far the forces may be off between the places that a spline goes through, see `At.residual`; usual motions have 1e-6 to 5e-5."""
+HALVINGS = 40  # how often drawn tensions that the arm cannot hold are halved
+MARGIN = 1.03  # part of a drawn motion's coordinates that should have strains too: it may reach farther between places
+BETWEEN = 2e-4  # how far forces may be off between the places of a spline, see `At.residual`; usual motions have 1e-6 to 5e-5
 PER_KNOT = 4
 """Places per knot of the tensions at which a motion is looked at. The spline through four equilibria moves the tip of a loaded arm by up to
 1e-4 of its length off those between, through two by up to 2e-3."""
 NEAR, CLOSE = 0.2, 0.01
 """Angles [rad] from where an equilibrium is expected: within which it is taken, else tensions change by half as much at a time; and within
 which one that is not stable is the end."""
-SAME = 1e-6
-"""Angle [rad] between shapes that count as one."""
-SHORTER = 8
-"""How often changes of tensions are halved before the arm is said to jump."""
-EXTRAPOLATIONS: dict[int, list[float]] = {1: [1.0], 2: [-1.0, 2.0], 3: [1.0, -3.0, 3.0]}
-"""Weights of the last values in the next one: of order 0, 1 and 2."""
+SAME = 1e-6  # angle [rad] between shapes that count as one
+SHORTER = 8  # how often changes of tensions are halved before the arm is said to jump
 JUMPS = "the arm jumps from one shape to another near there"
 
 
@@ -77,17 +70,15 @@ def shape_course(
     """The course of a motion that tensions (count, n_a) make, given ones or drawn ones clear of obstacles; of one shape by default.
 
     Given ones are taken as they are, beyond their limits with a TensionLimitWarning. Drawn ones are uniform within a fraction of their
-    limits around those nearest to zero, drawn from a range if it is one, and halved towards these until the arm holds them: one draw, so
-    that whatever is drawn next is the same for every arm. Raises ConfigurationError where the arm holds none.
+    limits around those nearest to zero, and halved towards these until the arm holds them: one draw, so that whatever is drawn next is the
+    same for every arm. Raises ConfigurationError where the arm holds none.
     """
-    if target.given_tension is not None:
-        return _given_course(np.array([target.given_tension]), setting, motion)
+    if (given := getattr(target, "tension", None)) is not None:
+        return _given_course(np.array([given]), setting, motion)
     middle, fraction, free = setting.tension, target.fraction, setting.free
     share = generator.uniform(*fraction) if isinstance(fraction, tuple) else fraction
     reach = share * (setting.limits - middle[:, None])
     offset = generator.uniform(reach[:, 0], reach[:, 1], (count, middle.size))
-    if free is not None:
-        setting = setting._replace(model=free.model)
     for halvings in range(HALVINGS + 1):
         try:
             course = StaticCourse(setting, motion(middle + 0.5**halvings * offset), MARGIN)
@@ -102,6 +93,7 @@ def shape_course(
 
 def _given_course(points: Array, setting: Setting, motion: Callable[[Array], Tensions]) -> "StaticCourse":
     warn_beyond_limits(setting.limits.tolist(), points[0])
+    setting = setting._replace(model=setting.arms.model)
     try:
         return StaticCourse(setting, motion(points))
     except NoEquilibrium as error:
@@ -169,26 +161,17 @@ class StaticCourse(ShapeCourse):
 
 
 class EquilibriumPath:
-    """Equilibria of an arm whose tensions change slowly, each next to the one before, from where it rests: natural continuation.
-
-    At coordinates `q` (n,) the arm rests under `tension` (n_a,) [N].
-    """
+    """Equilibria of an arm whose tensions change slowly, each next to the one before, from where it rests: natural continuation."""
 
     def __init__(self, setting: Setting, work: Workspace) -> None:
         """work: of the setting's model."""
-        self.q, self.tension, self._response = setting.rest, setting.tension, setting.response
+        self._q, self._tension, self._response = setting.rest, setting.tension, setting.response
         self._balance = Balance(setting.model, setting.tension, work)
 
     def follow(self, tension: Array) -> Array:
         """Coordinates (m, n) at rest under tensions (m, n_a), one after the other. Raises NoEquilibrium, also where tensions that come back
         do not bring back the shape."""
-        q = np.empty((len(tension), self.q.size))
-        added: list[Array] = []
-        for i, u in enumerate(tension):
-            response = u @ self._response
-            self.move(u, response + np.dot(EXTRAPOLATIONS[len(added)], added) if added else None)
-            added = [*added[-2:], self.q - response]
-            q[i] = self.q
+        q = np.array([self._move(u) for u in tension])
         if (tension[-1] == tension[0]).all() and not self._balance.angle(q[-1] - q[0]) <= SAME:
             raise NoEquilibrium(tension[0], JUMPS)
         return q
@@ -201,24 +184,19 @@ class EquilibriumPath:
                 found[i] = here.residual
         return found
 
-    def move(self, tension: Array, expected: Array | None = None, shorter: int = SHORTER) -> None:
-        """Go on to the equilibrium under other tensions (n_a,), expected at coordinates (n,). Raises NoEquilibrium."""
-        q = self._corrected(tension, self.q + (tension - self.tension) @ self._response if expected is None else expected)
-        if q is not None:
-            self.q, self.tension = q, tension
-        elif shorter:
-            self.move(0.5 * (self.tension + tension), None, shorter - 1)
-            self.move(tension, None, shorter - 1)
-        else:
-            raise NoEquilibrium(tension, self._balance.obstacle or JUMPS)
-
-    def _corrected(self, tension: Array, guess: Array) -> Array | None:
-        """The equilibrium (n,) near a guess (n,), None without one. Raises NoEquilibrium where the arm would not stay."""
-        balance = self._balance
+    def _move(self, tension: Array, shorter: int = SHORTER) -> Array:
+        """Go on to the equilibrium (n,) under other tensions (n_a,), halfway first if need be. Raises NoEquilibrium."""
+        balance, guess = self._balance, self._q + (tension - self._tension) @ self._response
         balance.tension, balance.obstacle = tension, ""
         found = LoadPath(balance).equilibrium(guess, 1.0)
-        if found is None or not (off := balance.angle(found.at.q - guess)) <= NEAR:
-            return None
-        if not found.stability.stable and off <= CLOSE:
+        off = np.inf if found is None else balance.angle(found.at.q - guess)
+        if found is not None and off <= NEAR and found.stability.stable:
+            self._q, self._tension = found.at.q, tension
+        elif off <= CLOSE:
             raise NoEquilibrium(tension, "the arm is no longer stable there")
-        return found.at.q if found.stability.stable else None
+        elif shorter:
+            self._move(0.5 * (self._tension + tension), shorter - 1)
+            self._move(tension, shorter - 1)
+        else:
+            raise NoEquilibrium(tension, balance.obstacle or JUMPS)
+        return self._q

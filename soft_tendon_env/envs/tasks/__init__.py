@@ -6,21 +6,18 @@ A task is one object in one file, in this package or a user's own: `register_tas
 import importlib
 import pkgutil
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from soft_tendon_env.envs.observation import GROUPS, Group
-from soft_tendon_env.envs.rewards import OWN_TERMS, TERMS, Term
 from soft_tendon_env.envs.targets import TARGETS
-from soft_tendon_env.envs.tracking import Tracking, TrackingError, register_reward_term
+from soft_tendon_env.envs.tracking import OWN_TERMS, TERMS, Term, Tracking, TrackingError, register_reward_term
 from soft_tendon_env.registration import MAX_EPISODE_STEPS, register_environment
 from soft_tendon_env.tools.configuration import not_among
 
-STATIONS = 20
-"""Places along the backbone at which shapes are compared, the tip the last."""
+STATIONS = 20  # places along the backbone at which shapes are compared, the tip the last
 
-TIP = ("tip_position", "tip_rotation")
-"""Groups that every task of the package observes."""
+TIP = ("tip_position", "tip_rotation")  # groups that every task of the package observes
 
 
 @dataclass(frozen=True)
@@ -80,22 +77,15 @@ TASKS: dict[str, Task] = {}
 def register_task(task: Task, max_episode_steps: int = MAX_EPISODE_STEPS) -> Task:
     """Make a task known: its id to Gymnasium, its classes to `soft_tendon_env.envs`, its name to `make_policy`; returns the task.
 
-    Registering a task of the same name from the same place replaces it. Raises ValueError where the task names what does not exist.
+    A second task of the same name replaces the first. Raises ValueError for another name than one word in capitals, and for a target or
+    a group that does not exist.
     """
     if not re.fullmatch("[A-Z][A-Za-z0-9]*", task.name):
         raise ValueError(f"a task's name should be one word in capitals such as 'TipPose', not {task.name!r}")
-    named: dict[str, tuple[Iterable[str], Iterable[str]]] = {
-        "observations": (["full"], task.observations),
-        "target": ([task.target], TARGETS),
-        **{f"observations[{choice!r}]": (groups, task.observable) for choice, groups in task.observations.items()},
-        "reference": (task.reference, task.observable),
-        "measured_reference": (task.measured_reference, task.observable),
-        "reward": (task.reward, task.terms),
-    }
-    for key, (names, valid) in named.items():
-        for name in names:
-            if name not in valid:
-                raise ValueError(f"the task {task.name}: {key} names {name!r}: {not_among(name, valid)}")
+    groups = [*task.reference, *task.measured_reference, *(name for names in task.observations.values() for name in names)]
+    for names, valid in (([task.target], [*TARGETS]), (groups, [*task.observable])):
+        if unknown := [name for name in names if name not in valid]:
+            raise ValueError(f"the task {task.name} names {unknown[0]!r}: {not_among(unknown[0], valid)}")
     TASKS[task.name] = task
     register_environment(task.name, max_episode_steps)
     return task

@@ -22,9 +22,6 @@ The policy brings the tip of a tendon-driven soft arm to a point. The task is go
 ## Starting State
 The goal is drawn: it is the tip's position at rest under random tensions. One within `threshold` of where the tip begins is drawn
 again; a goal that is given stays. Reaching it does not end the episode; `info["is_success"]` says whether the tip is there.
-
-## Version History
-* v0: initial version
 """,
         target="hold",
         observations={

@@ -20,9 +20,6 @@ last_action. See docs/reference/environments.md.
 As in `TipPoseEnv`, with the term `backbone` (weight 1) in place of `position` and `angle`. Its error is the root mean square
 distance between the backbone and the target, with a scale of 0.05 lengths of the rod. `coordinates` (norm of the coordinates'
 error) and `position` are further terms, with weight 0 by default.
-
-## Version History
-* v0: initial version
 """,
         target="random",
         observations={

@@ -40,11 +40,7 @@ is terminated if no time step of the simulation succeeds, however small. Then `i
 why, and the observation is the last good one.
 
 ## Arguments
-Every environment takes the keyword arguments of `soft_tendon_env.envs.Options`: `scene`, `fidelity`, `target`, `observation`,
-`reward`, `randomize`, ...
-
-## Version History
-* v0: initial version
+Every environment takes the keyword arguments of `soft_tendon_env.envs.Options`.
 """,
         target="random",
         observations={

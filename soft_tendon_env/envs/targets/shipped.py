@@ -1,28 +1,131 @@
-"""Moving targets: a circle and a ramp of tensions, the tasks of the paper's Section IV, and smooth random trajectories."""
+"""The targets that ship: poses or shapes to hold, one or several, a circle and a ramp of tensions as in the paper's Section IV, and smooth
+random motions."""
 
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from soft_tendon_env.envs.targets import (
     FARTHEST,
     Course,
     Distance,
     DrawnShapes,
+    GivenShapes,
     PoseCourse,
     Setting,
+    ShapeCourse,
     Target,
     TargetSamples,
     pose_samples,
     register_target,
 )
 from soft_tendon_env.envs.targets.statics import Tensions, shape_course
-from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.types import Array, Positive
 
-MOST_KNOTS = 10_000
-"""Points that a random motion can be drawn with."""
+MOST_KNOTS = 10_000  # points that a random motion can be drawn with
+
+
+@register_target
+class Hold(GivenShapes):
+    """One pose to reach and hold: the pose at which `tension` (n_a) [N] holds the arm, a given `pose` (4 x 4), for Reach a given
+    `position` (3) [m] alone, or by default a pose from random tensions within `fraction` of their limits."""
+
+    type: Literal["hold"] = "hold"
+    pose: tuple[tuple[float, float, float, float], ...] | None = Field(default=None, min_length=4, max_length=4)
+    position: tuple[Distance, Distance, Distance] | None = None
+
+    @field_validator("pose", mode="before")
+    @classmethod
+    def _rows(cls, pose: Any) -> Any:
+        return tuple(tuple(row) if isinstance(row, list) else row for row in pose) if isinstance(pose, tuple) else pose
+
+    @model_validator(mode="after")
+    def _one_of(self) -> "Hold":
+        given = [name for name in ("tension", "pose", "position") if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise ValueError(f"should give {given[0]} or {given[1]}, not both")
+        if self.pose is not None:
+            g = np.array(self.pose)
+            R, r = g[:3, :3], g[:3, 3]
+            is_rotation = np.abs(R).max() < 1.1 and np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0
+            if not (is_rotation and (g[3] == [0, 0, 0, 1]).all() and np.abs(r).max() <= FARTHEST):
+                allowed = f"a homogeneous matrix [[R, r], [0, 0, 0, 1]] with a rotation R and coordinates r within ±{FARTHEST:g} m"
+                raise ConfigurationError([Problem(("pose",), f"is {shown(g.tolist())}: it should be {allowed}")])
+        return self
+
+    @property
+    def given(self) -> Array | None:
+        """The given pose (4, 4), of a position alone with the base's axes; None where it is made of tensions."""
+        if self.position is None:
+            return None if self.pose is None else np.array(self.pose)
+        pose = np.eye(4)
+        pose[:3, 3] = self.position
+        return pose
+
+    @property
+    def is_random(self) -> bool:
+        return self.tension is None and self.gives_shapes
+
+    @property
+    def gives_shapes(self) -> bool:
+        return self.pose is None and self.position is None
+
+    def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
+        return shape_course(self, generator, setting) if self.given is None else FixedPose(self.given)
+
+
+class FixedPose(PoseCourse):
+    """A pose that stays."""
+
+    def __init__(self, pose: Array) -> None:
+        self.pose = pose
+
+    def sample(self, times: Array) -> TargetSamples:
+        return pose_samples(np.tile(self.pose, (times.size, 1, 1)), np.zeros((times.size, 6)))
+
+
+@register_target
+class OutOfReach(DrawnShapes):
+    """A pose to hold that the arm cannot reach: drawn as for "hold", and moved away from the base to `beyond` times the rod's length."""
+
+    type: Literal["out_of_reach"] = "out_of_reach"
+    beyond: Positive = 1.2
+
+    @property
+    def gives_shapes(self) -> bool:
+        return False  # no shape has its pose
+
+    def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
+        pose = setting.model.tip_pose(shape_course(self, generator, setting).coordinates(np.zeros(1))[0][0])
+        pose[:3, 3] *= self.beyond * setting.model.length / np.linalg.norm(pose[:3, 3])
+        return FixedPose(pose)
+
+
+@register_target
+class Steps(DrawnShapes):
+    """`count` set points, each for `duration` [s], over and over: shapes at rest under random tensions within `fraction` of their
+    limits."""
+
+    type: Literal["steps"] = "steps"
+    duration: Positive = 2.0
+    count: int = Field(default=5, ge=2, le=1_000)
+
+    def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
+        held = [shape_course(self, generator, setting).coordinates(np.zeros(1))[0][0] for _ in range(self.count)]
+        return Stepped(np.array(held), self.duration)
+
+
+class Stepped(ShapeCourse):
+    """Shapes (k, n) that are held one after another, over and over."""
+
+    def __init__(self, held: Array, duration: float) -> None:
+        self._held, self._duration = held, duration
+
+    def coordinates(self, times: Array) -> tuple[Array, Array]:
+        q = self._held[np.floor(times / self._duration + 1e-9).astype(int) % len(self._held)]
+        return q, np.zeros_like(q)
 
 
 @register_target
@@ -69,7 +172,7 @@ class CircleCourse(PoseCourse):
 
 
 @register_target
-class Ramp(DrawnShapes):
+class Ramp(GivenShapes):
     """From rest to static tensions within `duration` [s], then held: the task of the paper's Section IV-A.
 
     `tension` (n_a) [N], by default random ones within `fraction` of their limits.
@@ -77,14 +180,9 @@ class Ramp(DrawnShapes):
 
     type: Literal["ramp"] = "ramp"
     duration: Positive = 2.5
-    tension: tuple[float, ...] | None = None
-
-    @property
-    def begins_at_rest(self) -> bool:
-        return True
+    begins_at_rest: ClassVar[bool] = True
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        """The motion of one episode. Raises ConfigurationError where the arm cannot hold the tensions, or those on the way."""
         return shape_course(self, generator, setting, lambda points: Rise(setting.tension, points[0], self.duration))
 
 
