@@ -26,8 +26,8 @@ FIXED, PER_PACK, PER_FIELD, SOLVE = 3.37e-6, 4.87e-7, 9.81e-8, 4.51e-9
 def evaluation_cost(model: Model) -> float:
     """CPU time [s] of one evaluation of the equation of motion by the cost model, FIXED + packs (PER_PACK + PER_FIELD n) + SOLVE n^2.
 
-    n coordinates of a statics-based strain. It is not measured, so that every process ranks settings alike. What is the same for all
-    settings of a scene is left out, as the machine and loads inside of the strain: it is a factor, which leaves their order as it is.
+    n coordinates of a statics-based strain. It is not measured, so that every process ranks settings alike; what is the same for all
+    settings of a scene is left out.
     """
     n = model.coordinate_count
     return FIXED + model.grid.packs * (PER_PACK + PER_FIELD * n) + SOLVE * n**2
@@ -46,11 +46,6 @@ class Setting(NamedTuple):
         quadrature = {"intervals": self.intervals, "tolerance": QUADRATURE_TOLERANCE}
         integrator = {"tolerance": self.tolerance, "max_halvings": scene.integrator.max_halvings}
         return scene.replace({"strain": self.strain, "quadrature": quadrature, "integrator": integrator})
-
-    @property
-    def integrator(self) -> str:
-        """The integrator in words."""
-        return f"tolerance {1e6 * self.tolerance:.3g} um"
 
 
 def strain_fields(scene: Scene, fields: PassiveFields | None) -> dict[str, dict[str, Any]]:

@@ -1,9 +1,8 @@
 """Test inputs of a tendon-driven arm: tables of tensions as agents and controllers make them, drawn from a seed.
 
 Each kind keeps to a band of every tendon's range of tension. On the paper's arm (0 to 60 N) they are tensions redrawn in 0 to 15 N
-every 100 ms, a walk in 0 to 20 N with increments of up to 2 N every 20 ms, sin² of about 0.8 Hz with amplitudes of up to 20 N,
-tensions redrawn in 0 to 60 N every 20 ms, a step to tensions within 20 N, and tensions within 20 N with noise of 2.4 N (rms) every
-20 ms, up to 24 N.
+every 100 ms, a walk in 0 to 20 N, sin² of about 0.8 Hz up to 20 N, tensions redrawn in 0 to 60 N every 20 ms, a step to tensions within
+20 N, and tensions within 20 N with noise.
 """
 
 from collections.abc import Callable, Mapping

@@ -7,8 +7,7 @@ from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded
 from soft_tendon_env.model.grid import Grid
 from soft_tendon_env.tools.types import Array
 
-NO_CHORD = 1e-30
-"""A chord |t_c| shorter than this counts as this, not to divide by zero."""
+NO_CHORD = 1e-30  # of |t_c|, not to divide by zero
 
 
 class StrainLimitError(ArithmeticError):

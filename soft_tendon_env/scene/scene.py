@@ -31,7 +31,6 @@ def _is_range(limits: tuple[float, float]) -> tuple[float, float]:
 
 
 TensionLimits = Annotated[tuple[float, float], AfterValidator(_is_range)]
-
 LEAST_TOLERANCE = 1e-11
 """Least error of a step, in parts of the rod's length, that may be asked for: ten times what the integrator's strains are good to."""
 SAME_PLACE = 1e-9
@@ -104,11 +103,9 @@ class Integrator(Configuration):
     that fails is halved up to `max_halvings` times.
 
     With a `tolerance` [m] the order follows the error, and then the step: each step of up to `step` takes 2 columns, or as many more, up
-    to `columns`, as bring its estimated error, as root mean square displacement of the rod, below the tolerance; where the most columns do
-    not, it is tried again with a shorter one.
+    to `columns`, as bring its estimated error, as root mean square displacement of the rod, below the tolerance, or a shorter step.
 
-    `quasi_static` leaves inertia out: damping and elasticity alone balance tensions and loads, as where motions are slow beside the arm's
-    vibrations.
+    `quasi_static` leaves inertia out: damping and elasticity alone balance tensions and loads.
     """
 
     step: TimeStep = 0.02
@@ -160,8 +157,7 @@ class Scene(Configuration):
 
 
 def scene_to_dict(scene: Scene, tables: set[str] | None = None) -> dict[str, Any]:
-    """Scene, or these tables of it, as plain tables, lists, numbers and strings; absent (None) entries are left out. Fit for JSON and
-    TOML."""
+    """Scene, or these tables of it, as plain tables fit for JSON and TOML; absent (None) entries are left out."""
     return scene.model_dump(mode="json", exclude_none=True, include=tables)
 
 
@@ -219,9 +215,8 @@ def tendon_offset(scene: Scene, tendon: Tendon, arc_length: ArrayLike) -> tuple[
 def extrapolation_columns(scene: Scene) -> int:
     """Number of columns (order) of the extrapolated integrator, with a tolerance the most: the scene's, or what its damping allows.
 
-    On undamped oscillations 2 columns are stable, and more grow by up to 0.95 % a step (stability function). Kelvin-Voigt damping
-    outweighs that from a ratio of 0.0029 at omega h = 0.64 on. Where every segment has 0.01 there, 3 columns are chosen, or up to 6 with a
-    tolerance; elsewhere 2.
+    On undamped oscillations 2 columns are stable, and more grow by up to 0.95 % a step (stability function). A damping ratio of 0.0029 at
+    omega h = 0.64 outweighs that. Where every segment has 0.01 there, 3 columns are chosen, or up to 6 with a tolerance; elsewhere 2.
     """
     if scene.integrator.columns is not None:
         return scene.integrator.columns

@@ -41,22 +41,7 @@ def test_every_scene_balances_the_forces(name):
         np.testing.assert_array_equal(found.tip_pose, model.tip_pose(found.q))
 
 
-WEIGHT = {"effects__gravity__acceleration": [0.0, 0.0, -9.81]}
-WRENCH = {"effects__tip_load__force": [0.02, 0.05, -0.1], "effects__tip_load__moment": [0.01, 0.0, 0.02]}
-
-
-@pytest.mark.parametrize(
-    ("name", "loads"), [("paper", WEIGHT), ("paper_16dof", WEIGHT), ("paper_22dof", WEIGHT | WRENCH), ("paper_48dof", WEIGHT)]
-)
-def test_effects_and_tensions_together(name, loads):
-    model, u = model_of(name, **loads), np.linspace(0.0, 6.0, 10)
-    found = static_equilibrium(model, u)
-    force, elastic = unbalanced(model, found.q, u)
-    assert found.converged and found.iterations <= 8
-    assert np.abs(force).max() < 1e-8 * np.abs(elastic).max()
-
-
-@pytest.mark.parametrize(("tension", "reached"), [(400.0, 255.8), (1e4, 255.8), (-400.0, 319.7)])
+@pytest.mark.parametrize(("tension", "reached"), [(1e4, 255.8), (-400.0, 319.7)])
 def test_beyond_the_strain_limit_it_says_so_and_keeps_the_last_equilibrium(tension, reached):
     model = model_of("paper")
     found = static_equilibrium(model, one_tendon(model, tension))
