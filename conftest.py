@@ -1,8 +1,13 @@
-"""How pytest runs the tests: one thread each, whole mechanisms first, and tables of small cases as one test."""
+"""How pytest runs the tests: one thread each, whole mechanisms first, tables of small cases as one test, and a second for each test."""
 
+import contextlib
 import inspect
 import itertools
 import os
+import sys
+import threading
+import time
+from pathlib import Path
 
 import pytest
 
@@ -10,8 +15,55 @@ import pytest
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import numba  # noqa: E402
+
+from soft_tendon_env.compiler import compilation  # noqa: E402
+
+TESTS = Path(__file__).parent / "tests"
+BUDGET = 1.0
+"""CPU time [s] of its process that a test may take which is not marked slow, less that for kernels that are loaded or compiled in it."""
+OVER_BUDGET = (TESTS / "over_budget.txt").read_text().splitlines()
+"""Tests that take longer until they are mended, by file and name."""
+MANY = 50  # modules; a test that imports so many for the first time is not judged
 FIRST = ("hard_cases", "effects", "model", "envs", "control", "mechanics")
 """Folders of whole mechanisms: what fails there matters most."""
+
+
+class KernelTime:
+    """CPU time [s] that a process has spent on loading and compiling kernels."""
+
+    def __init__(self, first_use):
+        self.seconds, self._first_use, self._thread = 0.0, first_use, threading.local()
+
+    @contextlib.contextmanager
+    def first_use(self):
+        """Context in which a kernel is loaded, or compiled: kernels within others are part of these."""
+        inside, self._thread.inside, started = getattr(self._thread, "inside", False), True, time.process_time()
+        try:
+            with self._first_use():
+                yield
+        finally:
+            self._thread.inside = inside
+            self.seconds += 0.0 if inside else time.process_time() - started
+
+
+KERNELS = KernelTime(compilation._first_use)
+compilation._first_use = KERNELS.first_use
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    """Fails a test that takes longer than BUDGET once its kernels are there."""
+    modules, kernels, started = len(sys.modules), KERNELS.seconds, time.process_time()
+    result = yield
+    spent = time.process_time() - started - (KERNELS.seconds - kernels)
+    is_slow = item.get_closest_marker("slow") or item.nodeid.removeprefix("tests/") in OVER_BUDGET
+    if log := os.environ.get("TEST_TIMES"):
+        with open(log, "a") as file:
+            file.write(f"{spent:.2f} {len(sys.modules) - modules} {item.nodeid}\n")
+    if spent > BUDGET and not is_slow and len(sys.modules) - modules < MANY and not numba.config.DISABLE_JIT:
+        pytest.fail(f"it took {spent:.2f} s of CPU, kernels aside: a test takes at most {BUDGET:g} s, or is marked slow", pytrace=False)
+    return result
 
 
 def pytest_collection_modifyitems(items):

@@ -6,7 +6,7 @@ from soft_tendon_env.mechanics.motion.implicit_euler import later_matrices
 from soft_tendon_env.mechanics.motion.stages import evaluate_force
 from soft_tendon_env.model.step_control import LOOSEST_STRAIN
 
-METHOD = Extrapolated(6, 2, with_inertia=True, keeps=True, strain_tolerance=LOOSEST_STRAIN)
+METHOD = Extrapolated(6, 2, with_inertia=True, freeze_jacobian=True, strain_tolerance=LOOSEST_STRAIN)
 
 
 @kernel

@@ -51,30 +51,15 @@ def test_benchmark_prints_a_table_and_writes_csv_and_picture(name, tmp_path):
     assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.fixture
-def peers(monkeypatch):
+def test_the_best_settings_are_those_that_no_other_beats_in_both(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    return runpy.run_path(str(ROOT / "benchmarks" / "peers.py"))
+    peers = runpy.run_path(str(ROOT / "benchmarks" / "peers.py"))
 
-
-def test_a_simulator_that_is_not_installed_is_named_and_left_out(peers):
-    peers["SIMULATORS"]["absent"] = "no_such_simulator"
-    found, missing = peers["load"](["own", "absent"])
-    assert list(found) == ["soft_tendon_env"] and "no_such_simulator" in missing["absent"]
-
-
-def test_the_best_settings_are_those_that_no_other_beats_in_both(peers):
-    def run(error, cpu):
-        return peers["Measured"]("own", f"{error} {cpu}", "step", 2.0, error, cpu, "", False)
+    def run(error, cpu, simulator="own"):
+        return peers["Measured"](simulator, f"{error} {cpu}", "step", 2.0, error, cpu, "", False)
 
     cheap, accurate, beaten, broken = run(0.02, 1.0), run(0.001, 5.0), run(0.03, 2.0), run(np.inf, 0.1)
     assert peers["front"]([accurate, broken, beaten, cheap]) == [cheap, accurate]
-
-
-def test_cpu_times_are_compared_at_the_same_error(peers):
-    def run(simulator, error, cpu):
-        return peers["Measured"](simulator, "", "step", 2.0, error, cpu, "", False)
-
-    runs = [run("own", 0.004, 0.002), run("own", 0.03, 0.001), run("other", 0.003, 0.2), run("other", 0.04, 0.005)]
+    runs = [run(0.004, 0.002), run(0.03, 0.001), run(0.003, 0.2, "other"), run(0.04, 0.005, "other")]
     rows = [[cell.strip() for cell in line.split("|")[2:-1]] for line in peers["summary"](runs, ["own", "other"]).splitlines()[2:]]
     assert rows[0] == ["50", "1.00", "5.00 (5.0 times)"] and rows[-1] == ["5", "2.00", "200 (100 times)"]

@@ -5,16 +5,17 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 
 from gymnasium.error import DependencyNotInstalled
 
+from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.messages import UserError, describe
 
 MISTAKES = (ValueError, TypeError, OSError, MemoryError, ModuleNotFoundError, DependencyNotInstalled)
-"""Errors about options, files and folders, before anything runs: exit status 2."""
+"""Errors about options, files and folders, before anything runs."""
 PROBE = bytes(1 << 16)  # more than a full disk keeps in reserve for small files
 EXTRAS = {
     "agents": ("torch", "stable_baselines3", "sb3_contrib"),
@@ -23,15 +24,28 @@ EXTRAS = {
     "tuning": ("optuna",),
     "export": ("torch", "stable_baselines3", "sb3_contrib", "onnx", "onnxruntime"),
     "robots": ("dynamixel_sdk",),
+    "rllib": ("ray", "tree", "stable_baselines3"),
 }
 """Modules by the extra that installs them."""
-APART = {"rllib": ("ray", "tree", "stable_baselines3")}
-"""Modules by the extra, of extras that need an environment of their own, as `make rllib` makes it."""
+
+
+class Mistake(UserError):
+    """Ends a command before it runs, since an option, a file or a folder cannot be used: exit status 2."""
+
+
+@contextmanager
+def mistakes() -> Iterator[None]:
+    """Context in which errors are the user's: raises Mistake."""
+    try:
+        yield
+    except MISTAKES as error:
+        raise Mistake(describe(error)) from error
 
 
 @contextmanager
 def exit_in_one_line(program: str, stopped: str) -> Iterator[None]:
-    """End the process in one line on: a UserError, a file that cannot be written, memory, workers that died, Ctrl-C, a closed pipe.
+    """End the process in one line on: a Mistake, with a line for each; a UserError, a file that cannot be written, memory, workers that
+    died, Ctrl-C, a closed pipe.
 
     program: named in errors. stopped: what to say after Ctrl-C.
     """
@@ -43,40 +57,33 @@ def exit_in_one_line(program: str, stopped: str) -> Iterator[None]:
     except BrokenPipeError:  # whoever reads what is printed has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+    except Mistake as mistake:
+        for line in describe(mistake).splitlines():
+            print(f"{program}: error: {line}", file=sys.stderr)
+        sys.exit(2)
     except BrokenProcessPool:
         sys.exit(f"{program}: error: a process of --workers was killed: it may have had too little memory, fewer --workers need less")
-    except (UserError, OSError, MemoryError, SimulationDiverged) as error:
+    except (UserError, ConfigurationError, OSError, MemoryError, SimulationDiverged) as error:
         sys.exit(f"{program}: error: {describe(error)}")
     except KeyboardInterrupt:
         print(f"\n{stopped}", file=sys.stderr)
         sys.exit(130)  # the exit status that shells give to what Ctrl-C ends
 
 
-def missing_extras(extras: tuple[str, ...]) -> list[str]:
-    """Extras of which a module is not installed."""
-    return [extra for extra in extras if not all(_is_there(module) for module in EXTRAS[extra])]
-
-
-def _is_there(module: str) -> bool:
-    try:
-        return find_spec(module) is not None
-    except ValueError:  # it was put out of the way: sys.modules has None
-        return False
-
-
-def install_command(extras: list[str]) -> str:
-    return f'pip install "soft_tendon_env[{",".join(extras)}]"'
+def is_installed(extra: str) -> bool:
+    """Whether every module of an extra is there."""
+    with suppress(ValueError):  # of a module that was put out of the way: sys.modules has None
+        return all(find_spec(module) is not None for module in EXTRAS[extra])
+    return False
 
 
 def require(*extras: str) -> None:
     """Checks that extras are installed. Raises ModuleNotFoundError with the pip command for those that are missing."""
-    for extra in extras:
-        if extra in APART and not all(map(_is_there, APART[extra])):
-            what = f"the extra {extra} must be there, in a virtual environment of its own, since it needs an older Gymnasium"
-            raise ModuleNotFoundError(f"{what}: `make {extra}` in a clone, or {install_command([extra])}; docs/how_to/train_at_scale.md")
-    if missing := missing_extras(tuple(extra for extra in extras if extra not in APART)):
+    if missing := [extra for extra in extras if not is_installed(extra)]:
         what = f"the {'extra' if len(missing) == 1 else 'extras'} {', '.join(missing)}"
-        raise ModuleNotFoundError(f"{what} must be there: {install_command(missing)}")
+        command = f'pip install "soft_tendon_env[{",".join(missing)}]"'
+        apart = ", in a virtual environment of its own, such as `make rllib` makes in a clone" if "rllib" in missing else ""
+        raise ModuleNotFoundError(f"{what} must be there: {command}{apart}")
 
 
 def writable_folder(path: Path) -> Path:

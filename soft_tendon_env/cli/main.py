@@ -1,9 +1,14 @@
-"""The command line: `soft-tendon COMMAND`, one module per command, which is imported when it is called."""
+"""The command line: `soft-tendon COMMAND`.
+
+A command is a module with a function `run(settings)`, whose annotation is the class of its options; it is imported when it is called.
+A function `read_file(given)` there reads values of a file, which options override.
+"""
 
 import importlib
+import importlib.metadata
 import sys
 from collections.abc import Callable, Sequence
-from typing import NoReturn, TypeVar
+from typing import NoReturn, TypeVar, get_type_hints
 
 COMMANDS: dict[str, str] = {
     "demo": "controllers and the shipped agent side by side: a table, a picture, a recording",
@@ -27,6 +32,7 @@ COMMANDS: dict[str, str] = {
 }
 PROGRAM = "soft-tendon"
 IMPORT = "--import"
+STOPPED = "stopped: the same command goes on from what is kept"
 Run = TypeVar("Run", bound=Callable[[Sequence[str]], None])
 _own: dict[str, Callable[[Sequence[str]], None]] = {}
 
@@ -51,19 +57,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(0 if given else 2)
     name, *rest = given
     if name == "--version":
-        from importlib.metadata import version
-
-        print(version("soft_tendon_env"))
+        print(importlib.metadata.version("soft_tendon_env"))
         return
     if name not in COMMANDS:
         from soft_tendon_env.tools.configuration import not_among
 
         _refuse(f"{name!r} is no command: {not_among(name, COMMANDS)}")
-    command = None if name in _own else importlib.import_module(f"soft_tendon_env.cli.{name.replace('-', '_')}")
     from soft_tendon_env.cli.errors import exit_in_one_line
 
-    with exit_in_one_line(f"{PROGRAM} {name}", getattr(command, "STOPPED", "stopped")):
-        (_own[name] if command is None else command.run)(rest)
+    module = None if name in _own else importlib.import_module(f"soft_tendon_env.cli.{name.replace('-', '_')}")
+    with exit_in_one_line(f"{PROGRAM} {name}", getattr(module, "STOPPED", STOPPED)):
+        if module is None:
+            _own[name](rest)
+            return
+        from soft_tendon_env.cli.options import read
+
+        file = {"file": module.read_file} if hasattr(module, "read_file") else {}
+        module.run(read(name, get_type_hints(module.run)["settings"], rest, **file))
 
 
 def _with_extensions(given: list[str]) -> list[str]:
@@ -73,7 +83,7 @@ def _with_extensions(given: list[str]) -> list[str]:
     names: list[str] = []
     while given[:1] == [IMPORT]:
         if len(given) == 1:
-            _refuse(f"argument {IMPORT}: expected one argument")
+            _refuse(f"{IMPORT} should have the name of a module behind it")
         names, given = [*names, given[1]], given[2:]
     try:
         import_extensions(names)

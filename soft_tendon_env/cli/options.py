@@ -1,224 +1,139 @@
-"""Command-line options out of configuration classes: one option per field, its help from the class's docstring, its checks the class's.
+"""Command-line options out of configuration classes, by tyro: an option for every field, its help the field's description.
 
-Options that are not given are left to a file, or to the class's defaults. A mistake is a line that names the option and what is allowed.
+Options that are not given are left to a file, or to the class's defaults. What the class refuses is named as the command line has it.
 """
 
-import argparse
-import inspect
-import re
-import sys
 import types
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
-from typing import Annotated, Any, Generic, Literal, NoReturn, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, Required, TypedDict, TypeVar, get_args
 
+import docstring_parser
+import tyro
+from pydantic import Field
 from pydantic.fields import FieldInfo
 
-from soft_tendon_env.cli.errors import MISTAKES
-from soft_tendon_env.tools import configuration as config
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, dotted
-from soft_tendon_env.tools.files import parse_json
-from soft_tendon_env.tools.messages import describe
+from soft_tendon_env.cli.errors import Mistake, mistakes
+from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Key, dotted, override, parsed_changes
+from soft_tendon_env.tools.types import GivenLength
 
 Kind = TypeVar("Kind", bound=Configuration)
 Given = Mapping[str, Any]
 SHORTCUTS = {
     "scene": "environment's scene: a shipped scene's name, or the path of a TOML file",
-    "fidelity": "environment's fidelity: fast, standard, fine, scene or a length such as 1mm; standard where the scene names none",
-    "target": "environment's target: random, hold, circle or ramp; by default the task's (one with settings: --options, --set)",
+    "fidelity": "environment's fidelity: fast, standard, fine, scene or a length such as 1mm",
+    "target": "environment's target: random, hold, circle or ramp; by default the task's",
+    "set": "environment's options by dotted keys, values as in TOML: randomize.stiffness=1.1 control_period=0.01",
 }
-"""Options of environments that have an option of their own beside --options."""
-SET = "environment's options by dotted keys, values as in TOML: randomize.stiffness=1.1 control_period=0.01; overrides --options"
-METAVARS = {"config": "FILE", "write_docs": "FILE", "input": "FILE", "out": "PATH", "set": "KEY=VALUE", "within": "LENGTH"}
-METAVARS |= {"cluster": "ADDRESS", "storage": "URL", "markers": "FILE", "noise": "LENGTH", "parameters": "KEY", "held_out": "WHICH"}
-"""Names of values in help, where they are not the option's own."""
-NUMBERS = {int: "N", float: "NUMBER"}
+"""Options in place of a field `options`, the table of an environment's options."""
 
 
-class Once(argparse.Action):
-    """Store one value; an option that is given again is a mistake, where argparse would take the last without a word."""
+class ArmSettings(Configuration):
+    """The arm that a command is about."""
 
-    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, value: Any, option: str | None = None) -> None:
-        if option is not None and hasattr(namespace, self.dest):
-            parser.error(f"{option} is given twice, with {getattr(namespace, self.dest)} and {value}")
-        setattr(namespace, self.dest, value)
+    scene: str = Field(description="a shipped scene's name, or the path of a TOML file")
+    set: tuple[str, ...] = Field(default=(), description="changes of the scene, such as effects.gravity.acceleration=[0,0,-9.81]")
 
-
-class Parser(argparse.ArgumentParser, Generic[Kind]):
-    """Parser of one command, described by its configuration class's docstring; errors are one line, without the usage."""
-
-    def __init__(self, command: str, kind: type[Kind]) -> None:
-        description = " ".join((kind.__doc__ or "").partition("Attributes:")[0].split())
-        super().__init__(f"soft-tendon {command}", description=description, allow_abbrev=False, argument_default=argparse.SUPPRESS)
-        self.kind = kind
-
-    def error(self, message: str) -> NoReturn:
-        for line in message.splitlines():
-            print(f"{self.prog}: error: {line}", file=sys.stderr)
-        sys.exit(2)
-
-    @contextmanager
-    def mistakes(self) -> Iterator[None]:
-        """Ends the process with status 2, and a line for each mistake, where options, files or folders cannot be used."""
+    def changed_scene(self) -> Scene:
+        """The scene with the changes of --set. Raises ConfigurationError, ValueError."""
+        scene = load_scene(self.scene)
         try:
-            yield
-        except MISTAKES as error:
-            self.error(describe(error))
+            return scene.replace(parsed_changes(self.set)) if self.set else scene
+        except ConfigurationError as error:
+            raise ConfigurationError(error.problems, "--set") from error
 
-    def read(self, arguments: Sequence[str], file: Callable[[Given], Given] = lambda given: {}) -> Kind:
-        """The configuration that a command line says; `file` reads the values that a file has, which the options given override."""
-        self._add_options()
-        namespace, odd = self.parse_known_args(arguments)
-        if odd:
-            unknown = f"{odd[0]} is no option: {config.not_among(odd[0], self._option_string_actions)}"
-            self.error(unknown if odd[0].startswith("-") else f"unrecognized arguments: {' '.join(odd)}")
-        given = vars(namespace)
-        with self.mistakes():
-            return configure(self.kind, given, file(given))
 
-    def _add_options(self) -> None:
-        """Add an option for every field but arrays of tables, with the fields' own defaults in the help."""
-        helps = attribute_texts(self.kind)
-        for name, field in self.kind.model_fields.items():
-            text = helps.get(name, "").replace("%", "%%")  # argparse fills in what stands behind one alone
-            option, element = flag(self.kind, name), _element(field.annotation)
-            if name == "options":
-                for shortcut, words in SHORTCUTS.items():
-                    self.add_argument(flag(self.kind, shortcut), action=Once, metavar=shortcut.upper(), help=words)
-                self.add_argument("--set", action="extend", nargs="+", metavar=METAVARS["set"], help=SET)
-            if not option.startswith("-"):
-                self.add_argument(name, nargs="+" if element else None if field.is_required() else "?", help=text)
-            elif field.annotation is bool:
-                how, text = ("store_false", f"do not {text}") if field.default else ("store_true", text)
-                self.add_argument(option, dest=name, action=how, help=text)
-            elif not is_table(field):
-                several: dict[str, Any] = {"action": "extend", "nargs": "+"} if element else {"action": Once}
-                metavar, default = _metavar(name, element or field.annotation), _default(field).replace("%", "%%")
-                self.add_argument(option, dest=name, metavar=metavar, help=text + default, **several)
+def read(command: str, kind: type[Kind], arguments: Sequence[str], file: Callable[[Given], Given] = lambda given: {}) -> Kind:
+    """The configuration that a command line says; `file` reads the values that a file has, which the options given override.
+
+    Ends the process with help, or with status 2 where tyro refuses the arguments. Raises Mistake.
+    """
+    names = [word.partition("=")[0] for word in arguments if word.startswith("--")]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise Mistake(f"{twice} is given twice: give it once, with all its values behind it")
+    about = " ".join((kind.__doc__ or "").partition("Attributes:")[0].split())
+    given: Given = tyro.cli(_arguments(kind), prog=f"soft-tendon {command}", description=about, args=list(arguments))
+    with mistakes():
+        return configure(kind, given, file(given))
+
+
+def _arguments(kind: type[Configuration]) -> Any:
+    """Type of the table of the options that are given, for tyro."""
+    table, helps = dict[str, Any](), descriptions(kind)
+    for name, field in kind.model_fields.items():
+        if name == "options":
+            table |= {key: _option(tuple[str, ...] if key == "set" else str, f"--{key}", text, "") for key, text in SHORTCUTS.items()}
+        elif not is_table(field):
+            option = _option(_plain(field.annotation), flag(kind, name), helps.get(name, ""), _default(field))
+            table[name] = Required[option] if field.is_required() else option
+    return TypedDict(kind.__name__, table, total=False)  # type: ignore[operator]
+
+
+def _option(annotation: Any, flag: str, text: str, default: str) -> Any:
+    if flag.startswith("--"):
+        return Annotated[annotation, tyro.conf.arg(name=flag.removeprefix("--"), help=text, help_behavior_hint=default)]
+    about = tyro.conf.arg(metavar=flag.upper(), help=text, help_behavior_hint=default)
+    return tyro.conf.Positional[Annotated[annotation, about]]  # type: ignore[misc]
 
 
 def configure(kind: type[Kind], given: Given, file: Given) -> Kind:
     """The configuration of what was given, which overrides what stands in a file. Raises ConfigurationError, ValueError."""
-    fields, origin = kind.model_fields, dict[str, str]()
-    values = {name: _read(value, fields[name].annotation) for name, value in given.items() if name in fields}
-    if "options" in fields:
-        options, origin = _environment_options(given, values.get("options", {}), file.get("options", {}))
-        values |= {"options": options} if options else {}
+    values = {name: value for name, value in given.items() if name in kind.model_fields}
+    if "options" in kind.model_fields:
+        own = {name: given[name] for name in SHORTCUTS if name in given and name != "set"}
+        changes, table = parsed_changes(given.get("set", ())), deepcopy({**file.get("options", {}), **own})
+        if twice := sorted(own.keys() & changes.keys()):
+            raise ValueError(f"--set has {', '.join(twice)}, and so has --{twice[0]}: give it once")
+        try:
+            override(table, changes)
+        except ConfigurationError as error:
+            raise ConfigurationError(error.problems, "--set") from error
+        values |= {"options": table} if table else {}
     try:
         return kind(**{**file, **values})
     except ConfigurationError as error:
-        raise ValueError("\n".join(f"{_as_given(kind, key, origin)} {text}".strip() for key, text in error.problems)) from error
+        raise ValueError("\n".join(f"{_as_given(kind, key, given)} {text}".strip() for key, text in error.problems)) from error
 
 
-def _environment_options(given: Given, options: Given, file: Given) -> tuple[dict[str, Any], dict[str, str]]:
-    """Options of the environment out of a file, --options, the shortcuts and --set; and by dotted key which of these it was."""
-    own, changes = {name: given[name] for name in SHORTCUTS if name in given}, config.parsed_changes(given.get("set", ()))
-    for source, keys in (("--options", options.keys()), ("--set", changes.keys())):
-        if twice := sorted(own.keys() & keys):
-            raise ValueError(f"{source} has {', '.join(twice)}, and so has --{twice[0]}: give it once")
-    table = deepcopy({**file, **options, **own})
-    try:
-        config.override(table, changes)
-    except ConfigurationError as error:
-        raise ValueError("\n".join(f"--set: {dotted(key)} {text}" for key, text in error.problems)) from error
-    return table, {**{name: f"--{name}" for name in own}, **dict.fromkeys(changes, "--set")}
-
-
-def _as_given(kind: type[Configuration], key: config.Key, origin: Mapping[str, str]) -> str:
+def _as_given(kind: type[Configuration], key: Key, given: Given) -> str:
     """A key as the command line has it."""
     option, rest = flag(kind, str(key[0])), key[1:]
-    if key[0] == "options":
-        option = next((said for change, said in origin.items() if f"{dotted(rest)}.".startswith(f"{change}.")), option)
-        rest = rest if option in ("--set", "--options") else rest[1:]
+    if key[0] == "options" and rest:
+        option, rest = (f"--{rest[0]}", rest[1:]) if rest[0] in given else ("--set", rest)
     return f"{option}: {dotted(rest)}" if rest and isinstance(rest[0], str) else f"{option}{dotted(rest)}"
 
 
 def flag(kind: type[Configuration], name: str) -> str:
-    """Option of a field, which is an argument without dashes where it has no default.
-
-    json_schema_extra = {"flag": ...} says another. A field that is True by default has "--no-" before its name, and a text that begins
-    with a verb.
-    """
-    field = kind.model_fields.get(name)
-    if field is not None and isinstance(field.json_schema_extra, dict):
+    """Option of a field; a field that is required is an argument without dashes. json_schema_extra = {"flag": ...} says another."""
+    field = kind.model_fields[name]
+    if isinstance(field.json_schema_extra, dict):
         return str(field.json_schema_extra["flag"])
-    if field is not None and field.is_required() and not is_table(field):
-        return name
-    no = "no-" if field is not None and field.annotation is bool and field.default else ""
-    return f"--{no}{name.replace('_', '-')}"
+    return name if field.is_required() and not is_table(field) else f"--{name.replace('_', '-')}"
 
 
-def attribute_texts(kind: type) -> dict[str, str]:
-    """Text of every attribute by its name, from the sections "Attributes:" of a class and its bases."""
-    found: dict[str, str] = {}
-    for base in reversed(kind.__mro__):
-        section = inspect.cleandoc(base.__doc__ or "").partition("Attributes:\n")[2]
-        for match in re.finditer(r"^    (\w[\w, ]*): (.*(?:\n        .*)*)", section, re.MULTILINE):
-            text = " ".join(match[2].split()).rstrip(".")
-            found |= dict.fromkeys(match[1].split(", "), text.replace("`", ""))
-    return found
-
-
-def _inner(annotation: Any) -> Any:
-    """A type without None and without its checks."""
-    if get_origin(annotation) is Annotated:
-        return _inner(get_args(annotation)[0])
-    choices = [choice for choice in get_args(annotation) if choice is not types.NoneType]
-    return _inner(choices[0]) if get_origin(annotation) in (Union, types.UnionType) and len(choices) == 1 else annotation
-
-
-def _element(annotation: Any) -> Any:
-    """The type T of the elements of tuple[T, ...]; None for other types."""
-    inner = _inner(annotation)
-    return get_args(inner)[0] if get_origin(inner) is tuple else None
+def descriptions(kind: type[Configuration]) -> dict[str, str]:
+    """Description of every field, or its text in the sections "Attributes:" of a class and its bases."""
+    texts = [text for base in reversed(kind.__mro__) for text in docstring_parser.parse(base.__doc__ or "").params]
+    listed = {text.arg_name: " ".join((text.description or "").split()).rstrip(".") for text in texts}
+    return listed | {name: field.description for name, field in kind.model_fields.items() if field.description}
 
 
 def is_table(field: FieldInfo) -> bool:
     """Whether a field is an array of tables, which has no option."""
-    element = _element(field.annotation)
-    return isinstance(element, type) and issubclass(element, Configuration)
+    return any(isinstance(kind, type) and issubclass(kind, Configuration) for kind in get_args(field.annotation)[:1])
 
 
-def _metavar(name: str, annotation: Any) -> str:
-    inner = _inner(annotation)
-    if get_origin(inner) is Literal:
-        return "{" + ",".join(map(str, get_args(inner))) + "}"
-    if get_origin(inner) is dict:
-        return "JSON"
-    singular = re.sub("s$", "", re.sub("ies$", "y", name))
-    return METAVARS.get(name) or NUMBERS.get(inner) or singular.upper()
+def _plain(annotation: Any) -> Any:
+    """Type of an option that may be left out: without None, and a text in place of a length with its unit."""
+    choices = get_args(annotation)
+    plain = choices[0] if choices[1:] == (types.NoneType,) else annotation
+    return str if plain == GivenLength else plain
 
 
 def _default(field: FieldInfo) -> str:
-    own = field.get_default(call_default_factory=True, validated_data={})
-    if field.is_required():
-        return " (required)" if field.json_schema_extra else ""
-    if own is None or own == () or own == {}:
-        return ""
-    return f" (default: {' '.join(map(str, own)) if isinstance(own, tuple) else own})"
-
-
-def _read(given: Any, annotation: Any) -> Any:
-    """The value of a text as its type; the text itself where it has none of that type, for the class to refuse."""
-    element, inner = _element(annotation), _inner(annotation)
-    if element is not None:
-        return [_read(text, element) for text in given]
-    if get_origin(inner) is dict:
-        return _json_object(given)
-    if get_origin(inner) is Literal:
-        return {str(choice): choice for choice in get_args(inner)}.get(given, given)
-    try:
-        return inner(given) if inner in NUMBERS else given
-    except ValueError:
-        return given
-
-
-def _json_object(text: str) -> dict[str, Any]:
-    try:
-        value = parse_json(text)
-    except ValueError as error:
-        raise ValueError(f"--options {config.shown(text)} is not JSON: {error}") from error
-    if not isinstance(value, dict):
-        raise ValueError(f'--options {config.shown(text)} should be a JSON object, such as {{"fidelity": "fast"}}')
-    return value
+    value = field.get_default(call_default_factory=True, validated_data={})
+    if field.is_required() or value is None or value == ():
+        return "(required)" if field.is_required() else ""
+    return f"(default: {' '.join(map(str, value)) if isinstance(value, tuple) else value})"

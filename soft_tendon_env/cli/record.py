@@ -1,13 +1,11 @@
 """`soft-tendon record`: policies side by side in one recording for the Rerun viewer."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from pydantic import Field
 
 from soft_tendon_env import recording
-from soft_tendon_env.cli.errors import require
-from soft_tendon_env.cli.options import Parser
+from soft_tendon_env.cli.errors import mistakes, require
 from soft_tendon_env.evaluation.comparison import alone, arm_names, make_cell, opening_hint, print_caveats, record_side_by_side, shared_arms
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, NOMINAL
 from soft_tendon_env.evaluation.entrants import agents_of, every_file, model_in_the_loop
@@ -17,32 +15,23 @@ from soft_tendon_env.evaluation.summaries import summarise
 from soft_tendon_env.evaluation.tables import summary_table
 from soft_tendon_env.policies.names import PolicyName
 
-STOPPED = "stopped: the recording ends with the last whole episode"
+POLICIES = "names of controllers, folders or .zip files of agents; ppo, sac, dagger or apg, which ship; agent, the best of these"
+SEEDS = "seeds of the episodes, which are played one after another"
 
 
 class Record(EpisodeSettings, TableSettings):
-    """Print the errors of policies, and write a file for the Rerun viewer in which each has an arm of its name.
+    """Print the errors of policies, and write a file for the Rerun viewer in which each has an arm of its name."""
 
-    Attributes:
-        policies: names of controllers, or filtered:NAME; folders or .zip files of agents; ppo, sac, dagger or apg, of those that
-            ship for the task; agent, the best of these.
-        task: name of the task: TipPose, Shape, Reach, or one that was registered.
-        seeds: seeds of the episodes, which are played one after another.
-        out: file of the recording.
-    """
-
-    policies: tuple[str, ...] = Field(min_length=1)
-    task: TaskName = "TipPose"
-    seeds: tuple[Seed, ...] = Field(default=EVALUATION_SEEDS[:1], min_length=1)
-    out: str = "out/side_by_side.rrd"
+    policies: tuple[str, ...] = Field(min_length=1, description=POLICIES)
+    task: TaskName = Field(default="TipPose", description="name of the task: TipPose, Shape, Reach, or one that was registered")
+    seeds: tuple[Seed, ...] = Field(default=EVALUATION_SEEDS[:1], min_length=1, description=SEEDS)
+    out: str = Field(default="out/side_by_side.rrd", description="file of the recording")
 
 
-def run(arguments: Sequence[str]) -> None:
+def run(settings: Record) -> None:
     """Record and print."""
-    parser = Parser("record", Record)
-    settings = parser.read(arguments)
     task, out = settings.task, Path(settings.out)
-    with parser.mistakes():
+    with mistakes():
         require("recording")
         arms = shared_arms(settings, task, every_file(agents_of(task, settings.policies)))
         players = [alone(make_cell(settings, settings.seeds, task, *arm, NOMINAL)).open() for arm in arms.items()]

@@ -1,11 +1,10 @@
 """`soft-tendon scenes`: the scenes that ship as a table, or one of them as TOML."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from pydantic import Field
 
-from soft_tendon_env.cli.options import Parser
+from soft_tendon_env.cli.errors import mistakes
 from soft_tendon_env.evaluation.tables import markdown_table
 from soft_tendon_env.model.coordinates import make_strain
 from soft_tendon_env.model.grid import make_grid
@@ -15,31 +14,25 @@ from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.files import read_text
 
 INTERVALS = 6  # of a piece of the rod: how many coordinates there are does not depend on them
+NAME = "a scene that ships, or the path of a TOML file, which is checked; by default a table of those that ship"
 
 
 class Scenes(Configuration):
-    """List the scenes that ship, with tendons and coordinates; of one, print the TOML, which is a commented example of the format.
+    """List the scenes that ship, with tendons and coordinates; of one, print the TOML, which is a commented example of the format."""
 
-    Attributes:
-        name: a scene that ships, or the path of a TOML file, which is checked; by default a table of those that ship.
-    """
-
-    name: str | None = Field(default=None, json_schema_extra={"flag": "name"})
+    name: str | None = Field(default=None, description=NAME, json_schema_extra={"flag": "name"})
 
 
-def run(arguments: Sequence[str]) -> None:
+def run(settings: Scenes) -> None:
     """Print the table, or the file."""
-    parser = Parser("scenes", Scenes)
-    name = parser.read(arguments).name
-    if name is None:
+    if settings.name is None:
         scenes = [load_scene(shipped) for shipped in scene_names()]
         rows = [(scene.name, str(len(scene.tendons)), str(coordinate_count(scene)), scene.description) for scene in scenes]
         print(markdown_table(("scene", "tendons", "coordinates", "what it is"), rows))
         return
-    with parser.mistakes():
-        load_scene(name)
-        path = Path(name) if name.endswith(".toml") else SHIPPED / f"{name}.toml"
-        text = read_text(path)
+    with mistakes():
+        load_scene(settings.name)
+        text = read_text(Path(settings.name) if settings.name.endswith(".toml") else SHIPPED / f"{settings.name}.toml")
     print(text, end="")
 
 

@@ -1,100 +1,63 @@
 """`soft-tendon train`: one training of Stable-Baselines3 or of RLlib, as a configuration says."""
 
-from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from soft_tendon_env.cli.errors import require, writable_folder
-from soft_tendon_env.cli.options import Parser
+from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.learning.config import Training, config_names, find_config, read_training
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
+from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.parallel import ray_cluster
 
-RUNNERS = 2
-"""Processes with environments of RLlib, by default."""
-
 STOPPED = "stopped: the same command with --resume goes on from the last checkpoint, if there is one"
+ENGINE = "Stable-Baselines3 in one process, or RLlib with environments in processes of their own (PPO alone)"
 
 
 class Train(Configuration):
-    """Train an agent with Stable-Baselines3 or RLlib; the folder's best/ is a policy for every other command.
+    """Train an agent with Stable-Baselines3 or RLlib; the folder's best/ is a policy for every other command."""
 
-    Attributes:
-        config: the name of a training that ships (listed below), or the path of a TOML file.
-        seed: seed of networks, arms and exploration; by default the configuration's.
-        set: overrides the configuration, dotted keys with values as in TOML, such as steps=20_000 options.fidelity=fast.
-        out: folder of the run (default: out/runs/CONFIG/seed_SEED).
-        resume: go on from the last checkpoint in the folder, if there is one.
-        engine: "sb3", Stable-Baselines3 in one process, or "rllib", RLlib with environments in processes of their own (PPO alone, see
-            docs/how_to/train_at_scale.md).
-        runners: number of RLlib's processes with environments, each with an equal part of the arms; 0: the process that learns has all
-            (default: 2).
-        cluster: address of a Ray cluster for RLlib, or "auto" for the one of this machine; by default it starts one of its own here.
-    """
-
-    config: str
-    seed: int | None = Field(default=None, ge=0)
-    set: tuple[str, ...] = ()
-    out: str | None = None
-    resume: bool = False
-    engine: Literal["sb3", "rllib"] = "sb3"
-    runners: int | None = Field(default=None, ge=0, le=10_000)
-    cluster: str | None = None
-
-    @model_validator(mode="after")
-    def _fits_the_engine(self) -> "Train":
-        for key in ("runners", "cluster"):
-            if getattr(self, key) is not None and self.engine != "rllib":
-                raise ConfigurationError([Problem((key,), "is for --engine rllib")])
-        return self
+    config: str = Field(description=f"a training that ships ({', '.join(config_names())}), or the path of a TOML file")
+    seed: int | None = Field(default=None, ge=0, description="seed of networks, arms and exploration; by default the configuration's")
+    set: tuple[str, ...] = Field(default=(), description="overrides of the file, such as steps=20_000 options.fidelity=fast")
+    out: str | None = Field(default=None, description="folder of the run (default: out/runs/CONFIG/seed_SEED)")
+    resume: bool = Field(default=False, description="go on from the last checkpoint in the folder, if there is one")
+    engine: Literal["sb3", "rllib"] = Field(default="sb3", description=ENGINE)
+    runners: int = Field(default=2, ge=0, le=10_000, description="RLlib's processes with environments; 0: the process that learns has all")
+    cluster: str | None = Field(default=None, description='address of a Ray cluster for RLlib, or "auto"; by default one of its own')
 
 
-def run(arguments: Sequence[str]) -> None:
+def run(settings: Train) -> None:
     """Train, and say what is done."""
-    parser = Parser("train", Train)
-    parser.epilog = f"Trainings that ship: {', '.join(config_names())}."
-    settings = parser.read(arguments)
-    with parser.mistakes():
-        require("agents" if settings.engine == "sb3" else "rllib")
-        from soft_tendon_env.learning import train
-        from soft_tendon_env.learning.callback import TrainingCallback
-
-        path = find_config(settings.config)
-        seed = {} if settings.seed is None else {"seed": settings.seed}
-        training = read_training(path, settings.set, **seed)
-        folder = Path("out", "runs", path.stem, f"seed_{training.seed}") if settings.out is None else Path(settings.out)
-        checkpoint = train.checkpoint_to_resume(folder, training, settings.resume, settings.engine)
-    if settings.engine == "rllib":
-        train_with_rllib(parser, settings, training, folder, checkpoint)
-        return
-    with parser.mistakes():
-        model = train.model_of(training, checkpoint)
-        callback = TrainingCallback(training, writable_folder(folder), checkpoint)
-    announce(settings, training, folder, checkpoint)
-    train.learn(model, callback)
-
-
-def train_with_rllib(parser: Parser[Train], settings: Train, training: Training, folder: Path, checkpoint: Path | None) -> None:
-    """Trains on a cluster, or on a Ray of its own, which ends with it."""
-    from soft_tendon_env.learning.rllib import train
-    from soft_tendon_env.learning.rllib.settings import rllib_settings
-
-    runners = RUNNERS if settings.runners is None else settings.runners
     with ExitStack() as stack:
-        with parser.mistakes():
-            rllib_settings(training, runners)
-            writable_folder(folder)
-            stack.enter_context(ray_cluster(settings.cluster, runners, f"{runners} runners"))
-            learning = train.RllibTraining(training, folder, runners, checkpoint)
-        announce(settings, training, folder, checkpoint)
-        learning.learn()
+        with mistakes():
+            if settings.engine == "sb3" and (given := {"runners", "cluster"} & settings.model_fields_set):
+                raise ValueError("\n".join(f"--{name} is for --engine rllib" for name in sorted(given)))
+            require("agents" if settings.engine == "sb3" else "rllib")
+            from soft_tendon_env.learning import train
+            from soft_tendon_env.learning.monitor import TrainingCallback
+
+            path = find_config(settings.config)
+            training = read_training(path, settings.set, **({} if settings.seed is None else {"seed": settings.seed}))
+            folder = Path("out", "runs", path.stem, f"seed_{training.seed}") if settings.out is None else Path(settings.out)
+            checkpoint = train.checkpoint_to_resume(folder, training, settings.resume, settings.engine)
+            if settings.engine == "sb3":
+                model = train.model_of(training, checkpoint)
+                callback = TrainingCallback(training, writable_folder(folder), checkpoint)
+            else:
+                learning = rllib_training(settings, training, folder, checkpoint, stack)
+        print(f"{training.algorithm} on {training.task}, {training.steps} steps, seed {training.seed}, into {folder}; {machine()}")
+        if settings.resume and checkpoint is None:
+            print(f"nothing to resume: {folder} has no checkpoint, the training begins at step 0")
+        train.learn(model, callback) if settings.engine == "sb3" else learning.learn()
 
 
-def announce(settings: Train, training: Training, folder: Path, checkpoint: Path | None) -> None:
-    print(f"{training.algorithm} on {training.task}, {training.steps} steps, seed {training.seed}, into {folder}; {machine()}")
-    if settings.resume and checkpoint is None:
-        print(f"nothing to resume: {folder} has no checkpoint, the training begins at step 0")
+def rllib_training(settings: Train, training: Training, folder: Path, checkpoint: Path | None, stack: ExitStack) -> Any:
+    """A training of RLlib on a cluster, or on a Ray of its own, which ends with the stack. Raises ValueError, OSError."""
+    from soft_tendon_env.learning.rllib import RllibTraining, make_config
+
+    make_config(training, settings.runners)
+    stack.enter_context(ray_cluster(settings.cluster, settings.runners, f"{settings.runners} runners"))
+    return RllibTraining(training, writable_folder(folder), settings.runners, checkpoint)

@@ -209,8 +209,8 @@ def cache_folder() -> Path | None:
     except OSError as error:
         say(f"{error.strerror}: every process compiles again")
         return None
-    for read_only in known[: 0 if folder in known else 1]:
-        shutil.copytree(read_only, folder, dirs_exist_ok=True)  # numba loads from folders alone that it can write
+    if folder not in known and known and not os.access(known[0], os.W_OK):
+        shutil.copytree(known[0], folder, dirs_exist_ok=True)  # numba loads from folders alone that it can write
     os.utime(folder)
     versions = [path for path in folder.parent.iterdir() if re.fullmatch("[0-9a-f]{16}", path.name)]
     for outdated in sorted(versions, key=os.path.getmtime, reverse=True)[FOLDERS_KEPT:]:

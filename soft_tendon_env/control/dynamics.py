@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.mechanics.algebra.linear import solve_symmetric
-from soft_tendon_env.mechanics.motion.period_map import step_matrix
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.tools.checks import checked_number
@@ -31,9 +30,8 @@ class ImplicitStep(NamedTuple):
 
 def implicit_inertia(terms: Terms, period: float) -> Array:
     """A = M + h D + h^2 G (n, n) of the implicit step over a period."""
-    out = np.empty_like(terms.mass)
-    step_matrix(terms.mass, terms.damping + terms.external_damping, terms.stiffness + terms.external_stiffness, period, out)
-    return out
+    stiffness = terms.stiffness + terms.external_stiffness
+    return np.asarray(terms.mass + period * (terms.damping + terms.external_damping + period * stiffness))
 
 
 def implicit_step(terms: Terms, q_dot: Array, period: float) -> ImplicitStep:

@@ -51,16 +51,8 @@ class Strain(Struct):
     """Base of the strain parametrisations: what their n coordinates q mean."""
 
     size: int  # n
-
-    @property
-    def is_tensions(self) -> bool:
-        """True if q_i is the tension of tendon i, and nothing else is a coordinate."""
-        return False
-
-    @property
-    def has_potential(self) -> bool:
-        """True if all that acts inside of the strain has a potential, so that G is symmetric."""
-        return True
+    is_tensions = False  # whether q_i is the tension of tendon i, and nothing else is a coordinate
+    has_potential = True  # whether all that acts inside of the strain has a potential, so that G is symmetric
 
 
 class Implicit(Strain):
@@ -73,27 +65,27 @@ class Implicit(Strain):
     law: "StaticsBased"  # of tensions and passive wrenches
 
     @property
-    def is_tensions(self) -> bool:
+    def is_tensions(self) -> bool:  # type: ignore[override]
         """True if every tension is a coordinate and there are no passive ones."""
         return self.law.active == self.size and not self.law.mixed
 
     def rest_coordinates(self, tension: FloatVector) -> FloatVector:
         """Coordinates (n,) at which tensions (n_a,), with the loads inside, are in balance, [u; 0] of (34)."""
         law, q = self.law, np.zeros(self.size)
-        np.add.at(q, law.coordinate, law.mixing * np.repeat(tension, np.diff(law.row)))
+        np.add.at(q, law.column, law.weight * np.repeat(tension, np.diff(law.row_start)))
         return q
 
 
 class StaticsBased(Implicit):
-    """Statics-based strain (30). Tensions of the strain law: tau_i = sum mixing[m] q[coordinate[m]], m in row[i]..row[i+1]."""
+    """Statics-based strain (30). Tensions of the strain law: tau_i = sum weight[m] q[column[m]], m in row_start[i]..row_start[i+1]."""
 
     size: int  # n, coordinates
     first: IntVector  # (n) first pack in which the coordinate strains the rod
     last: IntVector  # (n) one past the last
     tip: IntVector  # (n) the number of packs: a strain anywhere moves all nodes up to the tip
-    row: IntVector  # (n_a + 1)
-    coordinate: IntVector
-    mixing: FloatVector
+    row_start: IntVector  # (n_a + 1)
+    column: IntVector
+    weight: FloatVector
     mixed: int  # 1 where redundant tendons share coordinates, 0 where q_i is the tension of tendon i
     active: int  # coordinates 0..active-1 are tensions, the rest passive
     passive: FloatVector  # passive coordinate x points x 6, the wrench fields Phi_p
@@ -105,8 +97,8 @@ class StaticsBased(Implicit):
 
     def tensions(self, q: FloatVector) -> FloatVector:
         """Tensions (n_a,) of the strain law at q (n,), tau = mixing q_a."""
-        tau = np.zeros(self.row.size - 1)
-        np.add.at(tau, np.repeat(np.arange(tau.size), np.diff(self.row)), self.mixing * q[self.coordinate])
+        tau = np.zeros(self.row_start.size - 1)
+        np.add.at(tau, np.repeat(np.arange(tau.size), np.diff(self.row_start)), self.weight * q[self.column])
         return tau
 
 
@@ -123,7 +115,7 @@ class Loaded(Implicit):
     moment: tuple[float, float, float]  # at the tip [N m]
 
     @property
-    def has_potential(self) -> bool:
+    def has_potential(self) -> bool:  # type: ignore[override]
         """True without a dead moment, which has no potential."""
         return not any(self.moment)
 

@@ -1,140 +1,131 @@
 """Workspace of one evaluation: the arrays that the kernels write; layout and letters as in types.py."""
 
+import inspect
 import math
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
-from soft_tendon_env.mechanics.algebra.lanes import LINE, aligned, aligned_zeros
+from soft_tendon_env.mechanics.algebra.lanes import LINE, aligned_zeros
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import BeforeStep, ContactFlags
-from soft_tendon_env.mechanics.types import Arm, Explicit, FloatVector, Loaded
+from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded
 
-PER_LINE = LINE // 8  # numbers of a cache line
+Kind = TypeVar("Kind", bound=Struct)
 
 
-def zeros_of(*shapes: tuple[tuple[int, ...], str]) -> dict[str, np.ndarray]:
-    """Zeros by name, each aligned to cache lines, for pairs of a shape and the names of all arrays that have it; in one piece of memory."""
-    places, end = [], 0
-    for shape, names in shapes:
-        size = math.prod(shape)
-        for name in names.split():
-            places.append((name, end, size, shape))
-            end += -(-size // PER_LINE) * PER_LINE
-    memory = aligned_zeros(end)
-    return {name: memory[begin : begin + size].reshape(shape) for name, begin, size, shape in places}
+def zeros(kind: type[Kind], sizes: dict[str, int], **fields: Any) -> Kind:
+    """A struct of the fields given, and of zeros of the shapes that the annotations name: aligned to cache lines, in one piece of memory.
+
+    A shape is a text for each dimension, a size or a product of sizes and numbers, `Annotated[np.ndarray, "n", "points x 6"]`.
+    """
+    known = {**sizes, **{str(number): number for number in range(25)}}
+    shapes = {
+        name: [math.prod(known[factor] for factor in size.split(" x ")) for size in annotation.__metadata__]
+        for name, annotation in inspect.get_annotations(kind).items()
+        if name not in fields
+    }
+    line = LINE // 8  # numbers of a cache line
+    places = np.cumsum([0, *(-(-math.prod(shape) // line) * line for shape in shapes.values())]).tolist()
+    memory = aligned_zeros(places[-1])
+    arrays = {name: memory[at : at + math.prod(shape)].reshape(shape) for at, (name, shape) in zip(places, shapes.items(), strict=False)}
+    return kind(**arrays, **fields)
+
+
+def sizes_of(arm: Arm) -> dict[str, int]:
+    """Sizes of an arm's arrays: coordinates n, tendons n_a, nodes, points, and internal states of the effects."""
+    nodes = arm.rod.length.size
+    return {"n": arm.strain.size, "n_a": arm.tendons.size, "nodes": nodes, "points": 2 * nodes, "states": arm.effects.state.size}
 
 
 class LoadMemory(Struct):
     """Eliminated Hessian of the strain under dead loads, see load_hessian; all but empty for other strains."""
 
-    e: FloatVector  # points x 6, the scaled strain
-    step: FloatVector  # points x 6, residual of the balance and its correction
-    inverse: np.ndarray  # (nodes, 12, 12) of the blocks on the diagonal: the two points of an interval have 12 unknowns
-    turn: np.ndarray  # (nodes, 12, 3) turn of what is beyond by the unknowns, over the weight
-    columns: np.ndarray  # (nodes, 12, 3) y of the unknowns
-    answer: np.ndarray  # (nodes, 12, 3) unknowns by a turn of the interval's start
-
-
-def make_load_memory(nodes: int) -> LoadMemory:
-    """Zeroed LoadMemory for so many nodes."""
-    return LoadMemory(**zeros_of(((12 * nodes,), "e step"), ((nodes, 12, 12), "inverse"), ((nodes, 12, 3), "turn columns answer")))
+    e: Annotated[np.ndarray, "points x 6"]  # the scaled strain
+    step: Annotated[np.ndarray, "points x 6"]  # residual of the balance and its correction
+    inverse: Annotated[np.ndarray, "nodes", "12", "12"]  # of the blocks on the diagonal: the two points of an interval have 12 unknowns
+    turn: Annotated[np.ndarray, "nodes", "12", "3"]  # turn of what is beyond by the unknowns, over the weight
+    columns: Annotated[np.ndarray, "nodes", "12", "3"]  # y of the unknowns
+    answer: Annotated[np.ndarray, "nodes", "12", "3"]  # unknowns by a turn of the interval's start
 
 
 class Workspace(Struct):
     """Arrays that one evaluation fills. The kernels read what the same evaluation has written, and besides:
 
-    xi, the guess from which the Newton of the statics-based strain starts; `clock`, `state`, `before` and `since`, when effects are
-    evaluated and what was before; what make_workspace() fills and nothing writes: `unit`, `base` of an
-    arm that stands still, Phi of explicit strains, which are their fields, and zeros: the columns Phi, Y and J in packs where their
-    coordinate moves nothing, xi_bias of explicit strains, load without effects.
+    xi, the guess from which Newton starts; clock, state, before and since, when effects are evaluated and what was before; and what
+    nothing writes: ones, the base of an arm that stands still, Phi of explicit strains, which are their fields, and zeros, as of columns in
+    packs where their coordinate moves nothing.
     """
 
-    tau: FloatVector  # (n_a) tensions of the strain law [N]; of explicit strains those that pull
-    tau_dot: FloatVector  # (n_a)
-    Phi: FloatVector  # coordinate x points x 6
-    Y: FloatVector  # coordinate x points x 6, wrenches of the coordinates times the weight, Phi^T Y = G
-    mismatch: FloatVector  # points x 6, the stress that drives the coordinates, times the weight
-    factor: FloatVector  # points x 21, L below the diagonal then 1 / D
-    tangent: FloatVector  # tendon x points x 4, unit tangent t and 1 / |t_c|
-    xi: FloatVector  # points x 6
-    xi_dot: FloatVector  # points x 6
-    xi_bias: FloatVector  # points x 6, the part of xi_ddot without q_ddot
-    base: FloatVector  # 24: pose of the base, R rows and r; its twist and the rate of that, world frame, at the world's origin
-    relative: FloatVector  # nodes x 12, exp(Omega) of each interval: R rows, r
-    start: FloatVector  # nodes x 12, pose at the interval's start
-    pose: FloatVector  # nodes x 12, pose at the interval's end
-    J: FloatVector  # coordinate x nodes x 6
-    carry: FloatVector  # (coordinate + 2) x 6, running sums of the sweep
-    eta: FloatVector  # nodes x 6
-    eta_bias: FloatVector  # nodes x 6, J_dot q_dot
-    wrench: FloatVector  # nodes x 6
-    node_stiffness: FloatVector  # nodes x 21, of the effects
-    node_damping: FloatVector  # nodes x 21
-    stress: FloatVector  # points x 6, of the effects
-    point_stiffness: FloatVector  # points x 6
-    point_damping: FloatVector  # points x 6
-    state: FloatVector  # internal states of the effects
-    before: FloatVector  # points x 6, the strain to which they belong; empty where no effect remembers it
-    since: FloatVector  # (1) time since then [s]
-    clock: FloatVector  # (1) time [s]
+    tau: Annotated[np.ndarray, "n_a"]  # tensions of the strain law [N]; of explicit strains those that pull
+    tau_dot: Annotated[np.ndarray, "n_a"]
+    Phi: Annotated[np.ndarray, "n x points x 6"]
+    Y: Annotated[np.ndarray, "n x points x 6"]  # wrenches of the coordinates times the weight, Phi^T Y = G
+    mismatch: Annotated[np.ndarray, "points x 6"]  # the stress that drives the coordinates, times the weight
+    factor: Annotated[np.ndarray, "points x 21"]  # L below the diagonal then 1 / D
+    tangent: Annotated[np.ndarray, "n_a x points x 4"]  # unit tangent t and 1 / |t_c|
+    xi: Annotated[np.ndarray, "points x 6"]
+    xi_dot: Annotated[np.ndarray, "points x 6"]
+    xi_bias: Annotated[np.ndarray, "points x 6"]  # the part of xi_ddot without q_ddot
+    base: Annotated[np.ndarray, "24"]  # pose of the base, R rows and r; its twist and the rate of that, world frame, at the world's origin
+    relative: Annotated[np.ndarray, "nodes x 12"]  # exp(Omega) of each interval: R rows, r
+    start: Annotated[np.ndarray, "nodes x 12"]  # pose at the interval's start
+    pose: Annotated[np.ndarray, "nodes x 12"]  # pose at the interval's end
+    J: Annotated[np.ndarray, "n x nodes x 6"]
+    carry: Annotated[np.ndarray, "columns x 6"]  # running sums of the sweep
+    eta: Annotated[np.ndarray, "nodes x 6"]
+    eta_bias: Annotated[np.ndarray, "nodes x 6"]  # J_dot q_dot
+    wrench: Annotated[np.ndarray, "nodes x 6"]
+    node_stiffness: Annotated[np.ndarray, "nodes x 21"]  # of the effects
+    node_damping: Annotated[np.ndarray, "nodes x 21"]
+    stress: Annotated[np.ndarray, "points x 6"]  # of the effects
+    point_stiffness: Annotated[np.ndarray, "points x 6"]
+    point_damping: Annotated[np.ndarray, "points x 6"]
+    state: Annotated[np.ndarray, "states"]  # internal states of the effects
+    before: Annotated[np.ndarray, "remembered x 6"]  # the strain to which they belong; empty where no effect remembers it
+    since: Annotated[np.ndarray, "1"]  # time since then [s]
+    clock: Annotated[np.ndarray, "1"]  # time [s]
     before_step: BeforeStep
     contact: ContactFlags
-    beside_pose: FloatVector  # nodes x 12, where effects are differentiated
-    beside_twist: FloatVector  # nodes x 6
-    beside_wrench: FloatVector  # nodes x 6
-    here_wrench: FloatVector  # nodes x 6, that of one effect
-    loaded: FloatVector  # coordinate x nodes x 6, node stiffness times J
-    extra: np.ndarray  # (n, n) share of the effects in D or G
-    unit: FloatVector  # points x 6, ones
-    M: np.ndarray  # (n, n)
-    D: np.ndarray  # (n, n)
-    G: np.ndarray  # (n, n)
-    bias: FloatVector  # (n) C q_dot
-    drive: FloatVector  # (n) B u - K - D q_dot
-    u_is_command: FloatVector  # (1) 1 where u is a command, 0 where it is the tensions
-    tension: FloatVector  # (n_a) [N] that come of a command, where effects are between
-    shortening: FloatVector  # (n_a) [m] of elastic tendons beside the stress-free rod
-    pull_rate: FloatVector  # (n_a) [m/s] at which tendons that rub are pulled in
-    grip: FloatVector  # (n_a) [N] the derivative of friction by the direction of sliding, for a tendon as a whole
-    columns: np.ndarray  # (n_a, n) B_i of tendons that are elastic or rub
-    rubbed: np.ndarray  # (n_a, n) the same, with what friction leaves of the tension
-    rubbing: np.ndarray  # (n_a, n) -d force / d direction of sliding
-    share: FloatVector  # tendon x points, of the tension
-    slip: FloatVector  # tendon x points, -d share / d direction of sliding
-    load: FloatVector  # (n) F
+    beside_pose: Annotated[np.ndarray, "nodes x 12"]  # where effects are differentiated
+    beside_twist: Annotated[np.ndarray, "nodes x 6"]
+    beside_wrench: Annotated[np.ndarray, "nodes x 6"]
+    here_wrench: Annotated[np.ndarray, "nodes x 6"]  # that of one effect
+    loaded: Annotated[np.ndarray, "n x nodes x 6"]  # node stiffness times J
+    extra: Annotated[np.ndarray, "n", "n"]  # share of the effects in D or G
+    unit: Annotated[np.ndarray, "points x 6"]  # ones
+    M: Annotated[np.ndarray, "n", "n"]
+    D: Annotated[np.ndarray, "n", "n"]
+    G: Annotated[np.ndarray, "n", "n"]
+    bias: Annotated[np.ndarray, "n"]  # C q_dot
+    drive: Annotated[np.ndarray, "n"]  # B u - K - D q_dot
+    u_is_command: Annotated[np.ndarray, "1"]  # 1 where u is a command, 0 where it is the tensions
+    tension: Annotated[np.ndarray, "n_a"]  # [N] that come of a command, where effects are between
+    shortening: Annotated[np.ndarray, "n_a"]  # [m] of elastic tendons beside the stress-free rod
+    pull_rate: Annotated[np.ndarray, "n_a"]  # [m/s] at which tendons that rub are pulled in
+    grip: Annotated[np.ndarray, "n_a"]  # [N] the derivative of friction by the direction of sliding, for a tendon as a whole
+    columns: Annotated[np.ndarray, "n_a", "n"]  # B_i of tendons that are elastic or rub
+    rubbed: Annotated[np.ndarray, "n_a", "n"]  # the same, with what friction leaves of the tension
+    rubbing: Annotated[np.ndarray, "n_a", "n"]  # -d force / d direction of sliding
+    share: Annotated[np.ndarray, "n_a x points"]  # of the tension
+    whole: Annotated[np.ndarray, "n_a x points"]  # ones
+    slip: Annotated[np.ndarray, "n_a x points"]  # -d share / d direction of sliding
+    load: Annotated[np.ndarray, "n"]  # F
     under_loads: LoadMemory  # of a strain with loads inside
 
 
 def make_workspace(arm: Arm) -> Workspace:
     """Zeroed Workspace for one arm."""
-    strain, n, n_a, nodes = arm.strain, arm.strain.size, arm.tendons.size, arm.rod.length.size
-    points = 2 * nodes
-    arrays = zeros_of(
-        ((1,), "clock since u_is_command"),
-        ((n_a,), "tau tau_dot tension shortening pull_rate grip"),
-        ((n,), "bias drive load"),
-        ((n, n), "M D G extra"),
-        ((n_a, n), "columns rubbed rubbing"),
-        ((points * 6,), "mismatch xi xi_dot xi_bias stress point_stiffness point_damping"),
-        ((points * 21,), "factor"),
-        ((n_a * points * 4,), "tangent"),
-        ((n * points * 6,), "Y"),
-        ((nodes * 6,), "eta eta_bias wrench beside_twist beside_wrench here_wrench"),
-        ((nodes * 12,), "relative start pose beside_pose"),
-        ((nodes * 21,), "node_stiffness node_damping"),
-        ((n * nodes * 6,), "J loaded"),
-        (((n + 2) * 6,), "carry"),
-    )
-    return Workspace(
-        **arrays,
-        Phi=strain.field if isinstance(strain, Explicit) else aligned_zeros(n * points * 6),
-        base=np.concatenate([np.eye(3).ravel(), np.zeros(15)]),
-        state=arm.effects.state.copy(),
-        before_step=BeforeStep(np.zeros(1), np.zeros(12 * nodes), np.zeros(24)),
+    strain, sizes = arm.strain, sizes_of(arm)
+    loaded = sizes["nodes"] if isinstance(strain, Loaded) else 0
+    work = zeros(
+        Workspace,
+        {**sizes, "columns": strain.size + 2, "remembered": sizes["points"] if arm.effects.remembers else 0},
+        **({"Phi": strain.field} if isinstance(strain, Explicit) else {}),
+        before_step=BeforeStep(np.zeros(1), np.zeros(12 * sizes["nodes"]), np.zeros(24)),
         contact=ContactFlags(np.zeros(1), np.zeros(1), np.zeros(1)),
-        unit=aligned(np.ones(points * 6)),
-        share=aligned(np.ones(n_a * points)),
-        slip=aligned_zeros(n_a * points),
-        before=aligned_zeros(6 * points if arm.effects.remembers else 0),
-        under_loads=make_load_memory(nodes if isinstance(strain, Loaded) else 0),
+        under_loads=zeros(LoadMemory, {"nodes": loaded, "points": 2 * loaded}),
     )
+    work.state[:] = arm.effects.state
+    work.base[:9:4], work.unit[:], work.share[:], work.whole[:] = 1.0, 1.0, 1.0, 1.0
+    return work

@@ -97,9 +97,9 @@ def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid, here: AtPo
         first=first,
         last=last,
         tip=np.full(active + len(passive), grid.packs),
-        row=np.searchsorted(rows, np.arange(len(actuation) + 1)),
-        coordinate=np.ascontiguousarray(columns),  # the same type for all scenes and for copies, or the kernels compile again
-        mixing=mixing[rows, columns],
+        row_start=np.searchsorted(rows, np.arange(len(actuation) + 1)),
+        column=np.ascontiguousarray(columns),  # the same type for all scenes and for copies, or the kernels compile again
+        weight=mixing[rows, columns],
         mixed=int(active < len(actuation)),
         active=active,
         passive=point_field(passive),
@@ -116,7 +116,7 @@ def with_every_tension(arm: Arm) -> Arm:
     size = count + strain.law.size - strain.law.active
     first, last, each = np.zeros(size, dtype=np.int64), np.full(size, arm.rod.packs), np.arange(count)
     everywhere = {"size": size, "first": first, "last": last, "tip": last}
-    law = strain.law.replaced(**everywhere, row=np.arange(count + 1), coordinate=each, mixing=np.ones(count), mixed=0, active=count)
+    law = strain.law.replaced(**everywhere, row_start=np.arange(count + 1), column=each, weight=np.ones(count), mixed=0, active=count)
     return arm.replaced(strain=strain.replaced(**everywhere, law=law) if isinstance(strain, Loaded) else law)
 
 

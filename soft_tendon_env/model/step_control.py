@@ -43,8 +43,8 @@ def step_method(model: Model) -> Extrapolated:
     least, strain = columns, STEP_TOLERANCE
     if integrator.tolerance is not None:
         least, strain = 2, min(max(STRAIN_SHARE * integrator.tolerance / model.length, STEP_TOLERANCE), LOOSEST_STRAIN)
-    keeps = least < columns and not integrator.quasi_static  # without inertia D is in the place of M
-    return Extrapolated(columns, least, not integrator.quasi_static, keeps, strain)
+    freeze_jacobian = least < columns and not integrator.quasi_static  # without inertia D is in the place of M
+    return Extrapolated(columns, least, not integrator.quasi_static, freeze_jacobian, strain)
 
 
 def step_control(model: Model, duration: float) -> Control:

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from soft_tendon_env.mechanics.terms.tendons import chord_lengths
 from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded
 from soft_tendon_env.model.grid import Grid
 from soft_tendon_env.tools.types import Array
@@ -29,11 +28,11 @@ def nearest_limit(arm: Arm, grid: Grid, q: Array, xi: Array, reached: float = 1.
     if isinstance(strain, Explicit):
         return "an explicit strain has no such limit"
     tau = strain.law.tensions(reached * q if reached else q)
-    lengths = np.empty(tendons.size * grid.points.size)
-    chord_lengths(rod, tendons, xi, lengths)
-    size = grid.at_points(lengths.reshape(tendons.size, -1), 1)[..., 0]  # |t_c| where the tendon is present, else 0
+    y, z, y_prime, z_prime, presence = np.moveaxis(grid.at_points(tendons.geometry.reshape(tendons.size, -1), 5), -1, 0)
+    k_x, k_y, k_z, *p = np.moveaxis(grid.at_points(xi, 6), -1, 0)
+    chord = np.stack([p[0] + k_y * z - k_z * y, p[1] - k_x * z + y_prime, p[2] + k_x * y + z_prime])  # t_c (22)
+    size = presence * np.linalg.norm(chord, axis=0)
     compliance = np.moveaxis(grid.at_points(rod.root_compliance, 6), -1, 0) ** 2
-    y, z = np.moveaxis(grid.at_points(tendons.geometry.reshape(tendons.size, -1), 5)[..., :2], -1, 0)
     give = compliance[0] * (y**2 + z**2) + compliance[1] * z**2 + compliance[2] * y**2 + compliance[3:].sum(axis=0)  # tr C S S^T
     softening = np.abs(tau)[:, None, None] * (size > 0.0) / np.maximum(size, NO_CHORD) * give
     tendon, *point = np.unravel_index(np.argmax(softening), size.shape)

@@ -10,8 +10,7 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
-from inspect import Parameter, Signature
-from typing import Any, NamedTuple, Self, get_args, get_origin, get_type_hints
+from typing import Any, NamedTuple, Self, get_args, get_origin
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -53,16 +52,6 @@ def _default(field: FieldInfo) -> Any:
     return field.get_default(call_default_factory=True, validated_data={})
 
 
-class _Keys:
-    """Signature of a configuration class: its keys, with types and defaults as people read them."""
-
-    def __get__(self, instance: Any, owner: type[BaseModel]) -> Signature:
-        hints = get_type_hints(owner)  # without what pydantic checks besides
-        defaults = {name: Parameter.empty if own.is_required() else _default(own) for name, own in owner.model_fields.items()}
-        keys = [Parameter(name, Parameter.KEYWORD_ONLY, annotation=hints[name], default=value) for name, value in defaults.items()]
-        return Signature(keys)
-
-
 class Configuration(BaseModel):
     """Base of every configuration class: frozen, strict, finite numbers only. Raises `ConfigurationError`.
 
@@ -79,10 +68,6 @@ class Configuration(BaseModel):
         except ValidationError as error:
             problems = [problem for found in error.errors() for problem in _problems(type(self), found)]
             raise ConfigurationError(problems, type(self).__name__) from None
-
-    @classmethod
-    def __pydantic_init_subclass__(cls, **given: Any) -> None:
-        cls.__signature__ = _Keys()  # type: ignore[assignment]
 
     def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
         """Keys that have other values than by default."""
@@ -173,13 +158,20 @@ def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
 
 
 def _set(table: dict[str, Any], path: str, value: Any) -> None:
-    *parents, last = path.split(".")
+    parts = path.split(".")
     node: Any = table
-    for depth, part in enumerate(parents):
-        place = _place(node, part, path, parents[:depth])
-        node = node.setdefault(place, {}) if isinstance(node, dict) else node[place]
+    for depth, part in enumerate(parts):
+        where = ".".join(parts[:depth])
+        if isinstance(node, list) and not (part.isdecimal() and int(part) < len(node)):
+            valid = f"valid: 0 to {len(node) - 1}" if node else "it is empty"
+            raise ConfigurationError([Problem((path,), f"cannot be set: {part!r} is no position in {where}; {valid}")])
+        if not isinstance(node, dict | list):
+            raise ConfigurationError([Problem((path,), f"cannot be set: {where} is {shown(node)}, not a table")])
+        place: Any = int(part) if isinstance(node, list) else part
+        if depth < len(parts) - 1:
+            node = node.setdefault(place, {}) if isinstance(node, dict) else node[place]
     try:
-        node[_place(node, last, path, parents)] = deepcopy(value)
+        node[place] = deepcopy(value)
     except RecursionError:
         raise ConfigurationError([Problem((path,), f"is {shown(value)}")]) from None
 
@@ -194,17 +186,15 @@ def matching(table: Mapping[str, Any], path: str) -> list[str]:
         return [".".join(parts)]
     found: list[tuple[str, Any]] = [("", table)]
     for part in parts:
-        found = [(f"{key}.{own}", value) for key, node in found for own, value in _entries(node).items() if part in (ANY, own)]
+        entries = [(key, node.items() if isinstance(node, Mapping) else enumerate(node)) for key, node in found if _is_nested(node)]
+        found = [(f"{key}.{own}", value) for key, own_entries in entries for own, value in own_entries if part in (ANY, str(own))]
     if not found:
         raise ConfigurationError([Problem((path,), "stands for no entry: there is none of such a name")])
     return [key.removeprefix(".") for key, _ in found]
 
 
-def _entries(node: Any) -> dict[str, Any]:
-    """Entries of a plain table by name, or of an array by position; of anything else none."""
-    if isinstance(node, Mapping):
-        return {str(key): value for key, value in node.items()}
-    return {str(i): value for i, value in enumerate(node)} if isinstance(node, list | tuple) else {}
+def _is_nested(node: Any) -> bool:
+    return isinstance(node, Mapping | list | tuple)
 
 
 def parsed_changes(changes: Iterable[str]) -> dict[str, Any]:
@@ -224,18 +214,6 @@ def parsed_changes(changes: Iterable[str]) -> dict[str, Any]:
         except ValueError as error:
             raise ValueError(f"--set {shown(change)}: {error}") from error
     return found
-
-
-def _place(node: Any, part: str, path: str, parents: list[str]) -> str | int:
-    if isinstance(node, dict):
-        return part
-    where = ".".join(parents)
-    if not isinstance(node, list):
-        raise ConfigurationError([Problem((path,), f"cannot be set: {where} is {shown(node)}, not a table")])
-    if not (part.isdecimal() and int(part) < len(node)):
-        valid = f"valid: 0 to {len(node) - 1}" if node else "it is empty"
-        raise ConfigurationError([Problem((path,), f"cannot be set: {part!r} is no position in {where}; {valid}")])
-    return int(part)
 
 
 def _problems(table: type[Configuration], error: ErrorDetails) -> list[Problem]:

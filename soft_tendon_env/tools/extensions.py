@@ -13,18 +13,15 @@ VARIABLE = "SOFT_TENDON_ENV_IMPORT"
 
 def import_extensions(names: Iterable[str] = ()) -> None:
     """Import modules of these names, and those that VARIABLE names; the current folder is looked in too. Raises ValueError."""
-    every = list(dict.fromkeys([*extensions(), *names]))
-    if not every:
-        return
-    look_in_this_folder()
-    for name in every:
+    for name in (every := list(dict.fromkeys([*extensions(), *names]))):
+        look_in_this_folder()
         try:
             importlib.import_module(name)
         except ImportError as error:
-            raise ValueError(
-                f"--import names {name!r}: it should be a module, in this folder or on PYTHONPATH; {describe(error)}"
-            ) from error
-    os.environ[VARIABLE] = ",".join(every)
+            where = "it should be a module, in this folder or on PYTHONPATH"
+            raise ValueError(f"--import names {name!r}: {where}; {describe(error)}") from error
+    if every:
+        os.environ[VARIABLE] = ",".join(every)
 
 
 def look_in_this_folder() -> None:

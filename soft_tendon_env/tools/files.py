@@ -3,7 +3,6 @@ else is an error that names it. Files are replaced whole, and checked by their d
 
 import codecs
 import contextlib
-import csv
 import errno
 import hashlib
 import io
@@ -27,12 +26,10 @@ from soft_tendon_env.tools.messages import describe
 PACKAGE = Path(__file__).parents[1]
 MOST_TEXT, MOST_BINARY = 1 << 24, 1 << 28
 """Bytes of a file that is read whole: of text; of arrays and weights, packed or unpacked."""
-MOST_DEPTH = 64
-"""How deep tables and lists may be nested in what is read."""
+MOST_DEPTH, MOST_DIGITS = 64, 400
 TOO_DEEP = f"it is nested more than {MOST_DEPTH} deep"
 LONG_KEY = re.compile(rf"""(?m)(?:^|[{{,\[])[ \t]*(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{MOST_DEPTH}}}""")
 """A dotted key of TOML, of which tomllib takes a time that grows with the square of its parts."""
-MOST_SHOWN = 80  # characters of a line in an error
 UNREADABLE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, MemoryError, OSError, TypeError, ValueError, LookupError)
 """Errors of NumPy and zipfile for files that are empty, cut, altered or no archives at all."""
 
@@ -52,16 +49,14 @@ def open_file(path: str | os.PathLike[str]) -> io.BufferedReader:
 def read_bytes(path: str | os.PathLike[str], most: int = MOST_BINARY) -> bytes:
     """All of a regular file of at most `most` bytes. Raises OSError."""
     with open_file(path) as file:
-        small = os.fstat(file.fileno()).st_size <= most
-        content = file.read(most + 1) if small else b""
-    if not small or len(content) > most:
-        raise OSError(errno.EFBIG, f"it has more than {most >> 20} MiB", os.fspath(path))
-    return content
+        if os.fstat(file.fileno()).st_size > most:
+            raise OSError(errno.EFBIG, f"it has more than {most >> 20} MiB", os.fspath(path))
+        return file.read(most)
 
 
 def text_of(path: str | os.PathLike[str], most: int = MOST_TEXT, errors: str = "strict") -> str:
-    """The text of a file of at most `most` bytes in UTF-8, or UTF-16 with its mark, lines ending with a newline alone; errors: what
-    becomes of other bytes, see `bytes.decode`. Raises OSError, UnicodeDecodeError."""
+    """The text of a file in UTF-8, or UTF-16 with its mark, lines ending with a newline alone; errors: what becomes of other bytes, see
+    `bytes.decode`. Raises OSError, UnicodeDecodeError."""
     content = read_bytes(path, most)
     encoding = "utf-16" if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
     return io.TextIOWrapper(io.BytesIO(content), encoding, errors).read()
@@ -94,13 +89,11 @@ def _parsed(parse: Callable[[Any], Any], text: str | bytes) -> Any:
         value = parse(text)
     except RecursionError:
         raise ValueError(TOO_DEEP) from None
-    level = [value] if isinstance(value, dict | list) else []
-    depth = 0
-    while level:
-        if (depth := depth + 1) > MOST_DEPTH:
-            raise ValueError(TOO_DEEP)
-        inner = (own for table in level for own in (table.values() if isinstance(table, dict) else table))
-        level = [own for own in inner if isinstance(own, dict | list)]
+    level = [value]
+    for _ in range(MOST_DEPTH):
+        level = [own for table in level if isinstance(table, dict | list) for own in (table.values() if isinstance(table, dict) else table)]
+    if any(isinstance(own, dict | list) for own in level):
+        raise ValueError(TOO_DEEP)
     return value
 
 
@@ -121,21 +114,18 @@ def read_numbers(path: Path, needed: Iterable[str] = ()) -> list[dict[str, float
     text = read_text(path)
     if text and not text.endswith("\n"):
         raise ValueError(f"{path} was cut off: its last line does not end")
-    reader, rows, header = csv.reader(text.splitlines()), list[dict[str, float]](), list[str]()
-    try:
-        header = next(reader, [])
-        if missing := [name for name in needed if name not in header]:
-            raise ValueError(f"{path} should have the columns {', '.join(needed)} in its first line, and lacks {', '.join(missing)}")
-        for cells in reader:
-            try:
-                rows.append({name: float(cell) if cell else math.nan for name, cell in zip(header, cells, strict=True)})
-            except ValueError as error:
-                line = ",".join(cells)
-                what = repr(line if len(line) <= MOST_SHOWN else f"{line[:MOST_SHOWN]} ...")
-                raise ValueError(f"{path}, line {reader.line_num} should be {len(header)} numbers, not {what}") from error
-    except csv.Error as error:
-        raise ValueError(f"{path}, line {reader.line_num} is no line of numbers: {error}") from error
-    return rows
+    header, *rows = [line.split(",") for line in text.splitlines()] or [[]]
+    if missing := [name for name in needed if name not in header]:
+        raise ValueError(f"{path} should have the columns {', '.join(needed)} in its first line, and lacks {', '.join(missing)}")
+    found = []
+    for number, cells in enumerate(rows, 2):
+        try:
+            found.append({name: float(cell) if cell else math.nan for name, cell in zip(header, cells, strict=True)})
+            if max(map(len, cells)) > MOST_DIGITS:
+                raise ValueError("these are no numbers")
+        except ValueError as error:
+            raise ValueError(f"{path}, line {number} should be {len(header)} numbers, not {','.join(cells)[:80]!r}") from error
+    return found
 
 
 def read_arrays(path: str | Path, names: Collection[str], what: str) -> dict[str, NDArray[Any]]:
@@ -210,12 +200,11 @@ def check_digests(folder: Path, files: Mapping[str, str], source: Path) -> None:
             raise ValueError(f"{path} is not the file that {source} was written with: it was cut or changed, or is of another training")
 
 
-def shipped_folder(inside: str, beside: str) -> Path:
-    """Folder of files that ship: `inside` the package in a wheel (force-include in pyproject.toml), `beside` it in a clone."""
-    installed = PACKAGE / inside
-    return installed if installed.is_dir() else PACKAGE.parent / beside
-
-
 def configs_folder() -> Path:
     """Folder of the configurations that ship."""
     return shipped_folder("learning/configs", "configs")
+
+
+def shipped_folder(inside: str, beside: str) -> Path:
+    """Folder of files that ship: `inside` the package in a wheel (force-include in pyproject.toml), `beside` it in a clone."""
+    return PACKAGE / inside if (PACKAGE / inside).is_dir() else PACKAGE.parent / beside

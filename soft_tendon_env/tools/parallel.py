@@ -4,7 +4,7 @@ Cells of an experiment, trainings of a sweep, trials of a search and motions of 
 """
 
 import contextlib
-import logging
+import functools
 import os
 import runpy
 import signal
@@ -13,7 +13,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from soft_tendon_env.tools.extensions import extensions, import_extensions
@@ -65,27 +64,28 @@ def run_all(
 
 
 class _Placed(Generic[Run, Result]):
-    """A call that says which run its result is of. In another process the script that was started is run first, as multiprocessing's
-    spawn does it, so that what it registers is there: it should have an `if __name__ == "__main__"`; and what --import names."""
+    """A call that says which run its result is of. In another process what --import names and the script that was started come first, as
+    multiprocessing's spawn has it, so that what they register is there: a script should have an `if __name__ == "__main__"`."""
 
     def __init__(self, call: Callable[[Run], Result]) -> None:
         main = sys.modules["__main__"]
         is_script = getattr(main, "__spec__", None) is None and hasattr(main, "__file__")
-        self._own = extensions()
-        self._call, self._process, self._script = call, os.getpid(), Path(str(main.__file__)).absolute() if is_script else None
+        self._call, self._process, self._names = call, os.getpid(), extensions()
+        self._script = os.path.abspath(str(main.__file__)) if is_script else ""
 
     def __call__(self, place: int, run: Run) -> tuple[int, Result]:
         """The run's place, and its result."""
-        script, elsewhere = self._script, os.getpid() != self._process
-        if elsewhere:
-            import_extensions(self._own)
-        if elsewhere and script is not None and script.is_file() and script not in _scripts_run:
-            _scripts_run.add(script)
-            runpy.run_path(str(script), run_name="__mp_main__")
+        if os.getpid() != self._process:
+            _prepare(self._script, *self._names)
         return place, self._call(run)
 
 
-_scripts_run: set[Path] = set()  # in this process
+@functools.cache
+def _prepare(script: str, *names: str) -> None:
+    """Run a script and import modules, once in this process."""
+    import_extensions(names)
+    if os.path.isfile(script):
+        runpy.run_path(script, run_name="__mp_main__")
 
 
 @contextmanager
@@ -93,43 +93,32 @@ def _backend(workers: int, cluster: str | None, threads: bool) -> Iterator[None]
     """joblib's backend while runs go on."""
     import joblib
 
-    if cluster is not None:
-        with ray_cluster(cluster, workers, "runs side by side"):
+    with contextlib.ExitStack() as stack:
+        kind, options = ("threading", {}) if workers <= 1 or threads else ("loky", {"inner_max_num_threads": 1})
+        if cluster is not None:
+            stack.enter_context(ray_cluster(cluster, workers, "runs side by side"))
             from ray.util.joblib.ray_backend import RayBackend
 
             class Backend(RayBackend):  # type: ignore[misc, unused-ignore] # Any without Ray
-                """Ray's own, whose results come one by one: joblib asks for that where it rules them out for its own processes."""
-
-                supports_return_generator = True
+                supports_return_generator = True  # Ray's results come one by one; joblib's own processes rule that out
 
             joblib.register_parallel_backend("ray", Backend)
-            with joblib.parallel_config("ray", n_jobs=max(workers, 1)):
-                yield
-    elif workers <= 1 or threads:
-        with joblib.parallel_config("threading", n_jobs=max(workers, 1)):
-            yield
-    else:
-        with joblib.parallel_config("loky", n_jobs=workers, inner_max_num_threads=1):
-            yield
+            kind, options = "ray", {}
+        stack.enter_context(joblib.parallel_config(kind, n_jobs=max(workers, 1), **options))
+        yield
 
 
 @contextmanager
 def ray_cluster(address: str | None, processors: int, what: str) -> Iterator[None]:
-    """Ray while it is used: a cluster that is there, or one of this process's own, which ends with it.
+    """Ray while it is used: the cluster at an address, "auto" for this machine's, or one of this process's own, which ends with it.
 
-    Args:
-        address: of a cluster, "auto" for the one that this machine belongs to; None: one of its own, on this machine.
-        processors: that are needed.
-        what: takes them, named in errors.
-
-    Raises ValueError where there is no Ray, or too little room.
+    processors: that are needed by `what`, which errors name. Raises ValueError where there is no Ray, or too little room.
     """
     try:
         import ray
     except ImportError as error:
         raise ValueError('needs Ray: pip install "soft_tendon_env[rllib]"') from error
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # it would report to its makers
-    logging.getLogger("ray").setLevel(logging.ERROR)
     own: dict[str, Any] = {} if address else {"num_cpus": max(processors, os.cpu_count() or 1), "include_dashboard": False}
     on_kill = signal.getsignal(signal.SIGTERM)
     try:
@@ -139,9 +128,9 @@ def ray_cluster(address: str | None, processors: int, what: str) -> Iterator[Non
         ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **own)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
         raise ValueError(f"Ray cannot be reached at {address or 'this machine'}: {first_line(error)}") from error
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, on_kill)  # which Ray has made its own
     try:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, on_kill)  # which Ray has made its own
         if (there := int(ray.cluster_resources().get("CPU", 0))) < processors:
             raise ValueError(f"{what} need {processors} processors, the cluster has {there}")
         yield

@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,10 +15,8 @@ from soft_tendon_env.tools.types import Array
 
 LOGGED = "measured_time"
 """Column by which logs of robots are known, every row of which ends with a newline."""
-SEPARATORS = ",;\t|"
-"""Separators of cells; a header with none of them is separated by spaces."""
-COMMENTS = ("#", "%")
-"""Beginnings of lines that are skipped; the header may be one of them, as NumPy and rostopic write it."""
+SEPARATORS, COMMENTS = ",;\t|", ("#", "%")
+"""Separators of cells, besides spaces; beginnings of lines that are skipped, but where NumPy and rostopic write the header in one."""
 ABSENT = {"", "nan", "na", "n/a", "null", "none"}
 """Cells that hold no number."""
 PREAMBLE = 100
@@ -44,13 +42,10 @@ def read_number(where: str, name: str, text: str, factor: float = 1.0) -> float:
     """A cell as a number, NaN where there is none. Raises ValueError for other text and infinity."""
     if text.casefold() in ABSENT:
         return math.nan
-    try:
-        value = math.nan if "_" in text else float(text.replace(",", ".")) * factor
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ValueError(f"{where}: {name} is {text!r}: it should be a finite number, or empty where there is none")
-    return value
+    with contextlib.suppress(ValueError):
+        if "_" not in text and math.isfinite(value := float(text.replace(",", ".")) * factor):
+            return value
+    raise ValueError(f"{where}: {name} is {text!r}: it should be a finite number, or empty where there is none")
 
 
 def read_table(path: Path, names: Collection[str] = ()) -> Table:
@@ -60,21 +55,15 @@ def read_table(path: Path, names: Collection[str] = ()) -> Table:
     bar or spaces. Blank lines and comments (#, %) are left out. Raises FileNotFoundError, and ValueError for a file that cannot be read.
     """
     # minutes of a log have tens of megabytes; bytes that are no text are no numbers
-    lines = whole_lines(path, read_text(path, MOST_BINARY, "replace"))
+    lines = _whole_lines(path, read_text(path, MOST_BINARY, "replace"))
     first, separator, header = _header(lines, {name.casefold() for name in names})
-    skipped = [number for number, line in enumerate(lines, 1) if (number <= first and line.strip()) or line.startswith(COMMENTS)]
-    if first + 1 in skipped:
-        skipped.remove(first + 1)
-    # a blank line stays one, so that the reader counts all of them
-    kept = ["" if line.startswith(COMMENTS) else line for line in lines[first + 1 :]]
-    reader = _reader(kept, separator)
-    rows, number = [], first + 2
+    rows, skipped = [], [number for number, line in enumerate(lines[:first], 1) if line.strip()]
     try:
-        for cells in reader:
-            if any(cell.strip() for cell in cells):
-                cells = cells[: len(header)] if not any(cells[len(header) :]) else cells  # without empty ones beyond the header's
-                rows.append((f"{path}, line {number}", [cell.strip() for cell in cells]))
-            number = first + 2 + reader.line_num
+        for number, line in enumerate(lines[first + 1 :], first + 2):
+            if line.startswith(COMMENTS):
+                skipped.append(number)
+            elif any(cells := _cells(line, separator)):
+                rows.append((f"{path}, line {number}", cells if any(cells[len(header) :]) else [*cells[: len(header)]]))
     except csv.Error as error:
         raise ValueError(f"{path}, line {number} cannot be read: {error}") from error
     where = f"{path}, line {first + 1}" + (f" (separated by {separator!r})" if len(header) > 1 else "")
@@ -83,10 +72,10 @@ def read_table(path: Path, names: Collection[str] = ()) -> Table:
     return Table(where, header, rows, skipped)
 
 
-def _reader(lines: Sequence[str], separator: str) -> Any:
-    """Reader of lines; where spaces separate, any number of them does, and tabs."""
-    spaced = (" ".join(line.split()) for line in lines) if separator == " " else lines
-    return csv.reader(spaced, delimiter=separator, skipinitialspace=True, strict=True)
+def _cells(line: str, separator: str) -> list[str]:
+    """Cells of a line; where spaces separate, any number of them does, and tabs. Raises csv.Error."""
+    text = " ".join(line.split()) if separator == " " else line
+    return [cell.strip() for cell in next(csv.reader([text], delimiter=separator, skipinitialspace=True, strict=True), [])]
 
 
 def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]:
@@ -98,7 +87,7 @@ def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]
             separator = max(SEPARATORS, key=text.count)
             separator = separator if separator in text.strip() else " "
             with contextlib.suppress(csv.Error):  # which the reader tells
-                cells = [cell.strip() for own in _reader([text], separator) for cell in own]
+                cells = _cells(text, separator)
                 found = len(names.intersection(map(str.casefold, cells))) - is_comment  # a comment counts by its names alone
                 if any(cells) and found > most:
                     best, most = (place, separator, cells), found
@@ -108,7 +97,7 @@ def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]
     return place, separator, cells
 
 
-def whole_lines(path: Path, text: str) -> list[str]:
+def _whole_lines(path: Path, text: str) -> list[str]:
     """Lines of a table, without a last one that was cut off when the writer was killed, or power was lost; a warning says so."""
     text = text.rstrip("\0")  # of blocks that never came to the disk
     lines = text.splitlines()

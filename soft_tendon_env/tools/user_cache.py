@@ -29,13 +29,12 @@ def data_folders(name: str) -> list[Path]:
 def new_data_folder(name: str) -> Path:
     """The first of these folders that can be written, created when missing. Raises OSError where there is none."""
     refused = []
-    for parent in cache_parents():
-        folder = parent / "soft_tendon_env" / name
+    for folder in (parent / "soft_tendon_env" / name for parent in cache_parents()):
         try:
             folder.mkdir(parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=folder).close()  # a folder can exist and yet not be writable
         except OSError as error:
-            refused.append(f"{parent} cannot be used ({error.strerror})")
+            refused.append(f"{folder.parents[1]} cannot be used ({error.strerror})")
             continue
         if refused:
             say_once(f"{', '.join(refused)}: what is kept is in {folder.parent}; {WRITABLE}")

@@ -142,7 +142,7 @@ def test_machine_code_for_a_users_own_class_is_not_kept(tmp_path, monkeypatch):
     assert own(inspect.unwrap(scale))(1.0, 2.0) == 2.0 and list(tmp_path.rglob("*.nb?"))
 
 
-def test_the_first_folder_that_can_be_written_is_taken_with_what_is_in_the_others(tmp_path, monkeypatch, capsys):
+def test_the_first_folder_that_can_be_written_is_taken_with_what_is_in_a_read_only_one(tmp_path, monkeypatch, capsys):
     blocked, writable = tmp_path / "file", tmp_path / "writable"
     blocked.touch()
     monkeypatch.setattr(user_cache, "cache_parents", lambda: [blocked, writable])
@@ -152,6 +152,9 @@ def test_the_first_folder_that_can_be_written_is_taken_with_what_is_in_the_other
     assert f"{blocked} cannot be used (Not a directory)" in printed and "set NUMBA_CACHE_DIR" in printed
     (found / "code.nbc").touch()
     monkeypatch.setattr(user_cache, "cache_parents", lambda: [tmp_path / "new", writable])
+    assert not (compilation.cache_folder.__wrapped__() / "code.nbc").exists(), "that folder can be written: it is for others"
+    monkeypatch.setattr(user_cache, "cache_parents", lambda: [tmp_path / "newer", writable])
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
     assert (compilation.cache_folder.__wrapped__() / "code.nbc").exists()
     monkeypatch.setattr(user_cache, "cache_parents", lambda: [blocked])
     assert compilation.cache_folder.__wrapped__() is None and "every process compiles again" in capsys.readouterr().err

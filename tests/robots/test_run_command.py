@@ -5,15 +5,13 @@ import re
 import sys
 from pathlib import Path
 
-import gymnasium as gym
 import pytest
 
 from soft_tendon_env.cli.main import main
-from soft_tendon_env.cli.run import _tell_of_reach
 from soft_tendon_env.robots import load_robot
 
 ARM = ["--scene", "three_tendon", "--fidelity", "fast"]
-STEPPED = ["--robot-options", '{"real_time": false, "model_error": "stiffness-20%,latency-20ms"}']
+STEPPED = ["--robot-options", "real_time=false", "model_error=stiffness-20%,latency-20ms"]
 
 
 class Deaf:
@@ -51,21 +49,6 @@ def test_a_robot_that_does_not_answer_ends_it_in_one_line(tmp_path, capsys):
     assert report["stop"]["slack"] and report["rms"]["position_error"] is None
     said = capsys.readouterr().out
     assert "position error" not in said and f"written: {out}\n" not in said and not out.exists()  # there was none
-
-
-@pytest.mark.cases(
-    "target, note",
-    [
-        ({"type": "circle", "centre": [0.95, 0.0, 0.0], "radius": 0.25}, "982.3 mm from the base of an arm of 300 mm, and tensions"),
-        ({"type": "hold", "tension": [2.0, 0.0, 0.0]}, ""),
-    ],
-)
-def test_a_target_out_of_reach_gets_a_word(target, note, capsys):
-    env = gym.make("TendonRod-TipPose-v0", scene="three_tendon", fidelity="fast", target=target)
-    env.reset(seed=0)
-    _tell_of_reach(env, 8.0)
-    said = capsys.readouterr().err
-    assert note in said and bool(said) == bool(note)
 
 
 def test_robots_of_this_folder_are_found(tmp_path, monkeypatch):

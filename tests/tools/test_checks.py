@@ -6,63 +6,39 @@ import pytest
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, dimensions
 
 
-@pytest.mark.cases(
-    "value", ([1, 2, 3], (1.0, 2.0, 3.0), np.array([1, 2, 3], dtype=np.int8), np.array([1, 2, 3], dtype=np.float32), range(1, 4))
-)
+@pytest.mark.cases("value", ([1, 2, 3], (1.0, 2.0, 3.0), np.array([1, 2, 3], dtype=np.int8), range(1, 4)))
 def test_numbers_of_any_kind_become_float64(value):
     found = checked_array("q", value, (3,))
-    assert found.dtype == np.float64 and found.flags.c_contiguous
-    np.testing.assert_array_equal(found, [1.0, 2.0, 3.0])
+    assert found.dtype == np.float64 and found.flags.c_contiguous and found.tolist() == [1.0, 2.0, 3.0]
 
 
 def test_the_result_is_a_copy_and_contiguous():
     given = np.arange(12.0).reshape(3, 4).T
     found = checked_array("table", given, (None, 3))
-    assert found.flags.c_contiguous and found.shape == (4, 3)
     found[0, 0] = 99.0
-    assert given[0, 0] == 0.0
+    assert found.flags.c_contiguous and found.shape == (4, 3) and given[0, 0] == 0.0
 
 
-@pytest.mark.cases("shape", ((0,), (5,)))
-def test_none_allows_any_length(shape):
-    assert checked_array("q", np.zeros(shape), (None,)).shape == shape
-
-
-@pytest.mark.cases("value, count", [(1.0, 0), ([1.0], 1), (np.zeros((2, 0)), 2), (None, 0), ([[1.0], [2.0, 3.0]], None)])
-def test_dimensions(value, count):
-    assert dimensions(value) == count
-
-
-@pytest.mark.cases("value", (2, 2.0, np.float32(2), np.int64(2)))
-def test_numbers_become_floats(value):
-    found = checked_number("step", value, 0.0, "a positive number")
-    assert type(found) is float and found == 2.0
-
-
-def test_counts_of_numpy_are_taken():
-    assert checked_count("points", np.int32(3), 1) == 3
+def test_numbers_become_floats_and_counts_of_numpy_are_taken():
+    assert type(checked_number("step", np.float32(2), 0.0, "a positive number")) is float and checked_count("points", np.int32(3), 1) == 3
+    assert [dimensions(value) for value in (1.0, [1.0], np.zeros((2, 0)), [[1.0], [2.0, 3.0]])] == [0, 1, 2, None]
 
 
 @pytest.mark.cases(
     "check, value, allowed, error, message",
     [
         (checked_array, [1.0, 2.0], [(3,)], ValueError, r"q should have shape \(3,\), not \(2,\)"),
-        (checked_array, 1.0, [(3,)], ValueError, r"q should have shape \(3,\), not \(\)"),
-        (checked_array, [[1.0, 2.0]], [(2,)], ValueError, r"q should have shape \(2,\), not \(1, 2\)"),
         (checked_array, [1.0], [(None, 2)], ValueError, r"q should have shape \(any, 2\), not \(1,\)"),
         (checked_array, [[1.0], [2.0, 3.0]], [(2,)], ValueError, r"q should have shape \(2,\), but its rows are not alike"),
         (checked_array, [0.0, np.nan, np.nan], [(3,)], ValueError, r"q should be finite, but q\[1\] is nan"),
         (checked_array, [[0.0, 1.0], [0.0, -np.inf]], [(2, 2)], ValueError, r"q should be finite, but q\[1, 1\] is -inf"),
         (checked_array, ["1"], [(1,)], TypeError, r"q should be an array of numbers of shape \(1,\), not list of <U1"),
         (checked_array, [True], [(1,)], TypeError, r"q should be an array of numbers of shape \(1,\), not list of bool"),
-        (checked_array, np.array([1j]), [(1,)], TypeError, r"q should be an array of numbers of shape \(1,\), not ndarray of complex128"),
         (checked_array, None, [(2,)], TypeError, r"q should be an array of numbers of shape \(2,\), not NoneType of object"),
         (checked_number, -1.0, [0.0, "at least 0"], ValueError, "q should be at least 0, not -1.0"),
         (checked_number, np.nan, [0.0, "at least 0"], ValueError, "q should be at least 0, not nan"),
-        (checked_number, np.inf, [0.0, "at least 0"], ValueError, "q should be at least 0, not inf"),
         (checked_number, "1", [0.0, "at least 0"], TypeError, "q should be at least 0, not str"),
         (checked_number, True, [0.0, "at least 0"], TypeError, "q should be at least 0, not bool"),
-        (checked_number, [1.0], [0.0, "at least 0"], TypeError, "q should be at least 0, not list"),
         (checked_count, 0, [1], ValueError, "q should be a whole number of at least 1, not 0"),
         (checked_count, 2.0, [1], TypeError, "q should be a whole number of at least 1, not float"),
         (checked_count, True, [1], TypeError, "q should be a whole number of at least 1, not bool"),

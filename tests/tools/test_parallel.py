@@ -17,16 +17,13 @@ def square(x):
 
 @pytest.mark.parametrize("options", [{"workers": 1}, {"workers": 2}, {"workers": 2, "threads": True}])
 def test_results_come_in_order_from_as_many_processes(options):
-    values, processes, threads = zip(*run_all(square, range(6), label="squares", **options), strict=True)
+    told = []
+    results = run_all(square, range(6), label="squares", done=lambda place, result: told.append((place, result)), **options)
+    values, processes, threads = zip(*results, strict=True)
+    assert sorted(told) == list(enumerate(results)), "as soon as it is there"
     assert values == (0, 1, 4, 9, 16, 25)
     apart = options["workers"] == 2 and "threads" not in options
     assert (os.getpid() not in processes) == apart and (not apart or set(threads) == {"1"})
-
-
-def test_every_result_is_told_as_soon_as_it_is_there():
-    told = []
-    results = run_all(square, range(4), 2, "squares", done=lambda place, result: told.append((place, result)))
-    assert sorted(told) == list(enumerate(results))
 
 
 @pytest.mark.slow  # processes of a process

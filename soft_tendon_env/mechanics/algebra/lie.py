@@ -1,9 +1,8 @@
 """Lie group SE(3): exponential, logarithm, adjoint and tangent operators in apply form, on numbers or on packs.
 
-Conventions, once for the whole package (paper, Appendices A and B): a twist is the pair `(k, p)`, angular first, of two
-3-tuples; a wrench is `(moment, force)`; a rotation is the 9-tuple of its rows. `exp` carries a twist Omega to the pose
-(R, r), and the tangent operator T is the one of the paper, T = sum ad^n / (n + 1)!, so that the body twist of exp(Omega(t))
-is Ad^-1 T Omega_dot.
+Conventions, once for the whole package (paper, Appendices A and B): a twist is the pair `(k, p)`, angular first, of two 3-tuples; a wrench
+is `(moment, force)`; a rotation is the 9-tuple of its rows. `exp` carries a twist Omega to the pose (R, r), and the tangent operator T is
+the one of the paper, T = sum ad^n / (n + 1)!, so that the body twist of exp(Omega(t)) is Ad^-1 T Omega_dot.
 
 Every 6x6 operator here (Ad, ad, T) has the shape [[A, 0], [C, A]]. It is kept as the pair `(A, C)`: a 3x3 matrix over the
 dual numbers A + eps C, as a twist is a 3-vector k + eps p. The SO(3) formulas then hold for SE(3) as they stand, with
@@ -109,9 +108,6 @@ def _coefficients_overload(x):
     return lambda x: _coefficients_number(x)
 
 
-# 3-vectors ------------------------------------------------------------------------------------------------------------
-
-
 @kernel(inline=True)
 def dot(x, y):
     return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
@@ -153,9 +149,6 @@ def rotate_back(R, x):
         R[1] * x[0] + R[4] * x[1] + R[7] * x[2],
         R[2] * x[0] + R[5] * x[1] + R[8] * x[2],
     )
-
-
-# 3x3 matrices (9-tuples of rows) --------------------------------------------------------------------------------------
 
 
 @kernel(inline=True)
@@ -203,9 +196,6 @@ def rodrigues(f, g, k):
     xx, yy, zz, xy, xz, yz = g * x * x, g * y * y, g * z * z, g * x * y, g * x * z, g * y * z
     fx, fy, fz = f * x, f * y, f * z
     return 1.0 - yy - zz, xy - fz, xz + fy, xy + fz, 1.0 - xx - zz, yz - fx, xz - fy, yz + fx, 1.0 - xx - yy
-
-
-# twists, wrenches and their operators ---------------------------------------------------------------------------------
 
 
 @kernel(inline=True)

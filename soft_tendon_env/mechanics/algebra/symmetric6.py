@@ -8,6 +8,7 @@ Its length is part of its type, so the compiler leaves out the rows of rigid str
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, smallest, spread, store
+from soft_tendon_env.mechanics.algebra.lie import dot
 
 
 @kernel(inline=True)
@@ -106,43 +107,20 @@ def solve_upper(f, b, free):
 
 
 @kernel(inline=True)
-def multiply_upper(f, b, free):
-    """Product L^T b."""
-    (b0, b1, b2), (b3, b4, b5) = b
-    b0 = b0 + f[0] * b1 + f[1] * b2
-    b1 = b1 + f[2] * b2
-    if len(free) > 3:
-        b0, b1, b2 = b0 + f[3] * b3, b1 + f[4] * b3, b2 + f[5] * b3
-    if len(free) > 4:
-        b0, b1, b2 = b0 + f[6] * b4 + f[10] * b5, b1 + f[7] * b4 + f[11] * b5, b2 + f[8] * b4 + f[12] * b5
-        b3 = b3 + f[9] * b4 + f[13] * b5
-        b4 = b4 + f[14] * b5
-    return (b0, b1, b2), (b3, b4, b5)
-
-
-@kernel(inline=True)
 def scaled(s, x):
     """Component by component product of two twist-shaped tuples."""
     return (s[0][0] * x[0][0], s[0][1] * x[0][1], s[0][2] * x[0][2]), (s[1][0] * x[1][0], s[1][1] * x[1][1], s[1][2] * x[1][2])
 
 
 @kernel(inline=True)
-def inverse_diagonal(f):
-    """Inverse pivots 1 / D, twist-shaped."""
-    return (f[15], f[16], f[17]), (f[18], f[19], f[20])
-
-
-@kernel(inline=True)
 def solve(f, b, free):
     """Solution H^-1 b by the factor of H."""
-    return solve_upper(f, scaled(inverse_diagonal(f), solve_lower(f, b, free)), free)
+    return solve_upper(f, scaled(((f[15], f[16], f[17]), (f[18], f[19], f[20])), solve_lower(f, b, free)), free)
 
 
 @kernel(inline=True)
 def squared_norm(x):
-    return (
-        x[0][0] * x[0][0] + x[0][1] * x[0][1] + x[0][2] * x[0][2] + x[1][0] * x[1][0] + x[1][1] * x[1][1] + x[1][2] * x[1][2]
-    )  # fmt: skip
+    return dot(x[0], x[0]) + dot(x[1], x[1])
 
 
 @kernel(inline=True)
@@ -165,7 +143,7 @@ def load_factor(field, block):
 
 @kernel(inline=True)
 def apply21(field, at, x):
-    """Product K x of a symmetric matrix K, the 21 entries of its lower triangle from `at` on."""
+    """Product K x of a symmetric matrix K, the 21 entries of its lower triangle from `at` on, and a twist."""
     return symmetric_product(load21(field, at), x)
 
 
@@ -174,18 +152,12 @@ def symmetric_product(h, x):
     """Product of a symmetric matrix, a 21-tuple, and a twist."""
     h00, h10, h11, h20, h21, h22, h30, h31, h32, h33, h40, h41, h42, h43, h44, h50, h51, h52, h53, h54, h55 = h
     (x0, x1, x2), (x3, x4, x5) = x
-    return (
-        (
-            h00 * x0 + h10 * x1 + h20 * x2 + h30 * x3 + h40 * x4 + h50 * x5,
-            h10 * x0 + h11 * x1 + h21 * x2 + h31 * x3 + h41 * x4 + h51 * x5,
-            h20 * x0 + h21 * x1 + h22 * x2 + h32 * x3 + h42 * x4 + h52 * x5,
-        ),
-        (
-            h30 * x0 + h31 * x1 + h32 * x2 + h33 * x3 + h43 * x4 + h53 * x5,
-            h40 * x0 + h41 * x1 + h42 * x2 + h43 * x3 + h44 * x4 + h54 * x5,
-            h50 * x0 + h51 * x1 + h52 * x2 + h53 * x3 + h54 * x4 + h55 * x5,
-        ),
-    )
+    y0 = h00 * x0 + h10 * x1 + h20 * x2 + h30 * x3 + h40 * x4 + h50 * x5
+    y1 = h10 * x0 + h11 * x1 + h21 * x2 + h31 * x3 + h41 * x4 + h51 * x5
+    y2 = h20 * x0 + h21 * x1 + h22 * x2 + h32 * x3 + h42 * x4 + h52 * x5
+    y3 = h30 * x0 + h31 * x1 + h32 * x2 + h33 * x3 + h43 * x4 + h53 * x5
+    y4 = h40 * x0 + h41 * x1 + h42 * x2 + h43 * x3 + h44 * x4 + h54 * x5
+    return (y0, y1, y2), (y3, y4, h50 * x0 + h51 * x1 + h52 * x2 + h53 * x3 + h54 * x4 + h55 * x5)
 
 
 @kernel(inline=True)

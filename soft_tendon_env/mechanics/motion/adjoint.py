@@ -1,5 +1,4 @@
-"""Adjoint of control periods over rows: cotangents of the state after a period and of its reading to those of the state before and of the
-commands.
+"""Adjoint of control periods over rows: cotangents of state and reading after a period to those of the state before and of commands.
 
 A tape holds where every part of a period began. Backward, a part has the linear map of period_map, its matrices of one evaluation in the
 middle of the way. The gradient of the forces that these matrices leave out is taken along one direction, see force_gradient. Where stiff
@@ -8,7 +7,7 @@ motion. There, and where a part is long beside the slowest vibration, it is inte
 """
 
 import math
-from typing import NamedTuple
+from typing import Annotated
 
 import numpy as np
 
@@ -18,18 +17,18 @@ from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 from soft_tendon_env.mechanics.motion.advance import Record, Scheme, advance
 from soft_tendon_env.mechanics.motion.batch import Places
 from soft_tendon_env.mechanics.motion.filter_adjoint import FilterMemory, begin_filter, filter_adjoint, make_filter_memory
-from soft_tendon_env.mechanics.motion.force_gradient import GradientMemory, force_gradient, make_gradient_memory
+from soft_tendon_env.mechanics.motion.force_gradient import GradientMemory, force_gradient
 from soft_tendon_env.mechanics.motion.period_map import matrices_of_motion, transposed_map
 from soft_tendon_env.mechanics.motion.reading_adjoint import read_adjoint
 from soft_tendon_env.mechanics.motion.scratch import copy_motion
 from soft_tendon_env.mechanics.motion.stages import evaluate_force
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.motion.tape import Tape, make_tape, motion_at, tape_part
-from soft_tendon_env.mechanics.terms.dynamics import combined_columns
+from soft_tendon_env.mechanics.terms.dynamics import sum_columns
 from soft_tendon_env.mechanics.terms.tendons import tendon_forces
 from soft_tendon_env.mechanics.terms.transmission import tension_slope
 from soft_tendon_env.mechanics.types import Arm, IntVector
-from soft_tendon_env.mechanics.workspace import zeros_of
+from soft_tendon_env.mechanics.workspace import sizes_of, zeros
 
 MOST_PIECES = 16  # of a part
 STIFF_PIECES = 2  # of a part where tendons are stiff: with one, cosines with differences are 0.86 to 0.99, with two 0.93 to 0.99
@@ -38,34 +37,23 @@ STIFF_PIECES = 2  # of a part where tendons are stiff: with one, cosines with di
 class Cotangents(Struct):
     """Derivatives of a scalar by the state of every row, in place, by what is read of it, and by the commands before it."""
 
-    q: np.ndarray  # (rows, n)
-    q_dot: np.ndarray  # (rows, n)
-    state: np.ndarray  # (rows, states) internal states of the effects
-    tip_pose: np.ndarray  # (rows, 6) by a displacement of the tip, a twist in its own frame
-    tip_twist: np.ndarray  # (rows, 6)
-    backbone_position: np.ndarray  # (rows, stations, 3)
-    tendon_length: np.ndarray  # (rows, n_a)
-    strain: np.ndarray  # (rows, sensors, 6)
-    strain_rate: np.ndarray  # (rows, sensors, 6)
-    command: np.ndarray  # (rows, parts, n_a)
+    q: Annotated[np.ndarray, "rows", "n"]
+    q_dot: Annotated[np.ndarray, "rows", "n"]
+    state: Annotated[np.ndarray, "rows", "states"]  # internal states of the effects
+    tip_pose: Annotated[np.ndarray, "rows", "6"]  # by a displacement of the tip, a twist in its own frame
+    tip_twist: Annotated[np.ndarray, "rows", "6"]
+    backbone_position: Annotated[np.ndarray, "rows", "stations", "3"]
+    tendon_length: Annotated[np.ndarray, "rows", "n_a"]
+    strain: Annotated[np.ndarray, "rows", "sensors", "6"]
+    strain_rate: Annotated[np.ndarray, "rows", "sensors", "6"]
+    command: Annotated[np.ndarray, "rows", "parts", "n_a"]
     status: IntVector  # (rows), see status: why there is no derivative
 
 
 def make_cotangents(arm: Arm, places: Places, rows: int, parts: int) -> Cotangents:
     """Zeroed Cotangents for so many rows of an arm, read at these places, and parts of a period."""
-    n, n_a, sensors = arm.strain.size, arm.tendons.size, places.sensor.size
-    return Cotangents(
-        **zeros_of(
-            ((rows, n), "q q_dot"),
-            ((rows, arm.effects.state.size), "state"),
-            ((rows, 6), "tip_pose tip_twist"),
-            ((rows, places.station.size, 3), "backbone_position"),
-            ((rows, n_a), "tendon_length"),
-            ((rows, sensors, 6), "strain strain_rate"),
-            ((rows, parts, n_a), "command"),
-        ),
-        status=np.zeros(rows, dtype=np.int64),
-    )
+    read = {"stations": places.station.size, "sensors": places.sensor.size}
+    return zeros(Cotangents, {**sizes_of(arm), **read, "rows": rows, "parts": parts}, status=np.zeros(rows, dtype=np.int64))
 
 
 class AdjointMemory(Struct):
@@ -75,24 +63,14 @@ class AdjointMemory(Struct):
     filter: FilterMemory
     tape: Tape  # of one row: a part in pieces, and at last the motion within one
     rate: float  # [1/s] of pieces that resolve the slowest vibration of the scene's arm
-    impulse: np.ndarray  # (2, n) of forces in the halves of a piece
-    still: np.ndarray  # (n_a) zeros
+    impulse: Annotated[np.ndarray, "2", "n"]  # of forces in the halves of a piece
+    still: Annotated[np.ndarray, "n_a"]  # zeros
 
 
 def make_adjoint_memory(arm: Arm, rate: float) -> AdjointMemory:
     """Zeroed AdjointMemory for one arm. rate: [1/s] of pieces that resolve the slowest vibration."""
-    arrays = zeros_of(((arm.tendons.size,), "still"), ((2, arm.strain.size), "impulse"))
-    parts = {"gradient": make_gradient_memory(arm), "filter": make_filter_memory(arm), "tape": make_tape(arm, 1, MOST_PIECES + 1)}
-    return AdjointMemory(rate=rate, **parts, **arrays)
-
-
-class Sought(NamedTuple):
-    """Cotangents of one row that go back through a part."""
-
-    q: np.ndarray  # (n)
-    q_dot: np.ndarray  # (n)
-    state: np.ndarray  # (states)
-    command: np.ndarray  # (n_a) of the part
+    sizes, tape = sizes_of(arm), make_tape(arm, 1, MOST_PIECES + 1)
+    return zeros(AdjointMemory, sizes, gradient=zeros(GradientMemory, sizes), filter=make_filter_memory(arm), tape=tape, rate=rate)
 
 
 @kernel
@@ -112,13 +90,12 @@ def adjoint_rows(batch, scheme, tape, members, cotangents, scratch, memory):
             rate = memory.rate * own.rod.root_stiffness[0] / batch.arm.rod.root_stiffness[0]
             for part in range(tape.duration.shape[1] - 1, -1, -1):
                 if status == OK:
-                    sought = Sought(cotangents.q[row], cotangents.q_dot[row], cotangents.state[row], cotangents.command[row, part])
-                    status = part_adjoint(own, scheme, tape, (row, part), rate, sought, scratch, memory)
+                    status = part_adjoint(own, scheme, tape, (row, part), rate, cotangents, scratch, memory)
         cotangents.status[row] = status
 
 
 @kernel
-def part_adjoint(arm, scheme, tape, place, rate, sought, scratch, memory):
+def part_adjoint(arm, scheme, tape, place, rate, cotangents, scratch, memory):
     """Cotangents from the end of a part to its beginning, and of the command that was held; place: row and part; a status.
 
     It goes back in as many pieces as its slowest vibration or stiff tendons call for.
@@ -128,10 +105,10 @@ def part_adjoint(arm, scheme, tape, place, rate, sought, scratch, memory):
         return OK
     count = min(max(STIFF_PIECES if arm.effects.transmission.elastic else 1, math.ceil(duration * rate)), MOST_PIECES)
     if count == 1 or not cut_part(arm, scheme, tape, place, count, scratch, memory):
-        return piece_adjoint(arm, scheme.method, tape, place, sought, scratch, memory)
+        return piece_adjoint(arm, scheme.method, tape, place, cotangents, place, scratch, memory)
     for piece in range(count - 1, -1, -1):
         if status == OK:
-            status = piece_adjoint(arm, scheme.method, memory.tape, (0, piece), sought, scratch, memory)
+            status = piece_adjoint(arm, scheme.method, memory.tape, (0, piece), cotangents, place, scratch, memory)
     return status
 
 
@@ -168,13 +145,13 @@ def motion_within(tape, row, part, share, memory):
 
 
 @kernel
-def piece_adjoint(arm, method, tape, place, sought, scratch, memory):
-    """Cotangents from the end of a part on a tape to its beginning, in place, and that which is added to its command; place: row and part;
-    a status."""
-    row, part = place
-    work, gradient, path, h = scratch.work, memory.gradient, memory.filter, tape.duration[place]
+def piece_adjoint(arm, method, tape, piece, cotangents, place, scratch, memory):
+    """Cotangents, those of a row and part (`place`), from the end of a piece (row and part of `tape`) to its beginning; a status."""
+    row, part = piece
+    sought_q, sought_v, sought_command = cotangents.q[place[0]], cotangents.q_dot[place[0]], cotangents.command[place[0], place[1]]
+    work, gradient, path, h = scratch.work, memory.gradient, memory.filter, tape.duration[piece]
     times, u, before = tape.clock[row, part : part + 2], tape.command[row, part], tape.state[row, part]
-    is_filtered, is_elastic, begins = arm.effects.transmission.filter >= 0, arm.effects.transmission.elastic, tape.begins[place] == 1
+    is_filtered, is_elastic, begins = arm.effects.transmission.filter >= 0, arm.effects.transmission.elastic, tape.begins[piece] == 1
     if is_filtered:
         begin_filter(arm.effects, before, u, times, begins, scratch, path)
         u = path.after[1 if is_elastic else 0]
@@ -183,24 +160,24 @@ def piece_adjoint(arm, method, tape, place, sought, scratch, memory):
     status = evaluate_force(arm, method, u, motion.q, motion.q_dot, motion.state, motion.clock[0], scratch)
     if status == OK:
         matrices_of_motion(arm, method, scratch)
-        status = transposed_map(scratch.first, h, scratch, sought.q, sought.q_dot, memory.impulse)
+        status = transposed_map(scratch.first, h, scratch, sought_q, sought_v, memory.impulse)
     if status != OK:
         return status
     for side in range(2):
-        combined_columns(work.Phi, memory.impulse[side], gradient.along)
+        sum_columns(work.Phi, memory.impulse[side], gradient.along)
         tendon_forces(arm.rod, arm.tendons, work.share, work.tangent, gradient.along, path.force[side])
         for i in range(u.size):
             path.force[side, i] *= tension_slope(arm.effects.transmission, i, work)
             if not is_filtered:
-                sought.command[i] += path.force[side, i]
+                sought_command[i] += path.force[side, i]
     for i in range(gradient.w.size):
         gradient.w[i] = memory.impulse[0, i] + memory.impulse[1, i]
     force_gradient(arm, u, motion, h, method.with_inertia, work, gradient)
     for i in range(gradient.w.size):
-        sought.q[i] += gradient.by_q[i]
-        sought.q_dot[i] += gradient.by_rate[i]
+        sought_q[i] += gradient.by_q[i]
+        sought_v[i] += gradient.by_rate[i]
         for j in range(gradient.w.size):
-            sought.q[j] += gradient.w[i] * scratch.first.stiffness[i, j]
+            sought_q[j] += gradient.w[i] * scratch.first.stiffness[i, j]
     if is_filtered:
-        filter_adjoint(arm.effects, before, times, begins, sought.state, sought.command, path)
+        filter_adjoint(arm.effects, before, times, begins, cotangents.state[place[0]], sought_command, path)
     return OK

@@ -43,11 +43,10 @@ class Scheme(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """Outcome of an integration: status, time reached, counts of steps and evaluations."""
+    """Outcome of an integration: status, counts of steps and evaluations."""
 
     status: int
     row: int  # of the commands, the one that failed or one past the last
-    time: float  # [s] reached
     step: float  # [s] to try next
     steps: int
     rejected: int
@@ -88,56 +87,31 @@ def find_longest(arm, motion, q_dot, step, unforeseen, control, scratch):
     poses(arm.rod, work)
     node_twists(arm.rod, work)
     if step == 0.0:
-        keep_pose(work)
+        copy(work.pose, work.before_step.pose)
+        copy(work.base, work.before_step.base)
     work.before_step.time[0] = motion.clock[0]
-    scratch.longest[:] = control.step
+    scratch.longest[0] = control.step
     work.contact.tunnelled[0], work.contact.active[0] = 1.0 if unforeseen else 0.0, 0.0
     for i in range(effects.count):
         if effects.limit[i] != 0:
             call(effects.limit[i], effects.parameters[i], (nodes_of(arm, work), scratch.longest))
-
-
-@kernel
-def keep_pose(work):
-    """Keeps the pose in `work` as that before the next step."""
-    copy(work.pose, work.before_step.pose)
-    copy(work.base, work.before_step.base)
-
-
-@phase
-def begin_limits(arm, motion, control, scratch):
-    """Longest step [s] from a motion before any was taken, and what the arm touches, for advance()."""
-    copy(motion.xi, scratch.work.xi)
-    strain_from_guess(arm, motion.q, STEP_TOLERANCE, scratch.work)
-    find_longest(arm, motion, motion.q_dot, 0.0, False, control, scratch)
+    if work.contact.tunnelled[0] == 0.0:  # for the next step
+        copy(work.pose, work.before_step.pose)
+        copy(work.base, work.before_step.base)
 
 
 @kernel
 def settle(arm, u, motion, step, touching, control, scratch):
-    """Accepts the step that was just taken under what had arrived, u (n_a): the motion becomes its end, with its strain. A status; the
-    motion stays unless that is OK."""
+    """Accepts the step that was just taken under what had arrived, u (n_a): the motion becomes its end, with its strain and the internal
+    states of the effects there. A status; the motion stays unless that is OK."""
     work = scratch.work
     predict_strain(arm.strain, scratch.q, scratch.q_last, work)
     if strain_from_guess(arm, scratch.q, STEP_TOLERANCE, work) >= 0:
         return NO_STRAIN
     if limits_steps(arm.effects):
-        unforeseen = work.contact.touched[0] != 0.0 and not touching
-        find_longest(arm, motion, scratch.v, step, unforeseen, control, scratch)
+        find_longest(arm, motion, scratch.v, step, work.contact.touched[0] != 0.0 and not touching, control, scratch)
         if work.contact.tunnelled[0] != 0.0:
             return PENETRATED
-        keep_pose(work)
-    if motion.state.size > 0:
-        advance_states(arm, u, motion, step, scratch)
-    copy(scratch.q, motion.q)
-    copy(scratch.v, motion.q_dot)
-    copy(scratch.work.xi, motion.xi)
-    return OK
-
-
-@kernel
-def advance_states(arm, u, motion, step, scratch):
-    """Internal states of the effects at the end of a step, where scratch.work has its strain, under what had arrived, u (n_a)."""
-    work = scratch.work
     if work.before.size > 0:
         strain_rate(arm, scratch.v, work)
         copy(motion.state, work.state)
@@ -147,6 +121,10 @@ def advance_states(arm, u, motion, step, scratch):
         work.since[0] = 0.0
         copy(work.state, motion.state)
     follow(arm.effects, u, step, motion.state)
+    copy(scratch.q, motion.q)
+    copy(scratch.v, motion.q_dot)
+    copy(work.xi, motion.xi)
+    return OK
 
 
 class Record(NamedTuple):
@@ -155,14 +133,6 @@ class Record(NamedTuple):
     q: np.ndarray  # (samples, n)
     q_dot: np.ndarray  # (samples, n)
     tip_pose: np.ndarray  # (samples, 4, 4), identities to begin with
-
-
-@kernel
-def sample(arm, motion, work, index, record):
-    """Write the motion and its tip pose as one sample."""
-    copy(motion.q, record.q[index])
-    copy(motion.q_dot, record.q_dot[index])
-    tip_pose(arm, motion, work, record.tip_pose[index])
 
 
 @kernel
@@ -178,59 +148,59 @@ def tip_pose(arm, motion, work, out):
 
 @kernel
 def advance(arm, scheme, commands, durations, motion, step, scratch, record):
-    """Integrate the motion in place under every row of commands (rows, n_a) for its duration (rows) [s], with samples evenly among them,
+    """Integrates the motion in place under every row of commands (rows, n_a) for its duration (rows) [s], with samples evenly among them,
     if any. A command is held until the next one, and acts as effects deliver and transmit it: as tensions, where there are none."""
     method, control, begins = scheme
-    every = commands.shape[0] // max(record.q.shape[0], 1)
-    time, steps, rejected, total_error, evaluations = 0.0, 0, 0, 0.0, 0
+    every, limited, contact = commands.shape[0] // max(record.q.shape[0], 1), limits_steps(arm.effects), scratch.work.contact
+    steps, rejected, total_error, evaluations = 0, 0, 0.0, 0
     for row in range(commands.shape[0]):
-        duration, begun, start = durations[row], 0.0, motion.clock[0]
-        limited, longest, touching = limits_steps(arm.effects), math.inf, False
+        duration, begun, start, longest, touching = durations[row], 0.0, motion.clock[0], math.inf, False
         if limited:
-            begin_limits(arm, motion, control, scratch)
-            longest, touching = scratch.longest[0], scratch.work.contact.active[0] != 0.0
+            copy(motion.xi, scratch.work.xi)
+            strain_from_guess(arm, motion.q, STEP_TOLERANCE, scratch.work)
+            find_longest(arm, motion, motion.q_dot, 0.0, False, control, scratch)
+            longest, touching = scratch.longest[0], contact.active[0] != 0.0
         if not control.adaptive:
             step = control.step  # what a row costs another would make results depend on how an input is cut into calls
         while begun < duration * (1.0 - 1e-12):
             u = scratch.acting
             receive(arm.effects, commands[row], begins and begun == 0.0, motion.clock[0], motion.state, u, scratch.until)
             if scratch.until[0] == -math.inf:
-                return Progress(COMMAND_QUEUE_FULL, row, time + begun, step, steps, rejected, total_error, evaluations)
+                return Progress(COMMAND_QUEUE_FULL, row, step, steps, rejected, total_error, evaluations)
             rest = min(duration - begun, scratch.until[0] - motion.clock[0])
             length = rest if step > rest * (1.0 - 1e-9) else step
             if longest < length:
                 length = longest if touching else rest / math.ceil(rest / longest * (1.0 - 1e-9))
             impact = touching and length > SHORTEST_IMPACT * control.step
-            scratch.work.contact.touched[0] = 0.0
+            contact.touched[0] = 0.0
             aim = while_touching(arm, control) if impact else control
             horizon = max(length, aim.horizon) if impact else length
             least = max(method.least, LEAST_WHEN_LIMITED) if longest < control.step else method.least
             attempt = extrapolated_step(arm, method, Demand(aim.tolerance, least, horizon), u, motion, length, scratch)
             evaluations += attempt.evaluations
-            status = attempt.status
-            if status == OK:
-                status = settle(arm, u, motion, length, touching, control, scratch)
+            status = settle(arm, u, motion, length, touching, control, scratch) if attempt.status == OK else attempt.status
             if status != OK:
                 rejected += 1
-                touching = touching or status == PENETRATED or scratch.work.contact.touched[0] != 0.0
+                touching = touching or status == PENETRATED or contact.touched[0] != 0.0
                 smaller = next_step(aim, method.columns, length, attempt) if status == INACCURATE and aim.adaptive else length
                 step = min(0.5 * length, smaller)
                 if step < (SHORTEST_STIFF * control.step if touching or arm.effects.transmission.elastic else control.smallest):
-                    return Progress(status, row, time + begun, step, steps, rejected, total_error, evaluations)
+                    return Progress(status, row, step, steps, rejected, total_error, evaluations)
                 continue
             begun += length
             motion.clock[0] = start + begun
             if limited:
-                longest, touching = scratch.longest[0], scratch.work.contact.active[0] != 0.0
+                longest, touching = scratch.longest[0], contact.active[0] != 0.0
             if steps < scratch.taken.shape[0]:
-                scratch.taken[steps, 0], scratch.taken[steps, 1] = length, scratch.rows[0]
+                scratch.taken[steps, 0], scratch.taken[steps, 1] = length, attempt.rows
             steps += 1
             total_error += attempt.error
             kept = step if length < step and not touching else 0.0
             step = min(control.step, max(next_step(aim, method.columns, length, attempt), kept))
-        time += duration
         motion.clock[0] = start + duration  # a sum over rows: the same however an input is cut into calls
         receive(arm.effects, commands[row], False, motion.clock[0], motion.state, scratch.acting, scratch.until)
         if record.q.shape[0] > 0 and (row + 1) % every == 0:
-            sample(arm, motion, scratch.work, row // every, record)
-    return Progress(OK, commands.shape[0], time, step, steps, rejected, total_error, evaluations)
+            copy(motion.q, record.q[row // every])
+            copy(motion.q_dot, record.q_dot[row // every])
+            tip_pose(arm, motion, scratch.work, record.tip_pose[row // every])
+    return Progress(OK, commands.shape[0], step, steps, rejected, total_error, evaluations)

@@ -4,6 +4,8 @@ What a row does depends on nothing but that row, so it is the same bit for bit w
 stepped on any thread with any scratch.
 """
 
+from typing import Annotated
+
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
@@ -21,8 +23,9 @@ from soft_tendon_env.mechanics.terms.external_forces import place_base, rest_sta
 from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses, poses_inside, strains_inside, tip_pose_of, tip_twist, write_pose
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_has_margin, strain_rate
 from soft_tendon_env.mechanics.terms.tendons import tendon_lengths
-from soft_tendon_env.mechanics.terms.transmission import transmitted
+from soft_tendon_env.mechanics.terms.transmission import actuator_tensions
 from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector
+from soft_tendon_env.mechanics.workspace import sizes_of, zeros
 
 
 class Rows(Struct):
@@ -49,34 +52,21 @@ class Places(Struct):
 class Reading(Struct):
     """Measurements of every row, or of every sample of given motions."""
 
-    tip_pose: np.ndarray  # (rows, 4, 4), identities to begin with
-    tip_twist: np.ndarray  # (rows, 6)
-    tendon_length: np.ndarray  # (rows, n_a)
-    backbone: np.ndarray  # (rows, stations, 4, 4), identities to begin with
-    strain: np.ndarray  # (rows, sensors, 6)
-    strain_rate: np.ndarray  # (rows, sensors, 6)
-    tension: np.ndarray  # (rows, n_a) [N] at the actuators, where effects are between commands and tensions
+    tip_pose: Annotated[np.ndarray, "rows", "4", "4"]  # identities to begin with
+    tip_twist: Annotated[np.ndarray, "rows", "6"]
+    tendon_length: Annotated[np.ndarray, "rows", "n_a"]
+    backbone: Annotated[np.ndarray, "rows", "stations", "4", "4"]  # identities to begin with
+    strain: Annotated[np.ndarray, "rows", "sensors", "6"]
+    strain_rate: Annotated[np.ndarray, "rows", "sensors", "6"]
+    tension: Annotated[np.ndarray, "rows", "n_a"]  # [N] at the actuators, where effects are between commands and tensions
 
 
 def make_reading(arm: Arm, places: Places, rows: int) -> Reading:
     """A Reading of zeros and identities."""
-    sensors, n_a = places.sensor.size, arm.tendons.size
-    return Reading(
-        tip_pose=identities(rows),
-        tip_twist=np.zeros((rows, 6)),
-        backbone=identities(rows, places.station.size),
-        tendon_length=np.zeros((rows, n_a)),
-        tension=np.zeros((rows, n_a)),
-        strain=np.zeros((rows, sensors, 6)),
-        strain_rate=np.zeros((rows, sensors, 6)),
-    )
-
-
-def identities(*shape: int) -> np.ndarray:
-    """Poses (*shape, 4, 4)."""
-    poses = np.zeros((*shape, 4, 4))
-    np.einsum("...ii->...i", poses)[...] = 1.0  # a view of the diagonals
-    return poses
+    sizes = {**sizes_of(arm), "rows": rows, "stations": places.station.size, "sensors": places.sensor.size}
+    reading = zeros(Reading, sizes)
+    reading.tip_pose[:], reading.backbone[:] = np.eye(4), np.eye(4)
+    return reading
 
 
 class Outcome(Struct):
@@ -84,7 +74,6 @@ class Outcome(Struct):
 
     status: IntVector  # (rows), see status
     rejected: IntVector  # (rows) steps tried again at a smaller size
-    error: FloatVector  # (rows) [m] sum of the error estimates
 
 
 class Batch(Struct):
@@ -101,7 +90,7 @@ def make_batch(arm: Arm, places: Places, motion: Motion, step: float, count: int
     """Batch of so many rows of one arm in one motion, read at these places; step: [s] to try next."""
     own = {name: aligned(np.tile(values, (count, 1))) for name, values in motion._asdict().items()}
     rows = Rows(arm=np.full(count, arm.address), step=np.full(count, step), **own)
-    outcome = Outcome(error=np.zeros(count), **{name: np.zeros(count, dtype=np.int64) for name in ("status", "rejected")})
+    outcome = Outcome(status=np.zeros(count, dtype=np.int64), rejected=np.zeros(count, dtype=np.int64))
     return Batch(arm=arm, places=places, rows=rows, outcome=outcome, reading=make_reading(arm, places, count))
 
 
@@ -125,46 +114,41 @@ def read(arm, places, q_dot, work, row, reading):
 
 @kernel
 def step_rows(batch, scheme, members, commands, durations, scratch, tape):
-    """Advance the rows named in `members` under their commands (rows, parts, n_a), each for its duration (rows, parts) [s], and read them.
+    """Advances the rows named in `members` under commands (rows, parts, n_a), each for its duration (rows, parts) [s], and reads them.
 
     scheme.begins: whether the command of the first part begins with it; those of the others do. A row whose step fails keeps its last
     good motion. The tape keeps where every part began, unless it has no rows.
     """
-    rows, outcome, reading = batch.rows, batch.outcome, batch.reading
+    rows, work, acting = batch.rows, scratch.work, scratch.acting
     for row in members:
-        own = struct_at(batch.arm, rows.arm, row)
+        arm = struct_at(batch.arm, rows.arm, row)
         motion = Motion(rows.q[row], rows.q_dot[row], rows.xi[row], rows.state[row], rows.clock[row])
-        advance_parts(own, scheme, commands, durations, row, batch, scratch, tape)
-        if outcome.status[row] != OK or total(durations[row]) == 0.0:  # otherwise settle() has just left the motion's strain
-            copy(motion.xi, scratch.work.xi)
-            strain_from_guess(own, motion.q, STEP_TOLERANCE, scratch.work)
-        scratch.work.clock[0] = motion.clock[0]
-        if own.effects.count > 0:
-            receive(own.effects, commands[row, -1], False, motion.clock[0], motion.state, scratch.acting, scratch.until)
-            acting = command_at(own.effects, scratch.acting, motion.state, 0.0, scratch.command)
-            copy(transmitted(own, acting, scratch.work), reading.tension[row])
-        read(own, batch.places, motion.q_dot, scratch.work, row, reading)
+        advance_parts(arm, scheme, commands, durations, motion, row, (batch, tape), scratch)
+        if batch.outcome.status[row] != OK or total(durations[row]) == 0.0:  # otherwise settle() has just left the motion's strain
+            copy(motion.xi, work.xi)
+            strain_from_guess(arm, motion.q, STEP_TOLERANCE, work)
+        work.clock[0] = motion.clock[0]
+        if arm.effects.count > 0:
+            receive(arm.effects, commands[row, -1], False, motion.clock[0], motion.state, acting, scratch.until)
+            command = command_at(arm.effects, acting, motion.state, 0.0, scratch.command)
+            copy(actuator_tensions(arm, command, work), batch.reading.tension[row])
+        read(arm, batch.places, motion.q_dot, work, row, batch.reading)
 
 
 @kernel
-def advance_parts(arm, scheme, commands, durations, row, batch, scratch, tape):
-    """Advance a row part by part, with its outcome, and keep on the tape where each begins."""
-    rows, outcome = batch.rows, batch.outcome
-    motion = Motion(rows.q[row], rows.q_dot[row], rows.xi[row], rows.state[row], rows.clock[row])
-    none = Record(rows.q[:0], rows.q_dot[:0], batch.reading.tip_pose[:0])
-    outcome.status[row] = OK
-    outcome.rejected[row] = 0
-    outcome.error[row] = 0.0
+def advance_parts(arm, scheme, commands, durations, motion, row, results, scratch):
+    """Advances the motion of a row part by part, with its outcome, and keeps on the tape where each begins; results: batch and tape."""
+    batch, tape = results
+    rows, outcome, none = batch.rows, batch.outcome, Record(batch.rows.q[:0], batch.rows.q_dot[:0], batch.reading.tip_pose[:0])
+    outcome.status[row], outcome.rejected[row] = OK, 0
     for part in range(commands.shape[1]):
-        begins = scheme.begins or part > 0
+        own = Scheme(scheme.method, scheme.control, scheme.begins or part > 0)
         tape_border(tape, row, part, motion)
-        held, lasting = commands[row, part : part + 1], durations[row, part : part + 1]
-        done = advance(arm, Scheme(scheme.method, scheme.control, begins), held, lasting, motion, rows.step[row], scratch, none)
+        done = advance(arm, own, commands[row, part : part + 1], durations[row, part : part + 1], motion, rows.step[row], scratch, none)
         rows.step[row] = done.step
         outcome.status[row] = done.status
         outcome.rejected[row] += done.rejected
-        outcome.error[row] += done.error
-        tape_part(tape, row, part, commands[row, part], durations[row, part] if done.status == OK else -1.0, begins)
+        tape_part(tape, row, part, commands[row, part], durations[row, part] if done.status == OK else -1.0, own.begins)
         if done.status != OK:
             break
     tape_border(tape, row, commands.shape[1], motion)
@@ -172,17 +156,13 @@ def advance_parts(arm, scheme, commands, durations, row, batch, scratch, tape):
 
 @kernel
 def place_rows(batch, members, commands, work):
-    """Find the strain at the coordinates of the rows named in `members`, from rest, and read them; commands (rows, n_a) have always held
-    them there."""
+    """Finds strains at the coordinates of the rows in `members`, from rest, where commands (rows, n_a) have always held, and reads them."""
     rows, outcome = batch.rows, batch.outcome
     for row in members:
         own = struct_at(batch.arm, rows.arm, row)
         outcome.status[row] = OK if strain_from_rest(own, rows.q[row], ROUND_OFF, work)[0] < 0 else NO_STRAIN
-        outcome.rejected[row] = 0
-        outcome.error[row] = 0.0
+        outcome.rejected[row], rows.clock[row, 0], work.clock[0] = 0, 0.0, 0.0
         copy(work.xi, rows.xi[row])
-        rows.clock[row, 0] = 0.0
-        work.clock[0] = 0.0
         read(own, batch.places, rows.q_dot[row], work, row, batch.reading)
         rest_states(own, commands[row], work)
         copy(work.state, rows.state[row])

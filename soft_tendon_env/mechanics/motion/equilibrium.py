@@ -7,7 +7,7 @@ import numpy as np
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
 from soft_tendon_env.mechanics.terms.evaluate import balance_at_rest, evaluate_at_rest
-from soft_tendon_env.mechanics.terms.parametrisation import strain_along, strain_from_rest, strain_is_unique
+from soft_tendon_env.mechanics.terms.parametrisation import continue_strain, strain_from_rest, strain_is_unique
 
 ROUND_OFF = 1e-12  # relative tolerance of the strain
 DIFFERENCE = 1e-7  # of a direction
@@ -34,8 +34,7 @@ def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
     block, reached = strain_from_rest(arm, q, ROUND_OFF, work)
     if block >= 0:
         return block, reached
-    other = 0.0 if part > 0.0 else 1.0
-    xi = work.xi.copy()
+    other, xi = 0.0 if part > 0.0 else 1.0, work.xi.copy()
     for m in range(-2, directions.shape[0]):
         if m == -1 and not with_rate:
             continue
@@ -64,7 +63,8 @@ def strain_is_continuous(arm, q_from, q, work):
     """Whether the strain from rest at q_from becomes that at q on the way between them; tendons that push can part them."""
     if strain_is_unique(arm, q, work):
         return True
-    if strain_from_rest(arm, q_from, ROUND_OFF, work)[0] >= 0 or strain_along(arm, q_from, q, ROUND_OFF, work)[0] >= 0:
+    begins = strain_from_rest(arm, q_from, ROUND_OFF, work)[0] < 0
+    if not begins or continue_strain(arm, (q_from, 1.0), (q, 1.0), ROUND_OFF, work)[0] >= 0:
         return False
     continued = work.xi.copy()
     if strain_from_rest(arm, q, ROUND_OFF, work)[0] >= 0:

@@ -12,6 +12,7 @@ function of pose and twist of a node: their derivatives are differences by the s
 """
 
 import math
+from typing import Annotated
 
 import numpy as np
 
@@ -22,14 +23,12 @@ from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, scaled, store6
 from soft_tendon_env.mechanics.effects import call
-from soft_tendon_env.mechanics.terms.dynamics import combined_columns, node_rows, project
+from soft_tendon_env.mechanics.terms.dynamics import node_rows, project, sum_columns
 from soft_tendon_env.mechanics.terms.external_forces import NODE_SHARE, differ_wrenches, displace, effect_loads, nodes_of
 from soft_tendon_env.mechanics.terms.kinematics import poses
 from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess
-from soft_tendon_env.mechanics.terms.transmission import transmitted
+from soft_tendon_env.mechanics.terms.transmission import actuator_tensions
 from soft_tendon_env.mechanics.terms.transposed_kinematics import add_wrench_stress, stress_force
-from soft_tendon_env.mechanics.types import Arm, FloatVector
-from soft_tendon_env.mechanics.workspace import zeros_of
 
 TOLERANCE = 1e-9  # of the strain's Newton, so that second differences are smooth
 ALONG_MOTION = 0.1  # of the period, the time of the differences along the motion
@@ -39,42 +38,29 @@ SMALL_STRAIN = 1e-4  # the largest strain, curvatures times the length, of the d
 class GradientMemory(Struct):
     """Fields of one evaluation that are held while others fill the workspace, and the gradient."""
 
-    w: FloatVector  # (n)
-    a: FloatVector  # (n) accelerations
-    q: FloatVector  # (n) where a difference is taken
-    still: FloatVector  # (n) zeros
-    sides: np.ndarray  # (2, n) generalised forces on the two sides of a difference
-    turned: np.ndarray  # (2, n)
-    middle: FloatVector  # (n)
-    by_q: FloatVector  # (n) the gradient
-    by_rate: FloatVector  # (n) what is not of the damping matrix in it
-    xi: FloatVector  # points x 6
-    along: FloatVector  # points x 6, Phi w
-    rate: FloatVector  # points x 6, xi_dot
-    moving: FloatVector  # points x 6, stresses of the rates, weights included
-    damped: FloatVector  # points x 6, stresses of what damps, along w
-    field: FloatVector  # points x 6
-    zeta: FloatVector  # nodes x 6
-    alpha: FloatVector  # nodes x 6
-    mu: FloatVector  # nodes x 6, M_s zeta
-    kappa: FloatVector  # nodes x 6, see node_wrenches(); before it the drag: less the derivative of the effects' power by twists
-    declared: FloatVector  # nodes x 6, that part of it which is in the damping matrix
-    displaced: FloatVector  # nodes x 6, the same by displacements
-    inertial: FloatVector  # nodes x 6, wrench of inertia and effects
-    wrench: FloatVector  # nodes x 6
-
-
-def make_gradient_memory(arm: Arm) -> GradientMemory:
-    """Zeroed GradientMemory for one arm."""
-    n, nodes = arm.strain.size, arm.rod.length.size
-    return GradientMemory(
-        **zeros_of(
-            ((n,), "w a q still middle by_q by_rate"),
-            ((2, n), "sides turned"),
-            ((nodes * 12,), "xi along rate moving damped field"),
-            ((nodes * 6,), "zeta alpha mu kappa declared displaced inertial wrench"),
-        )
-    )
+    w: Annotated[np.ndarray, "n"]
+    a: Annotated[np.ndarray, "n"]  # accelerations
+    q: Annotated[np.ndarray, "n"]  # where a difference is taken
+    still: Annotated[np.ndarray, "n"]  # zeros
+    sides: Annotated[np.ndarray, "2", "n"]  # generalised forces on the two sides of a difference
+    turned: Annotated[np.ndarray, "2", "n"]
+    middle: Annotated[np.ndarray, "n"]
+    by_q: Annotated[np.ndarray, "n"]  # the gradient
+    by_rate: Annotated[np.ndarray, "n"]  # what is not of the damping matrix in it
+    xi: Annotated[np.ndarray, "points x 6"]
+    along: Annotated[np.ndarray, "points x 6"]  # Phi w
+    rate: Annotated[np.ndarray, "points x 6"]  # xi_dot
+    moving: Annotated[np.ndarray, "points x 6"]  # stresses of the rates, weights included
+    damped: Annotated[np.ndarray, "points x 6"]  # stresses of what damps, along w
+    field: Annotated[np.ndarray, "points x 6"]
+    zeta: Annotated[np.ndarray, "nodes x 6"]
+    alpha: Annotated[np.ndarray, "nodes x 6"]
+    mu: Annotated[np.ndarray, "nodes x 6"]  # M_s zeta
+    kappa: Annotated[np.ndarray, "nodes x 6"]  # see node_wrenches(); before it the drag: less the effects' power by twists
+    declared: Annotated[np.ndarray, "nodes x 6"]  # that part of it which is in the damping matrix
+    displaced: Annotated[np.ndarray, "nodes x 6"]  # the same by displacements
+    inertial: Annotated[np.ndarray, "nodes x 6"]  # wrench of inertia and effects
+    wrench: Annotated[np.ndarray, "nodes x 6"]
 
 
 @kernel
@@ -101,20 +87,18 @@ def force_gradient(arm, u, motion, period, with_inertia, work, memory):
 
 @kernel
 def hold_fields(arm, with_inertia, work, memory):
-    """Fields at the motion: what w and the accelerations make of twists and strains, the wrenches and stresses of the rates, and the
-    generalised forces of the wrenches that are known there."""
+    """Fields of w, the accelerations and the rates at the motion, and the generalised forces of the wrenches that are known there."""
     rod = arm.rod
     copy(work.xi, memory.xi)
     copy(work.xi_dot, memory.rate)
-    combined_columns(work.Phi, memory.w, memory.along)
-    combined_columns(work.J, memory.w, memory.zeta)
-    combined_columns(work.J, memory.a, memory.alpha)
+    sum_columns(work.Phi, memory.w, memory.along)
+    sum_columns(work.J, memory.w, memory.zeta)
+    sum_columns(work.J, memory.a, memory.alpha)
     for m in range(0, memory.xi.size, LANES):
         store(memory.moving, m, -load(rod.viscosity, m) * load(work.xi_dot, m))
         store(memory.damped, m, load(rod.viscosity, m) * load(memory.along, m))
-    for m in range(memory.inertial.size):
-        memory.inertial[m] = 0.0
-        memory.kappa[m] = 0.0
+    memory.inertial[:] = 0.0
+    memory.kappa[:] = 0.0
     if arm.effects.count > 0:
         hold_effects(arm, work, memory)
     share = 1.0 if with_inertia else 0.0
@@ -203,13 +187,15 @@ def node_wrenches(rod, share, pack, work, memory, by_q, by_rate):
 
 
 @kernel
-def place_beside(arm, u, q, way, field, work, memory):
-    """Strain, columns and poses at coordinates q beside the motion, from a guess along a field of strains; whether there are."""
+def place_beside(arm, u, q, rate, way, field, work, memory):
+    """Strain, columns and poses a way along rates from coordinates q, from a guess along a field of strains; whether there are."""
+    for j in range(q.size):
+        memory.q[j] = q[j] + way * rate[j]
     for m in range(0, memory.xi.size, LANES):
         store(work.xi, m, load(memory.xi, m) + way * load(field, m))
-    if strain_from_guess(arm, q, TOLERANCE, work) >= 0:
+    if strain_from_guess(arm, memory.q, TOLERANCE, work) >= 0:
         return False
-    strain_columns(arm, transmitted(arm, u, work), q, memory.still, work)
+    strain_columns(arm, actuator_tensions(arm, u, work), memory.q, memory.still, work)
     poses(arm.rod, work)
     return True
 
@@ -220,8 +206,8 @@ def differ_along_motion(arm, u, motion, time, work, memory):
     for i in range(2):
         way = time if i == 0 else -time
         for j in range(memory.q.size):
-            memory.q[j] = motion.q[j] + way * (motion.q_dot[j] + 0.5 * way * memory.a[j])
-        if not place_beside(arm, u, memory.q, way, memory.rate, work, memory):
+            memory.q[j] = motion.q_dot[j] + 0.5 * way * memory.a[j]
+        if not place_beside(arm, u, motion.q, memory.q, way, memory.rate, work, memory):
             return False
         memory.field[:] = 0.0
         add_wrench_stress(arm.rod, memory.mu, work, memory.field)
@@ -246,9 +232,7 @@ def differ_along_w(arm, u, motion, work, memory):
     small = SMALL_STRAIN / strained
     for i in range(2):
         way = small if i == 0 else -small
-        for j in range(memory.q.size):
-            memory.q[j] = motion.q[j] + way * memory.w[j]
-        if not place_beside(arm, u, memory.q, way, memory.along, work, memory):
+        if not place_beside(arm, u, motion.q, memory.w, way, memory.along, work, memory):
             return
         for m in range(0, memory.field.size, LANES):
             store(memory.field, m, load(memory.moving, m) + load(work.mismatch, m))

@@ -12,9 +12,6 @@ from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK
 from soft_tendon_env.mechanics.terms.command_filter import command_at
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit
 from soft_tendon_env.mechanics.terms.parametrisation import strain_matrices
-from soft_tendon_env.mechanics.terms.transmission import add_tendon_matrices
-
-NEAR = 0.05  # of a step's tolerance: how far a tendon may go to a kink of its tension in a step that is extrapolated
 
 
 @kernel
@@ -27,31 +24,21 @@ def start_matrices(arm, scratch):
         copy_matrix(work.G, scratch.rod_stiffness)
         add_implicit(arm, work)
     now, first = scratch.now, scratch.first
-    copy_matrix(now.mass, first.mass)
-    copy_matrix(now.damping, first.damping)
-    copy_matrix(now.stiffness, first.stiffness)
+    for matrix, out in ((now.mass, first.mass), (now.damping, first.damping), (now.stiffness, first.stiffness)):
+        copy_matrix(matrix, out)
     copy(now.force, first.force)
     if arm.effects.transmission.elastic or arm.effects.transmission.friction > 0.0:
-        copy(now.tension, first.tension)
-        copy(now.shortening, first.shortening)
-        copy(now.pull_rate, first.pull_rate)
-        copy_matrix(now.columns, first.columns)
-        copy_matrix(now.rubbed, first.rubbed)
-        copy_matrix(now.rubbing, first.rubbing)
-
-
-@kernel
-def linear_matrices(arm, scratch):
-    """start_matrices(), with elastic tendons and those that rub: for what is linear in the motion."""
-    start_matrices(arm, scratch)
-    add_tendon_matrices(arm, scratch.work, scratch.first.damping, scratch.first.stiffness)
+        for matrix, out in ((now.columns, first.columns), (now.rubbed, first.rubbed), (now.rubbing, first.rubbing)):
+            copy_matrix(matrix, out)
+        for vector, out in ((now.tension, first.tension), (now.shortening, first.shortening), (now.pull_rate, first.pull_rate)):
+            copy(vector, out)
 
 
 @kernel
 def later_matrices(arm, method, scratch):
     """D and G of a later evaluation into work.D and work.G, where start_matrices() left those of the step's start."""
     work = scratch.work
-    if not method.keeps:
+    if not method.freeze_jacobian:
         strain_matrices(arm, work)
     elif arm.effects.count > 0:
         copy_matrix(scratch.rod_damping, work.D)
@@ -77,28 +64,20 @@ def rate_change(with_inertia, balance, h, scratch):
 
 
 @kernel
-def move(h, scratch):
-    """Take the change of rates that was found over a substep of length h, from scratch.q, scratch.v, in place."""
-    delta, q, v = scratch.delta, scratch.q, scratch.v
-    for i in range(q.size):
-        v[i] += delta[i]
-        q[i] += h * v[i]
-
-
-@kernel
-def implicit_euler(arm, method, tolerance, u, motion, step, row, substep, scratch):
-    """One substep from scratch.q, scratch.v, in place, under what has arrived, u (n_a): the first of a row from the evaluation at the start
-    of the step."""
-    h = step / (row + 1)
-    if substep > 0:
+def implicit_euler(arm, method, u, motion, substep, scratch):
+    """One substep from scratch.q, scratch.v, in place, under what has arrived, u (n_a), from the evaluation at its beginning; a status."""
+    h, q, v, delta, balance = substep.length, scratch.q, scratch.v, scratch.delta, scratch.first
+    if substep.number > 0:
         later_matrices(arm, method, scratch)
-    balance = scratch.now if substep > 0 else scratch.first
+        balance = scratch.now
     status = rate_change(method.with_inertia, balance, h, scratch)
     if status == OK:
         if arm.effects.transmission.friction > 0.0:
             slide_tendons(arm, balance, h, scratch)
         if arm.effects.transmission.elastic:
-            command = command_at(arm.effects, u, motion.state, (substep + 1) * h, scratch.command)
-            stretch_tendons(arm, command, balance, h, row == 0, NEAR * tolerance, scratch)
-        move(h, scratch)
+            command = command_at(arm.effects, u, motion.state, (substep.number + 1) * h, scratch.command)
+            stretch_tendons(arm, command, balance, substep, scratch)
+        for i in range(q.size):
+            v[i] += delta[i]
+            q[i] += h * v[i]
     return status

@@ -8,7 +8,7 @@ and over a period by equal steps, extrapolated as the integrator's: T = 2 T(h/2)
 and its adjoint, which takes cotangents of (q', v') to those of (dq, dv, df). Left out is how M, D, G and B change along the motion.
 """
 
-from typing import NamedTuple
+from typing import Annotated
 
 import numpy as np
 
@@ -16,20 +16,22 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix, product, solve_again, solve_symmetric, total
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.motion.advance import Record, advance
-from soft_tendon_env.mechanics.motion.implicit_euler import linear_matrices, rate_change
+from soft_tendon_env.mechanics.motion.implicit_euler import rate_change, start_matrices
 from soft_tendon_env.mechanics.motion.stages import evaluate_force
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.terms.command_filter import command_at, receive
 from soft_tendon_env.mechanics.terms.evaluate import copy_tip
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix
-from soft_tendon_env.mechanics.types import Arm, FloatVector
-from soft_tendon_env.mechanics.workspace import zeros_of
+from soft_tendon_env.mechanics.terms.transmission import add_tendon_matrices
+from soft_tendon_env.mechanics.types import Arm
+from soft_tendon_env.mechanics.workspace import sizes_of, zeros
 
 
 @kernel
 def matrices_of_motion(arm, method, scratch):
-    """M, D and G of the last evaluation into scratch.first, without M for quasi-static motion."""
-    linear_matrices(arm, scratch)
+    """M, D and G of the last evaluation into scratch.first, with elastic tendons and those that rub, without M for quasi-static motion."""
+    start_matrices(arm, scratch)
+    add_tendon_matrices(arm, scratch.work, scratch.first.damping, scratch.first.stiffness)
     if not method.with_inertia:
         scratch.first.mass[:, :] = 0.0
 
@@ -69,103 +71,68 @@ def transposed_map(balance, period, scratch, q, v, impulse):
 
 
 class Plan(Struct):
-    """Arrays of a rollout over N periods, its outcome first: n coordinates, n_a tendons, k forces, those of the tendons first."""
+    """Arrays of a rollout over N periods, its outcome first: n coordinates, n_a tendons, k forces, those of the tendons first.
 
-    q: np.ndarray  # (N + 1, n) where every period begins, and the last one ends
-    q_dot: np.ndarray  # (N + 1, n)
-    state: np.ndarray  # (N + 1, states) of the effects
-    tip_pose: np.ndarray  # (N + 1, 4, 4)
-    tip_jacobian: np.ndarray  # (N + 1, 6, n)
-    tip_bias: np.ndarray  # (6) of the last one
-    jacobian: np.ndarray  # (N, 2 n, 2 n + k) of (q', v') by (q, v, forces)
-    command: np.ndarray  # (N, parts, n_a) that is played
-    duration: FloatVector  # (parts) [s] of the parts of a period
-    forces: np.ndarray  # (n, k), B at the beginning of a period and what was asked for besides
-    system: np.ndarray  # (n, n) A, then its factor
-    solved: np.ndarray  # (n, 2 n + k) A^-1 [-h G | M | h forces]
-    moved: np.ndarray  # (n, 2 n + k) coordinates after a step by (q, v, forces) before the first
-    rates: np.ndarray  # (n, 2 n + k) likewise their rates
-    ahead: np.ndarray  # (n, 2 n + k) likewise the rates a step later
+    Columns of the matrices are derivatives by (q, v, forces), of which there are 2 n + k.
+    """
+
+    q: Annotated[np.ndarray, "N + 1", "n"]  # where every period begins, and the last one ends
+    q_dot: Annotated[np.ndarray, "N + 1", "n"]
+    state: Annotated[np.ndarray, "N + 1", "states"]  # of the effects
+    tip_pose: Annotated[np.ndarray, "N + 1", "4", "4"]
+    tip_jacobian: Annotated[np.ndarray, "N + 1", "6", "n"]
+    tip_bias: Annotated[np.ndarray, "6"]  # of the last one
+    jacobian: Annotated[np.ndarray, "N", "2 x n", "2 n + k"]  # of (q', v')
+    command: Annotated[np.ndarray, "N", "parts", "n_a"]  # that is played
+    duration: Annotated[np.ndarray, "parts"]  # [s] of the parts of a period
+    forces: Annotated[np.ndarray, "n", "k"]  # B at the beginning of a period and what was asked for besides
+    system: Annotated[np.ndarray, "n", "n"]  # A, then its factor
+    solved: Annotated[np.ndarray, "n", "2 n + k"]  # A^-1 [-h G | M | h forces]
+    moved: Annotated[np.ndarray, "n", "2 n + k"]  # coordinates after a step by those before the first
+    rates: Annotated[np.ndarray, "n", "2 n + k"]  # likewise their rates
+    ahead: Annotated[np.ndarray, "n", "2 n + k"]  # likewise the rates a step later
 
 
 def make_plan(arm: Arm, periods: int, parts: int, forces: np.ndarray) -> Plan:
     """Zeroed Plan for an arm, with forces (n, k - n_a) besides those of the tendons."""
-    n, n_a, begins = arm.strain.size, arm.tendons.size, periods + 1
-    inputs = n_a + forces.shape[1]
-    motion = (((begins, n), "q q_dot"), ((begins, arm.effects.state.size), "state"))
-    tip = (((begins, 4, 4), "tip_pose"), ((begins, 6, n), "tip_jacobian"), ((6,), "tip_bias"))
-    played = (((periods, parts, n_a), "command"), ((parts,), "duration"), ((n, inputs), "forces"))
-    maps = (((periods, 2 * n, 2 * n + inputs), "jacobian"), ((n, n), "system"), ((n, 2 * n + inputs), "solved moved rates ahead"))
-    plan = Plan(**zeros_of(*motion, *tip, *played, *maps))
+    n_a, inputs = arm.tendons.size, arm.tendons.size + forces.shape[1]
+    sizes = {"N": periods, "N + 1": periods + 1, "parts": parts, "k": inputs, "2 n + k": 2 * arm.strain.size + inputs}
+    plan = zeros(Plan, {**sizes_of(arm), **sizes})
     plan.forces[:, n_a:] = forces
     return plan
 
 
 @kernel
-def step_matrix(mass, damping, stiffness, h, out):
-    """A = M + h D + h^2 G of a step of length h, out (n, n)."""
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            out[i, j] = mass[i, j] + h * (damping[i, j] + h * stiffness[i, j])
-
-
-@kernel
-def first_step(balance, h, plan):
-    """Coordinates and rates after a step of length h by (q, v, forces) before it, into plan.moved and plan.rates."""
-    n, inputs = plan.forces.shape
-    system, solved, moved = plan.system, plan.solved, plan.moved
-    step_matrix(balance.mass, balance.damping, balance.stiffness, h, system)
-    for i in range(n):
-        for j in range(n):
-            solved[i, j] = -h * balance.stiffness[i, j]
-            solved[i, n + j] = balance.mass[i, j]
-        for j in range(inputs):
-            solved[i, 2 * n + j] = h * plan.forces[i, j]
-    solve_symmetric(system, solved)
-    copy_matrix(solved, plan.rates)
-    for i in range(n):
-        for j in range(2 * n + inputs):
-            moved[i, j] = h * solved[i, j]
-        moved[i, i] += 1.0
-
-
-@kernel
-def further_step(h, plan):
-    """Coordinates and rates after a further step, of the length of the first one."""
-    n, inputs = plan.forces.shape
-    solved, moved, rates, ahead = plan.solved, plan.moved, plan.rates, plan.ahead
-    for i in range(n):
-        for k in range(2 * n + inputs):
-            ahead[i, k] = solved[i, k] if k >= 2 * n else 0.0
-        for j in range(n):
-            by_q, by_v = solved[i, j], solved[i, n + j]
-            for k in range(2 * n + inputs):
-                ahead[i, k] += by_q * moved[j, k] + by_v * rates[j, k]
-    copy_matrix(ahead, rates)
-    for i in range(n):
-        for j in range(2 * n + inputs):
-            moved[i, j] += h * ahead[i, j]
-
-
-@kernel
 def add_jacobian(balance, h, count, share, plan, out):
     """Adds a share of the Jacobian (2 n, 2 n + k) of `count` steps of length h by (q, v, forces) to out."""
-    n = plan.forces.shape[0]
-    first_step(balance, h, plan)
-    for _ in range(count - 1):
-        further_step(h, plan)
+    n, inputs = plan.forces.shape
+    solved, moved, rates, ahead, stiffness, mass = plan.solved, plan.moved, plan.rates, plan.ahead, balance.stiffness, balance.mass
     for i in range(n):
-        for j in range(out.shape[1]):
-            out[i, j] += share * plan.moved[i, j]
-            out[n + i, j] += share * plan.rates[i, j]
-
-
-class Tip(NamedTuple):
-    """Tip of an arm, as copy_tip() writes it."""
-
-    tip_pose: np.ndarray
-    tip_jacobian: np.ndarray
-    tip_bias: np.ndarray
+        for j in range(n):
+            plan.system[i, j] = mass[i, j] + h * (balance.damping[i, j] + h * stiffness[i, j])
+            solved[i, j], solved[i, n + j] = -h * stiffness[i, j], mass[i, j]
+        for j in range(inputs):
+            solved[i, 2 * n + j] = h * plan.forces[i, j]
+    solve_symmetric(plan.system, solved)
+    copy_matrix(solved, rates)
+    for step in range(count):
+        if step > 0:
+            for i in range(n):
+                for k in range(2 * n + inputs):
+                    ahead[i, k] = solved[i, k] if k >= 2 * n else 0.0
+                for j in range(n):
+                    by_q, by_v = solved[i, j], solved[i, n + j]
+                    for k in range(2 * n + inputs):
+                        ahead[i, k] += by_q * moved[j, k] + by_v * rates[j, k]
+            copy_matrix(ahead, rates)
+        for i in range(n):
+            for k in range(2 * n + inputs):
+                before = moved[i, k] if step > 0 else 1.0 if k == i else 0.0
+                moved[i, k] = before + h * rates[i, k]
+    for i in range(n):
+        for k in range(2 * n + inputs):
+            out[i, k] += share * moved[i, k]
+            out[n + i, k] += share * rates[i, k]
 
 
 @kernel
@@ -187,10 +154,10 @@ def linearised_rollout(arm, scheme, motion, steps, scratch, plan):
         copy(motion.q, plan.q[k])
         copy(motion.q_dot, plan.q_dot[k])
         copy(motion.state, plan.state[k])
-        copy_tip(scratch.work, Tip(plan.tip_pose[k], plan.tip_jacobian[k], plan.tip_bias))
+        copy_tip(scratch.work, plan.tip_pose[k], plan.tip_jacobian[k], plan.tip_bias)
         if k < periods:
             matrices_of_motion(arm, method, scratch)
-            actuation_matrix(arm.rod, arm.tendons, arm.strain, scratch.work, plan.forces)
+            actuation_matrix(arm, scratch.work, plan.forces)
             plan.jacobian[k] = 0.0
             add_jacobian(scratch.first, 0.5 * length / steps, 2 * steps, 2.0, plan, plan.jacobian[k])
             add_jacobian(scratch.first, length / steps, steps, -1.0, plan, plan.jacobian[k])

@@ -28,19 +28,15 @@ def pose_at(poses, row):
     return (g[0, 0], g[0, 1], g[0, 2], g[1, 0], g[1, 1], g[1, 2], g[2, 0], g[2, 1], g[2, 2]), (g[0, 3], g[1, 3], g[2, 3])
 
 
-@kernel(inline=True)
-def transposed(R):
-    return R[0], R[3], R[6], R[1], R[4], R[7], R[2], R[5], R[8]
-
-
 @kernel
 def pose_errors(pose, wanted, out):
     """The twists out (rows, m, 6), log(g^-1 g_bar), that carry the poses g (rows, 4, 4) to the wanted ones g_bar (rows, m, 4, 4)."""
     for row in range(pose.shape[0]):
         R, r = pose_at(pose, row)
+        R_transposed = R[0], R[3], R[6], R[1], R[4], R[7], R[2], R[5], R[8]
         for j in range(wanted.shape[1]):
             R_bar, r_bar = pose_at(wanted[row], j)
-            k, p = log_se3(matmul(transposed(R), R_bar), rotate_back(R, minus(r_bar, r)))
+            k, p = log_se3(matmul(R_transposed, R_bar), rotate_back(R, minus(r_bar, r)))
             for i in range(3):
                 out[row, j, i] = k[i]
                 out[row, j, 3 + i] = p[i]

@@ -7,7 +7,7 @@ along the rates, by a difference: body Jacobian and strain columns are derivativ
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.algebra.lie import coad_apply
+from soft_tendon_env.mechanics.algebra.lie import coad_apply, twist_scaled
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.motion.force_gradient import TOLERANCE, largest_strain, place_beside
 from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
@@ -15,6 +15,7 @@ from soft_tendon_env.mechanics.terms.external_forces import place_base
 from soft_tendon_env.mechanics.terms.kinematics import poses, tip_twist
 from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess
 from soft_tendon_env.mechanics.terms.transposed_kinematics import (
+    add_at,
     add_station_forces,
     add_strain_stress,
     add_tendon_stress,
@@ -44,8 +45,11 @@ def read_adjoint(arm, places, tape, cotangents, row, work, memory):
     pull = cotangents.backbone_position[row]
     read_force(arm, places, cotangents.tip_pose[row], pull, cotangents.strain[row], work, own)
     add_tendon_stress(arm.rod, arm.tendons, cotangents.tendon_length[row], work.tangent, own.field)
-    if has_rates:
-        tip_turn(arm, twist, work, own)
+    if has_rates:  # the twist in the frame of the tip changes as that is turned
+        turned = coad_apply(tip_twist(arm.rod, work), as_wrench(twist))
+        own.wrench[:] = 0.0
+        add_at(own.wrench, own.wrench.size - 5 * LANES - 1, twist_scaled(-1.0, turned))
+        add_wrench_stress(arm.rod, own.wrench, work, own.field)
     stress_force(arm.rod, arm.strain, work, own.field, own.middle)
     for i in range(q.size):
         cotangents.q[row, i] += own.middle[i]
@@ -59,15 +63,19 @@ def read_adjoint(arm, places, tape, cotangents, row, work, memory):
     return OK
 
 
+@kernel(inline=True)
+def as_wrench(x):
+    """Numbers (6,) as a wrench."""
+    return (x[0], x[1], x[2]), (x[3], x[4], x[5])
+
+
 @kernel
 def read_force(arm, places, wrench, pull, force, work, own):
     """Stress into own.field that does the work of a wrench (6) on the tip, of `pull` (stations, 3), or (0, 3), on the positions of the
     stations, and of `force` (sensors, 6) on the strains at the sensors."""
     own.wrench[:] = 0.0
     own.field[:] = 0.0
-    tip = own.wrench.size - 6 * LANES + LANES - 1
-    for i in range(6):
-        own.wrench[tip + i * LANES] = wrench[i]
+    add_at(own.wrench, own.wrench.size - 5 * LANES - 1, as_wrench(wrench))
     if pull.shape[0] > 0:
         add_station_forces(arm.rod.length, places.station, places.station_distance, pull, work, own.wrench, own.field)
     add_wrench_stress(arm.rod, own.wrench, work, own.field)
@@ -75,21 +83,8 @@ def read_force(arm, places, wrench, pull, force, work, own):
 
 
 @kernel
-def tip_turn(arm, wrench, work, own):
-    """Adds to own.field the stress of ad_eta^T of a wrench (6) on the tip, eta the tip's twist: how that changes as the tip is moved."""
-    m, f = coad_apply(tip_twist(arm.rod, work), ((wrench[0], wrench[1], wrench[2]), (wrench[3], wrench[4], wrench[5])))
-    tip = own.wrench.size - 6 * LANES + LANES - 1
-    own.wrench[:] = 0.0
-    for i in range(3):
-        own.wrench[tip + i * LANES] = -m[i]
-        own.wrench[tip + (3 + i) * LANES] = -f[i]
-    add_wrench_stress(arm.rod, own.wrench, work, own.field)
-
-
-@kernel
 def differ_reading(arm, places, tape, cotangents, row, work, memory):
-    """Adds to the cotangents of a row's coordinates the derivative along the rates of the generalised force on tip and sensors by which
-    their rates count."""
+    """Adds to the cotangents of a row's coordinates those that rates of tip and sensors have: a derivative along the rates."""
     wrench, force, out, last = cotangents.tip_twist[row], cotangents.strain_rate[row], cotangents.q[row], tape.q.shape[1] - 1
     q, q_dot = tape.q[row, last], tape.q_dot[row, last]
     own, strained = memory.gradient, largest_strain(arm.rod, memory.gradient.rate)
@@ -98,9 +93,7 @@ def differ_reading(arm, places, tape, cotangents, row, work, memory):
     time = SMALL_WAY / strained
     for i in range(2):
         way = time if i == 0 else -time
-        for j in range(q.size):
-            own.q[j] = q[j] + way * q_dot[j]
-        if not place_beside(arm, memory.still, own.q, way, own.rate, work, own):
+        if not place_beside(arm, memory.still, q, q_dot, way, own.rate, work, own):
             return
         read_force(arm, places, wrench, cotangents.backbone_position[row, :0], force, work, own)
         stress_force(arm.rod, arm.strain, work, own.field, own.sides[i])

@@ -1,14 +1,15 @@
 """Motion of one arm and the scratch of an integrator step: extrapolation table, matrices at the start of a step, error estimates."""
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.mechanics.algebra.lanes import aligned_zeros
 from soft_tendon_env.mechanics.algebra.linear import copy, row_stride
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.types import Arm
-from soft_tendon_env.mechanics.workspace import Workspace, make_workspace, zeros_of
+from soft_tendon_env.mechanics.workspace import Workspace, make_workspace, sizes_of, zeros
 
 
 class Motion(NamedTuple):
@@ -36,94 +37,68 @@ def copy_motion(source, out):
 
 
 class Balance(Struct):
-    """Forces and matrices of one substep; behind the force what is of elastic tendons, and of those that rub."""
+    """Forces and matrices of one substep; behind the force what is of elastic tendons, and of those that rub, see Workspace."""
 
-    mass: np.ndarray  # (n, n) M
-    damping: np.ndarray  # (n, n) D and G with the effects' share
-    stiffness: np.ndarray
-    force: np.ndarray  # (n) drive - C v - D v + F
-    tension: np.ndarray  # (n_a) [N] in the force
-    shortening: np.ndarray  # (n_a) [m]
-    columns: np.ndarray  # (n_a, n) see Workspace
-    rubbed: np.ndarray  # (n_a, n)
-    rubbing: np.ndarray  # (n_a, n)
-    pull_rate: np.ndarray  # (n_a) [m/s]
+    mass: Annotated[np.ndarray, "n", "n"]  # M
+    damping: Annotated[np.ndarray, "n", "n"]  # D and G with the effects' share
+    stiffness: Annotated[np.ndarray, "n", "n"]
+    force: Annotated[np.ndarray, "n"]  # drive - C v - D v + F
+    tension: Annotated[np.ndarray, "n_a"]  # [N] in the force
+    shortening: Annotated[np.ndarray, "n_a"]  # [m]
+    pull_rate: Annotated[np.ndarray, "n_a"]  # [m/s]
+    columns: Annotated[np.ndarray, "n_a", "n"]
+    rubbed: Annotated[np.ndarray, "n_a", "n"]
+    rubbing: Annotated[np.ndarray, "n_a", "n"]
 
 
-class Held(Struct):
+class TendonEnds(Struct):
     """Scratch of stretch_tendons() and slide_tendons(): tendons at the end of a substep."""
 
-    tension: np.ndarray  # (n_a) [N], the solution
-    least: np.ndarray  # (n_a) [N], zeros
-    wanted: np.ndarray  # (n_a)
-    part: np.ndarray  # (n_a) -1 slack, 0 between, 1 as tense as can be
-    parts: np.ndarray  # (n_a) likewise in the first substep of the step
-    answer: np.ndarray  # (n_a, n) change of rates by a newton
-    rate: np.ndarray  # (n_a) [m/s] at which they are pulled in
-    better: np.ndarray  # (n_a) likewise
-    matrix: np.ndarray  # (n_a, n_a)
-    give: np.ndarray  # (n_a, n_a)
-    system: np.ndarray  # (n_a, n_a + 1)
+    tension: Annotated[np.ndarray, "n_a"]  # [N], the solution
+    least: Annotated[np.ndarray, "n_a"]  # [N], zeros
+    wanted: Annotated[np.ndarray, "n_a"]
+    part: Annotated[np.ndarray, "n_a"]  # -1 slack, 0 between, 1 as tense as can be
+    parts: Annotated[np.ndarray, "n_a"]  # likewise in the first substep of the step
+    answer: Annotated[np.ndarray, "n_a", "n"]  # change of rates by a newton
+    rate: Annotated[np.ndarray, "n_a"]  # [m/s] at which they are pulled in
+    better: Annotated[np.ndarray, "n_a"]  # likewise
+    matrix: Annotated[np.ndarray, "n_a", "n_a"]
+    give: Annotated[np.ndarray, "n_a", "n_a"]
+    system: Annotated[np.ndarray, "n_a", "unknowns"]
 
 
 class Scratch(Struct):
     """Arrays that a step fills: evaluations, extrapolation table, linear system, error estimates."""
 
     work: Workspace  # of the evaluations
-    table_q: np.ndarray  # (columns, columns, n) extrapolation table
-    table_v: np.ndarray
+    table_q: Annotated[np.ndarray, "orders", "orders", "n"]  # extrapolation table
+    table_v: Annotated[np.ndarray, "orders", "orders", "n"]
     first: Balance  # at the start of the step
     now: Balance  # of the last evaluation, its arrays those of `work` and `force`
-    rod_damping: np.ndarray  # (n, n) D and G at the start of the step without the effects' share
-    rod_stiffness: np.ndarray
-    held: Held
-    kinked: np.ndarray  # (1) 1 where elastic tendons become slack, taut or as tense as can be within the step, else 0
-    force: np.ndarray  # (n) drive - C v - D v + F of the last evaluation
-    q_last: np.ndarray  # (n) where that was
-    system: np.ndarray  # n rows, see linear
-    delta: np.ndarray  # (n)
-    q: np.ndarray  # (n)
-    v: np.ndarray  # (n)
-    error_q: np.ndarray  # (n) estimated error of the step
-    error_v: np.ndarray
-    longest: np.ndarray  # (1) [s] the longest step from the motion that effects allow
-    acting: np.ndarray  # (n_a) the command that has arrived
-    command: np.ndarray  # (n_a) what acts of it
-    until: np.ndarray  # (1) [s] when another one does
-    rows: np.ndarray  # (1) rows of the table that the last step took
-    taken: np.ndarray  # (steps, 2) room for a log of the accepted steps: length [s] and rows
+    rod_damping: Annotated[np.ndarray, "n", "n"]  # D and G at the start of the step without the effects' share
+    rod_stiffness: Annotated[np.ndarray, "n", "n"]
+    ends: TendonEnds
+    is_kinked: Annotated[np.ndarray, "1"]  # 1 where elastic tendons become slack, taut or as tense as can be within the step, else 0
+    force: Annotated[np.ndarray, "n"]  # drive - C v - D v + F of the last evaluation
+    q_last: Annotated[np.ndarray, "n"]  # where that was
+    system: Annotated[np.ndarray, "n x stride"]  # see linear
+    delta: Annotated[np.ndarray, "n"]
+    q: Annotated[np.ndarray, "n"]
+    v: Annotated[np.ndarray, "n"]
+    error_q: Annotated[np.ndarray, "n"]  # estimated error of the step
+    error_v: Annotated[np.ndarray, "n"]
+    longest: Annotated[np.ndarray, "1"]  # [s] the longest step from the motion that effects allow
+    acting: Annotated[np.ndarray, "n_a"]  # the command that has arrived
+    command: Annotated[np.ndarray, "n_a"]  # what acts of it
+    until: Annotated[np.ndarray, "1"]  # [s] when another one does
+    taken: Annotated[np.ndarray, "steps", "2"]  # room for a log of the accepted steps: length [s] and rows of the table
 
 
 def make_scratch(arm: Arm, columns: int, log: int = 0) -> Scratch:
     """Zeroed scratch for one arm and a method with this many columns, with room for a log of so many steps."""
-    n, n_a, work = arm.strain.size, arm.tendons.size, make_workspace(arm)
-    arrays = zeros_of(
-        ((columns, columns, n), "table_q table_v"),
-        ((n, n), "rod_damping rod_stiffness"),
-        ((n,), "force q_last delta q v error_q error_v"),
-        ((n * row_stride(n + 1),), "system"),
-        ((n_a,), "acting command"),
-        ((1,), "kinked until rows"),
-        ((log, 2), "taken"),
-    )
-    held = zeros_of(
-        ((n_a,), "tension least wanted part parts rate better"),
-        ((n_a, n), "answer"),
-        ((n_a, n_a), "matrix give"),
-        ((n_a, n_a + 1), "system"),
-    )
-    kept = zeros_of(
-        ((n, n), "mass damping stiffness"),
-        ((n,), "force"),
-        ((n_a,), "tension shortening pull_rate"),
-        ((n_a, n), "columns rubbed rubbing"),
-    )
-    same = {name: getattr(work, name) for name in ("tension", "shortening", "pull_rate", "columns", "rubbed", "rubbing")}
-    return Scratch(
-        work=work,
-        first=Balance(**kept),
-        now=Balance(mass=work.M, damping=work.D, stiffness=work.G, force=arrays["force"], **same),
-        held=Held(**held),
-        longest=np.full(1, np.inf),
-        **arrays,
-    )
+    sizes, work = sizes_of(arm), make_workspace(arm)
+    sizes |= {"orders": columns, "stride": row_stride(arm.strain.size + 1), "steps": log, "unknowns": arm.tendons.size + 1}
+    shared = {name: getattr(work, name) for name in ("tension", "shortening", "pull_rate", "columns", "rubbed", "rubbing")}
+    force = aligned_zeros(arm.strain.size)
+    now = Balance(mass=work.M, damping=work.D, stiffness=work.G, force=force, **shared)
+    return zeros(Scratch, sizes, work=work, first=zeros(Balance, sizes), now=now, ends=zeros(TendonEnds, sizes), force=force)

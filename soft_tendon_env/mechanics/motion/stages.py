@@ -1,4 +1,4 @@
-"""Parts of a substep: force at a state, prediction of the strain."""
+"""Parts of a step: force at a state, prediction of the strain, what is asked of a step and what comes of it."""
 
 from typing import NamedTuple
 
@@ -60,6 +60,15 @@ class Demand(NamedTuple):
     horizon: float  # [s] over which an error of the rates counts as displacement
 
 
+class Substep(NamedTuple):
+    """One of the substeps of equal length from the beginning of a step to its end."""
+
+    length: float  # [s]
+    number: int
+    is_alone: bool  # it is the whole step
+    near: float  # [m] how far elastic tendons may go to where they become slack, taut or as tense as can be in a smooth step
+
+
 class Attempt(NamedTuple):
     """Outcome of one attempted step."""
 
@@ -67,3 +76,4 @@ class Attempt(NamedTuple):
     columns: int  # that `error` belongs to
     evaluations: int
     error: float  # [m] estimate
+    rows: int  # of the table that were taken

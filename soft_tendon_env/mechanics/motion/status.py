@@ -16,4 +16,3 @@ MESSAGES = {
     PENETRATED: "the arm is pressed through an obstacle, or too deep into it, in steps of any length",
     COMMAND_QUEUE_FULL: "commands change more often than the delay of their path keeps, once every integrator.step",
 }
-"""Why a step failed, or has no derivative, by its status."""

@@ -1,5 +1,7 @@
 """Tape of a period over rows: where every part of it began, for the adjoint to go back from."""
 
+from typing import Annotated
+
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
@@ -7,45 +9,34 @@ from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.motion.scratch import Motion, copy_motion
 from soft_tendon_env.mechanics.types import Arm, IntVector
-from soft_tendon_env.mechanics.workspace import zeros_of
+from soft_tendon_env.mechanics.workspace import sizes_of, zeros
 
 
 class Tape(Struct):
     """Motion of every row where the parts of a period began, and where the last one ended; without rows nothing is kept."""
 
-    q: np.ndarray  # (rows, parts + 1, n)
-    q_dot: np.ndarray  # (rows, parts + 1, n)
-    xi: np.ndarray  # (rows, parts + 1, points x 6)
-    state: np.ndarray  # (rows, parts + 1, states)
-    clock: np.ndarray  # (rows, parts + 1)
-    command: np.ndarray  # (rows, parts, n_a)
-    duration: np.ndarray  # (rows, parts) [s]; negative where the step has failed
+    q: Annotated[np.ndarray, "rows", "borders", "n"]
+    q_dot: Annotated[np.ndarray, "rows", "borders", "n"]
+    xi: Annotated[np.ndarray, "rows", "borders", "points x 6"]
+    state: Annotated[np.ndarray, "rows", "borders", "states"]
+    clock: Annotated[np.ndarray, "rows", "borders"]
+    command: Annotated[np.ndarray, "rows", "parts", "n_a"]
+    duration: Annotated[np.ndarray, "rows", "parts"]  # [s]; negative where the step has failed
     begins: np.ndarray  # (rows, parts) int64: 1 where the command began with the part, 0 where it went on
     material: IntVector  # (rows) which of the materials that a row has had it was
 
 
 def make_tape(arm: Arm, rows: int, parts: int) -> Tape:
     """Zeroed Tape for so many rows of an arm and parts of a period."""
-    n, n_a, points, borders = arm.strain.size, arm.tendons.size, 2 * arm.rod.length.size, (rows, parts + 1)
-    return Tape(
-        **zeros_of(
-            ((*borders, n), "q q_dot"),
-            ((*borders, points * 6), "xi"),
-            ((*borders, arm.effects.state.size), "state"),
-            (borders, "clock"),
-            ((rows, parts, n_a), "command"),
-            ((rows, parts), "duration"),
-        ),
-        begins=np.zeros((rows, parts), dtype=np.int64),
-        material=np.zeros(rows, dtype=np.int64),
-    )
+    sizes = {**sizes_of(arm), "rows": rows, "parts": parts, "borders": parts + 1}
+    return zeros(Tape, sizes, begins=np.zeros((rows, parts), dtype=np.int64), material=np.zeros(rows, dtype=np.int64))
 
 
 @kernel(refcount=True)
 def motion_at(tape, row, border):
     """Motion of a row on the tape where a part begins, or the last one ends."""
-    clock = tape.clock[row, border : border + 1]
-    return Motion(tape.q[row, border], tape.q_dot[row, border], tape.xi[row, border], tape.state[row, border], clock)
+    own = row, border
+    return Motion(tape.q[own], tape.q_dot[own], tape.xi[own], tape.state[own], tape.clock[row, border : border + 1])
 
 
 @kernel

@@ -1,8 +1,8 @@
 """Filter of commands in front of the tendons: delay, lag and limited rate, see effects.Transmission.
 
-Commands wait in a queue until the delay is over. What has arrived, c, acts as u with u_dot = clip((c - u) / tau, -r, r): as long as c is
-held u is a function of time that is known exactly, so that it is no coordinate of the integrator. Its steps end where commands arrive.
-The internal state is u, c, and the commands on their way with the times of their arrival.
+Commands wait until the delay is over. What has arrived, c, acts as u with u_dot = clip((c - u) / tau, -r, r): as long as c is held u is a
+function of time that is known exactly, so that it is no coordinate of the integrator. Its steps end where commands arrive.
+The internal state is u (n_a) and a table (1 + room, 1 + n_a) of times of arrival and commands: what has arrived, and what is on its way.
 """
 
 import math
@@ -18,16 +18,10 @@ ROUND_OFF = 1e-15  # of the time, by which besides
 
 
 @kernel(refcount=True)
-def filter_state(effects, state):
-    """Internal state of the filter, in those of all effects."""
-    i = effects.transmission.filter
-    return state[effects.first_state[i] : effects.first_state[i + 1]]
-
-
-@kernel(refcount=True)
-def queue_of(own, tendons):
-    """Times of arrival and commands on their way (room, 1 + n_a), of the filter's internal state."""
-    return own[2 * tendons :].reshape(-1, 1 + tendons)
+def filter_state(effects, state, tendons):
+    """Tensions u (n_a) and table (1 + room, 1 + n_a) of the filter, in the internal states of all effects."""
+    begin, end = effects.first_state[effects.transmission.filter], effects.first_state[effects.transmission.filter + 1]
+    return state[begin : begin + tendons], state[begin + tendons : end].reshape(-1, 1 + tendons)
 
 
 @kernel(inline=True)
@@ -49,82 +43,73 @@ def receive(effects, command, begins, time, state, acting, until):
 @phase
 def arrive(effects, begins, time, state, acting, until):
     """receive() of a filter, where `acting` holds what is commanded."""
-    path, own = effects.transmission, filter_state(effects, state)
+    path, (u, table) = effects.transmission, filter_state(effects, state, acting.size)
     if path.delay > 0.0:
-        queue(path.delay, begins, time, own, acting, until)
+        count = 1
+        while count < len(table) and table[count, 0] < NEVER:
+            count += 1
+        if begins:
+            count = enqueue(time + path.delay, acting, table, count)
+            if count == 0:
+                until[0] = -math.inf
+                return
+        while count > 1 and table[1, 0] <= has_arrived_by(time):
+            count -= 1
+            leave(0, count, table)
+        copy(table[0, 1:], acting)
+        for k in range(count - 1, 0, -1):
+            if differ(table[k - 1], table[k, 1:]):
+                until[0] = table[k, 0]
     if path.lags:
-        until[0] = min(until[0], time + settling_time(path, own, acting))
+        until[0] = min(until[0], time + settling_time(path, u, acting))
 
 
 @kernel
-def queue(delay, begins, time, own, acting, until):
-    """Keep a command that begins until its time, and put in its place the one that has arrived.
-
-    Where there is room, one that repeats the last one is kept too: it has a derivative of its own.
-    """
-    tendons, arrival, count = acting.size, time + delay, 0
-    last, waiting = own[tendons : 2 * tendons], queue_of(own, tendons)
-    while count < len(waiting) and waiting[count, 0] < NEVER:
-        count += 1
-    is_new = begins and differ(last if count == 0 else waiting[count - 1, 1:], acting)
-    if is_new and count == len(waiting):
-        k = first_change(last, waiting, False)
+def enqueue(arrival, command, table, count):
+    """Adds a command to a table of `count` rows; how many there are then, 0 where there is no room. One that repeats the last one is kept
+    while there is room, since it has a derivative of its own."""
+    is_full, is_new = count == len(table), differ(table[count - 1], command)
+    if not is_new and (is_full or (count > 1 and table[count - 1, 0] >= arrival - EARLY)):
+        return count
+    if is_full:  # the first that repeats the one before it makes room
+        k = 1
+        while k < count and differ(table[k - 1], table[k, 1:]):
+            k += 1
         if k == count:
-            until[0] = -math.inf
-            return
+            return 0
         count -= 1
-        leave(k, count, waiting)
-    repeats = begins and count < len(waiting) and (count == 0 or waiting[count - 1, 0] < arrival - EARLY)
-    if is_new or repeats:
-        waiting[count, 0] = arrival
-        copy(acting, waiting[count, 1:])
-        count += 1
-    while count > 0 and waiting[0, 0] <= has_arrived_by(time):
-        copy(waiting[0, 1:], last)
-        count -= 1
-        leave(0, count, waiting)
-    copy(last, acting)
-    k = first_change(last, waiting[:count], True)
-    if k < count:
-        until[0] = waiting[k, 0]
+        leave(k, count, table)
+    table[count, 0] = arrival
+    copy(command, table[count, 1:])
+    return count + 1
 
 
 @kernel
-def leave(k, last, waiting):
-    """Take the k-th command out of the queue, of which `last` remain."""
-    for place in range(k, last):
-        copy(waiting[place + 1], waiting[place])
-    waiting[last, 0] = NEVER
-    waiting[last, 1:] = 0.0
+def leave(k, last, table):
+    """Takes the k-th row out of the table, of which `last` remain."""
+    for row in range(k, last):
+        copy(table[row + 1], table[row])
+    table[last, 0] = NEVER
+    table[last, 1:] = 0.0
 
 
 @kernel
-def differ(command, other):
-    """Whether two commands differ."""
+def differ(row, command):
+    """Whether the command in a row of the table is another one."""
     for i in range(command.size):
-        if command[i] != other[i]:
+        if row[1 + i] != command[i]:
             return True
     return False
 
 
 @kernel
-def first_change(last, waiting, changes):
-    """Place of the first command in the queue that differs from the one before it, or without `changes` of the first that repeats it; or
-    its length."""
-    for k in range(len(waiting)):
-        if differ(last if k == 0 else waiting[k - 1, 1:], waiting[k, 1:]) == changes:
-            return k
-    return len(waiting)
-
-
-@kernel
-def settling_time(path, own, acting):
+def settling_time(path, u, acting):
     """Time [s] to the next kink of u: the end of its limited rate, or some time constants while it lags."""
     soonest, largest, slow = math.inf, 0.0, path.rate_limit * path.time_constant
     for i in range(acting.size):
-        largest = max(largest, abs(acting[i]), abs(own[i]))
+        largest = max(largest, abs(acting[i]), abs(u[i]))
     for i in range(acting.size):
-        away = abs(acting[i] - own[i])
+        away = abs(acting[i] - u[i])
         if away > SETTLED * largest:
             soonest = min(soonest, LAGS * path.time_constant if away <= slow else (away - slow) / path.rate_limit)
     return max(soonest, path.finest)
@@ -142,7 +127,7 @@ def limited_time(path, away, step):
 
 
 @kernel
-def lagged(path, u, command, step):
+def lag_response(path, u, command, step):
     """u after a time [s] towards a command that is held, exactly."""
     away = command - u
     limited, left = limited_time(path, away, step)
@@ -152,8 +137,7 @@ def lagged(path, u, command, step):
 
 @kernel
 def lag_slopes(path, away, step):
-    """Derivatives by u of lagged(), and of its mean over the time; those by the command are what is left to 1. Without a lag the command
-    is the mean, and u stays."""
+    """Derivatives by u of lag_response() and of its mean; those by the command are what is left to 1. Without a lag the command acts."""
     if not path.lags:
         return 1.0, 0.0
     limited, left = limited_time(path, away, step)
@@ -162,13 +146,12 @@ def lag_slopes(path, away, step):
 
 @kernel(refcount=True)
 def command_at(effects, acting, state, since, out):
-    """The command that acts a time [s] after the internal states were `state`, where `acting` (n_a) has arrived and is held; in `out`, or
-    `acting` itself."""
+    """The command that acts a time [s] after the internal states were `state`, where `acting` (n_a) has arrived: `out`, or that."""
     if not effects.transmission.lags:
         return acting
     first = effects.first_state[effects.transmission.filter]
     for i in range(acting.size):
-        out[i] = lagged(effects.transmission, state[first + i], acting[i], since)
+        out[i] = lag_response(effects.transmission, state[first + i], acting[i], since)
     return out
 
 
@@ -176,18 +159,15 @@ def command_at(effects, acting, state, since, out):
 def follow(effects, acting, step, state):
     """Advances the filter's part of the internal states by a time [s] in which `acting` (n_a) has arrived and is held."""
     if effects.transmission.lags:
-        first = effects.first_state[effects.transmission.filter]
-        for i in range(acting.size):
-            state[first + i] = lagged(effects.transmission, state[first + i], acting[i], step)
+        command_at(effects, acting, state, step, filter_state(effects, state, acting.size)[0])
 
 
 @kernel
 def rest_filter(effects, command, state):
     """The filter's part of the internal states where a command (n_a) has always been held."""
     if effects.transmission.filter >= 0:
-        own, tendons = filter_state(effects, state), command.size
-        waiting = queue_of(own, tendons)
-        copy(command, own[:tendons])
-        copy(command, own[tendons : 2 * tendons])
-        for k in range(len(waiting)):
-            leave(k, k, waiting)
+        u, table = filter_state(effects, state, command.size)
+        copy(command, u)
+        copy(command, table[0, 1:])
+        for row in range(1, len(table)):
+            table[row, 0] = NEVER

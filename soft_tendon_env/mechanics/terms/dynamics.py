@@ -12,8 +12,7 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import load6, scaled, store6
 
 
 class RowLayout(NamedTuple):
-    """Layout of a column: in every pack `groups` groups of `size` numbers, whole wide packs, of which the first `used` may
-    not be zero."""
+    """Layout of a column: in every pack `groups` groups of `size` numbers, whole wide packs, zero but for the first `used`."""
 
     groups: int
     size: int
@@ -91,17 +90,12 @@ def _reach(tile, first, last):
 
 
 @kernel
-def gram(columns, weight, rows, first, last, out):
-    """Weighted Gram matrix of columns: out_ij = sum over the rows of columns_i weight columns_j, symmetric.
+def gram_within(columns, others, weight, rows, first, last, packs, out):
+    """Weighted Gram matrix of columns and others_j, a symmetric matrix times columns_j: out_ij = sum over the rows of columns_i weight
+    others_j, over the packs packs[0]..packs[1]-1.
 
     Column j lives in the packs first[j]..last[j] and is zero elsewhere; `rows` is the layout of a pack.
     """
-    gram_within(columns, columns, weight, rows, first, last, (0, columns.size), out)
-
-
-@kernel
-def gram_within(columns, others, weight, rows, first, last, packs, out):
-    """gram() of columns and others_j, a symmetric matrix times columns_j, over the packs packs[0]..packs[1]-1 alone."""
     (begin, end), n, per_column = packs, first.size, columns.size // first.size
     for tile_i in range((n + TILE - 1) // TILE):
         begin_i, end_i = _reach(tile_i, first, last)
@@ -135,8 +129,8 @@ def project(columns, field, rows, first, last, out):
 
 
 @kernel
-def combined_columns(Phi, q_dot, xi_dot):
-    """Strain rate xi_dot = Phi q_dot."""
+def sum_columns(Phi, q_dot, xi_dot):
+    """Sum of columns, as the strain rate xi_dot = Phi q_dot."""
     for m in range(0, xi_dot.size, LANES):
         total = spread(0.0)
         for j in range(q_dot.size):
@@ -147,19 +141,19 @@ def combined_columns(Phi, q_dot, xi_dot):
 @kernel(inline=True)
 def mass_matrix(rod, strain, work):
     """Mass matrix M = int J^T M J dX (40a), of the body Jacobians at the nodes, into work.M."""
-    gram(work.J, rod.inertia, node_rows(), strain.first, strain.tip, work.M)
+    gram_within(work.J, work.J, rod.inertia, node_rows(), strain.first, strain.tip, (0, rod.packs), work.M)
 
 
 @kernel(inline=True)
 def damping_matrix(rod, strain, work):
     """Damping matrix D = int Phi^T Upsilon Phi dX, of the strain columns at the points, into work.D."""
-    gram(work.Phi, rod.viscosity, point_rows(rod), strain.first, strain.last, work.D)
+    gram_within(work.Phi, work.Phi, rod.viscosity, point_rows(rod), strain.first, strain.last, (0, rod.packs), work.D)
 
 
 @kernel(inline=True)
 def stiffness_matrix(rod, strain, work):
     """Stiffness G = int Phi^T Phi_w dX, of the columns Phi and their wrenches Phi_w times the weight in work.Y; symmetric."""
-    gram_within(work.Phi, work.Y, work.unit, point_rows(rod), strain.first, strain.last, (0, work.Phi.size), work.G)
+    gram_within(work.Phi, work.Y, work.unit, point_rows(rod), strain.first, strain.last, (0, rod.packs), work.G)
 
 
 @kernel
@@ -170,18 +164,12 @@ def driving_force(rod, strain, work):
     project(work.Phi, work.mismatch, point_rows(rod), strain.first, strain.last, work.drive)
 
 
-@kernel(inline=True)
-def bias_force(rod, strain, work):
-    """Bias force C q_dot = int J^T (M J_dot + ad*_eta M J) q_dot dX (40b), into work.bias."""
-    inertial_wrench(rod, work)
-    project(work.J, work.wrench, node_rows(), strain.first, strain.tip, work.bias)
-
-
 @kernel
-def inertial_wrench(rod, work):
-    """Inertial wrench at zero q_ddot, M eta_bias + ad*_eta M eta at every node, times the node's weight (40b)."""
+def bias_force(rod, strain, work):
+    """Bias force C q_dot = int J^T (M J_dot + ad*_eta M J) q_dot dX (40b), into work.bias, by the inertial wrenches at zero q_ddot."""
     for pack in range(rod.packs):
         at = pack * 6 * LANES
         inertia, eta = load6(rod.inertia, at), load6(work.eta, at)
         momentum = scaled(inertia, eta)
         store6(work.wrench, at, twist_sum(scaled(inertia, load6(work.eta_bias, at)), coad_apply(eta, momentum)))
+    project(work.J, work.wrench, node_rows(), strain.first, strain.tip, work.bias)

@@ -10,37 +10,31 @@ from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
 from soft_tendon_env.mechanics.terms import explicit, statics_based, strain_under_loads  # noqa: F401  (they register themselves)
 from soft_tendon_env.mechanics.terms.dynamics import bias_force, driving_force, mass_matrix
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit, external_force, place_base
-from soft_tendon_env.mechanics.terms.kinematics import poses, sweep
+from soft_tendon_env.mechanics.terms.kinematics import poses, sweep, tip_pose_of, write_pose
 from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess, strain_from_rest, strain_matrices
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix
-from soft_tendon_env.mechanics.terms.transmission import transmitted
+from soft_tendon_env.mechanics.terms.transmission import actuator_tensions
 
 
 @kernel
 def configure(arm, q, tolerance, work):
     """Configuration of the rod at q: poses, and the strain that Newton finds from the stress-free rod or else strain_from_rest().
 
-    A motion may come to coordinates whose parts have no strain, where tendons push.
+    A motion may come to coordinates whose parts have no strain, where tendons push. Returns as continue_strain() does.
     """
+    copy(arm.rod.reference_strain, work.xi)
+    failed, reached = strain_from_guess(arm, q, tolerance, work), 1.0
+    if failed >= 0:
+        failed, reached = strain_from_rest(arm, q, tolerance, work)
     place_base(arm, work)
-    failed, reached = find_strain(arm, q, tolerance, work)
     poses(arm.rod, work)
     return failed, reached
 
 
 @kernel
-def find_strain(arm, q, tolerance, work):
-    """Strain at q that Newton finds from the stress-free rod, or else strain_from_rest(): configure() without poses."""
-    copy(arm.rod.reference_strain, work.xi)
-    failed = strain_from_guess(arm, q, tolerance, work)
-    return (failed, 1.0) if failed < 0 else strain_from_rest(arm, q, tolerance, work)
-
-
-@kernel
 def drive_strained_rod(arm, u, q, q_dot, work):
     """Drive of (23) at (q, q_dot, u), poses and Jacobians in `work`, where strain_from_guess() has just left the strain at q."""
-    tension = transmitted(arm, u, work)
-    strain_columns(arm, tension, q, q_dot, work)
+    strain_columns(arm, actuator_tensions(arm, u, work), q, q_dot, work)
     driving_force(arm.rod, arm.strain, work)
     poses(arm.rod, work)
     sweep(arm.rod, arm.strain, arm.strain.size, work)
@@ -48,8 +42,7 @@ def drive_strained_rod(arm, u, q, q_dot, work):
 
 @kernel
 def evaluate_forces(arm, u, q, q_dot, tolerance, work):
-    """M and all forces of (23) at (q, q_dot, u), effects at work.state and work.clock, in `work`; -1, or the block at which the strain
-    could not be found. See work.u_is_command for u."""
+    """M and all forces of (23) at (q, q_dot, u), work.state and work.clock, into `work`; -1, or the block without a strain."""
     place_base(arm, work)
     failed = strain_from_guess(arm, q, tolerance, work)
     if failed >= 0:
@@ -115,61 +108,45 @@ def equation_of_motion(arm, u, q, q_dot, rests, tolerance, work, out):
     Returns the block at which the strain could not be found, or -1; the part of q that was reached; and whether the rod was PLACED.
     """
     time = work.clock[0]
-    failed, reached = find_strain(arm, q, tolerance, work)
-    if failed >= 0:
-        return failed, reached, PLACED
-    work.clock[0] = 0.0
-    if rests:
+    failed, reached = configure(arm, q, tolerance, work)
+    if failed < 0 and rests:
+        work.clock[0] = 0.0
         failed = evaluate_at_rest(arm, u, q, tolerance, work)
-    work.clock[0] = time
+        work.clock[0] = time
     if failed < 0:
         failed = evaluate(arm, u, q, q_dot, tolerance, work)
     if failed >= 0:
         return failed, reached, PLACED
-    copy_tip(work, out)
+    copy_tip(work, out.tip_pose, out.tip_jacobian, out.tip_bias)
     copy_matrix(work.M, out.mass)
     copy_matrix(work.D, out.damping)
     copy_matrix(work.G, out.stiffness)
     copy(work.bias, out.bias)
     copy(work.load, out.external_force)
-    actuation_matrix(arm.rod, arm.tendons, arm.strain, work, out.actuation)
+    actuation_matrix(arm, work, out.actuation)
     if arm.effects.count > 0:
         add_implicit(arm, work)
-    for i in range(q.size):
-        for j in range(q.size):
-            out.external_stiffness[i, j] = work.G[i, j] - out.stiffness[i, j]
-            out.external_damping[i, j] = work.D[i, j] - out.damping[i, j]
-    if not all_finite(work.pose):
-        return -1, 1.0, TOO_LARGE
-    kinetic = 0.0
+    kinetic, place = 0.0, 0.0
     for i in range(q.size):
         kinetic += out.bias[i]
         for j in range(q.size):
+            out.external_stiffness[i, j] = work.G[i, j] - out.stiffness[i, j]
+            out.external_damping[i, j] = work.D[i, j] - out.damping[i, j]
             kinetic += q_dot[i] * out.mass[i, j] * q_dot[j]
-    return -1, 1.0, PLACED if math.isfinite(kinetic) else TOO_FAST
+    for i in range(3):
+        place += abs(out.tip_pose[i, 0]) + abs(out.tip_pose[i, 3])
+    return -1, 1.0, TOO_LARGE if not math.isfinite(place) else PLACED if math.isfinite(kinetic) else TOO_FAST
 
 
 @kernel
-def copy_tip(work, out):
-    """Pose of the tip (4, 4), its body Jacobian (6, n) and bias (6,) from the last lane of the last pack into `out`."""
-    last = work.pose.size - 12 * LANES + LANES - 1
-    for i in range(3):
-        for j in range(3):
-            out.tip_pose[i, j] = work.pose[last + (3 * i + j) * LANES]
-        out.tip_pose[i, 3] = work.pose[last + (9 + i) * LANES]
-        out.tip_pose[3, i] = 0.0
-    out.tip_pose[3, 3] = 1.0
+def copy_tip(work, pose, jacobian, bias):
+    """Pose of the tip (4, 4), its body Jacobian (6, n) and bias (6,), written to these."""
+    R, r = tip_pose_of(work.pose)
+    write_pose(R, r, pose)
+    for i in range(4):
+        pose[3, i] = 1.0 if i == 3 else 0.0
     last = work.eta_bias.size - 6 * LANES + LANES - 1
     for i in range(6):
-        out.tip_bias[i] = work.eta_bias[last + i * LANES]
-        for j in range(out.tip_jacobian.shape[1]):
-            out.tip_jacobian[i, j] = work.J[j * work.eta_bias.size + last + i * LANES]
-
-
-@kernel
-def all_finite(values):
-    """Whether all values are finite."""
-    for i in range(values.size):
-        if not math.isfinite(values[i]):
-            return False
-    return True
+        bias[i] = work.eta_bias[last + i * LANES]
+        for j in range(jacobian.shape[1]):
+            jacobian[i, j] = work.J[j * work.eta_bias.size + last + i * LANES]

@@ -1,108 +1,55 @@
 """Explicit strain parametrisation: xi = xi* + Phi q with constant fields Phi."""
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import LANES, load, sqrt
+from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
 from soft_tendon_env.mechanics.algebra.lie import twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
-from soft_tendon_env.mechanics.algebra.symmetric6 import (
-    factorise,
-    inverse_diagonal,
-    load6,
-    multiply_upper,
-    scaled,
-    scaled_stiffness,
-    store6,
-    zero6,
-)
-from soft_tendon_env.mechanics.terms.dynamics import gram, point_rows
+from soft_tendon_env.mechanics.algebra.symmetric6 import load6, scaled, store6, symmetric_product
+from soft_tendon_env.mechanics.terms.dynamics import stiffness_matrix, sum_columns
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
 from soft_tendon_env.mechanics.terms.tendons import pull
 from soft_tendon_env.mechanics.types import Explicit
 
 
-@kernel(inline=True)
-def combined(strain, blocks, block, amplitudes):
-    """Sum of the fields Phi with these amplitudes at one block."""
-    total, pack = zero6(), block // 2
-    for j in range(strain.size):
-        if strain.first[j] <= pack < strain.last[j]:
-            total = twist_sum(total, twist_scaled(amplitudes[j], load6(strain.field, (j * blocks + block) * 6 * LANES)))
-    return total
-
-
 @kernel
-def explicit_mismatch(rod, tendons, work):
-    """The stress that drives the coordinates under the tensions of work.tau, times the weight; leaves the tangents."""
+def explicit_columns(arm, strain, u, q, q_dot, work):
+    """Strain rate xi_dot, tangents, and the stress that drives the coordinates under tensions u (n_a), times the weight; xi is linear in q,
+    so its columns are constant and its bias stays the zero that it is."""
+    rod = arm.rod
+    explicit_rate(arm, strain, q_dot, work)
+    copy(u, work.tau)
     for block in range(2 * rod.packs):
         at, weight = block * 6 * LANES, load(rod.weight, block * LANES)
         stiff, xi = load6(rod.root_stiffness, at), load6(work.xi, at)
-        pulled = pull(rod, tendons, block, xi, work.tau, work.tangent)[1]
+        pulled = pull(rod, arm.tendons, block, xi, work.tau, work.tangent)[1]
         strained = twist_sum(xi, twist_scaled(-1.0, load6(rod.reference_strain, at)))
         store6(work.mismatch, at, twist_scaled(-weight, twist_sum(scaled(stiff, scaled(stiff, strained)), pulled)))
-
-
-@kernel(inline=True)
-def section_factor(rod, tendons, block, work):
-    """Factor L D L^T of the section stiffness under the tensions of work.tau at one block, scaled by C^1/2; leaves the tangents."""
-    at = block * 6 * LANES
-    h = pull(rod, tendons, block, load6(work.xi, at), work.tau, work.tangent)[0]
-    return factorise(scaled_stiffness(h, load6(rod.root_compliance, at)), rod.free)
-
-
-@kernel
-def explicit_weighted_columns(rod, tendons, strain, work):
-    """Weighted columns Y with Y^T Y = Phi^T (Sigma - Psi(u)) Phi, u in work.tau."""
-    blocks = 2 * rod.packs
-    for block in range(blocks):
-        at, pack = block * 6 * LANES, block // 2
-        stiff, weight = load6(rod.root_stiffness, at), load(rod.weight, block * LANES)
-        f = section_factor(rod, tendons, block, work)
-        root = _root_pivots(f, weight)
-        for j in range(strain.size):
-            if strain.first[j] <= pack < strain.last[j]:
-                column_at = (j * blocks + block) * 6 * LANES
-                store6(work.Y, column_at, scaled(root, multiply_upper(f, scaled(stiff, load6(strain.field, column_at)), rod.free)))
-
-
-@kernel(inline=True)
-def _root_pivots(f, weight):
-    """Roots sqrt(weight D) of the pivots, a pivot below zero (pushing tendons) counted as zero: Y serves as a stiffness only."""
-    i0, i1 = inverse_diagonal(f)
-    return (
-        (_root_pivot(i0[0], weight), _root_pivot(i0[1], weight), _root_pivot(i0[2], weight)),
-        (_root_pivot(i1[0], weight), _root_pivot(i1[1], weight), _root_pivot(i1[2], weight)),
-    )
-
-
-@kernel(inline=True)
-def _root_pivot(inverse, weight):
-    pivot = weight / inverse
-    return sqrt(0.5 * (pivot + sqrt(pivot * pivot)))
-
-
-@kernel
-def explicit_columns(arm, strain, u, q, q_dot, work):
-    """Strain rate xi_dot and mismatch; xi is linear in q, so its columns are constant and its bias stays the zero that it is."""
-    explicit_rate(arm, strain, q_dot, work)
-    copy(u, work.tau)
-    explicit_mismatch(arm.rod, arm.tendons, work)
 
 
 @kernel
 def explicit_matrices(arm, strain, work):
     """Stiffness G = int Phi^T (Sigma - Psi(u)) Phi dX, u the tensions of the columns, and D, which is constant."""
-    explicit_weighted_columns(arm.rod, arm.tendons, strain, work)
-    gram(work.Y, work.unit, point_rows(arm.rod), strain.first, strain.last, work.G)
+    rod, blocks = arm.rod, 2 * arm.rod.packs
+    for block in range(blocks):
+        at, weight = block * 6 * LANES, load(rod.weight, block * LANES)
+        stiff = load6(rod.root_stiffness, at)
+        h = pull(rod, arm.tendons, block, load6(work.xi, at), work.tau, work.tangent)[0]
+        for j in range(strain.size):
+            if strain.first[j] <= block // 2 < strain.last[j]:
+                column_at = (j * blocks + block) * 6 * LANES
+                phi = load6(strain.field, column_at)
+                wrench = twist_sum(scaled(stiff, scaled(stiff, phi)), symmetric_product(h, phi))
+                store6(work.Y, column_at, twist_scaled(weight, wrench))
+    stiffness_matrix(rod, strain, work)
     copy_matrix(strain.damping, work.D)
 
 
 @kernel
 def solve_explicit(arm, strain, q, part, tolerance, contraction, work):
     """Strain xi = xi* + Phi q, which needs no guess."""
-    rod, blocks = arm.rod, 2 * arm.rod.packs
-    for block in range(blocks):
-        at = block * 6 * LANES
-        store6(work.xi, at, twist_sum(load6(rod.reference_strain, at), combined(strain, blocks, block, q)))
+    sum_columns(strain.field, q, work.xi)
+    for m in range(0, work.xi.size, LANES):
+        store(work.xi, m, load(arm.rod.reference_strain, m) + load(work.xi, m))
     return -1
 
 
@@ -113,19 +60,9 @@ def explicit_is_unique(arm, strain, q, work):
 
 
 @kernel
-def explicit_softest(arm, strain, work):
-    """1, since every strain exists and is the only one."""
-    return 1.0
-
-
-@kernel
 def explicit_rate(arm, strain, q_dot, work):
     """Strain rate xi_dot = Phi q_dot."""
-    blocks = 2 * arm.rod.packs
-    for block in range(blocks):
-        store6(work.xi_dot, block * 6 * LANES, combined(strain, blocks, block, q_dot))
+    sum_columns(strain.field, q_dot, work.xi_dot)
 
 
-parametrises(
-    Explicit, Parametrisation(solve_explicit, explicit_columns, explicit_matrices, explicit_is_unique, explicit_softest, explicit_rate)
-)
+parametrises(Explicit, Parametrisation(solve_explicit, explicit_columns, explicit_matrices, explicit_is_unique, explicit_rate))

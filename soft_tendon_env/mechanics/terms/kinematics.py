@@ -8,7 +8,7 @@ base-frame Jacobian grows by W_1 Phi_1 + W_2 Phi_2 over an interval. All interva
 import math
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import LANES, lane, lane_sum, load, prefix_sum, spread
+from soft_tendon_env.mechanics.algebra.lanes import LANES, lane, load, prefix_sum, spread
 from soft_tendon_env.mechanics.algebra.lie import (
     Ad_apply,
     Ad_inverse_apply,
@@ -30,7 +30,7 @@ from soft_tendon_env.mechanics.algebra.lie import (
     twist_sum,
 )
 from soft_tendon_env.mechanics.algebra.linear import copy
-from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store3, store6
+from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store6
 
 KAPPA = math.sqrt(3.0) / 12.0
 
@@ -54,14 +54,6 @@ def load_pose(field, at):
     return R, load3(field, at + 9 * LANES)
 
 
-@kernel(inline=True)
-def store_pose(field, at, R, r):
-    store3(field, at, (R[0], R[1], R[2]))
-    store3(field, at + 3 * LANES, (R[3], R[4], R[5]))
-    store3(field, at + 6 * LANES, (R[6], R[7], R[8]))
-    store3(field, at + 9 * LANES, r)
-
-
 @kernel
 def poses(rod, work):
     """Poses at the start and at the end of every interval, products of the exponentials exp(Omega) (11)."""
@@ -70,7 +62,8 @@ def poses(rod, work):
         at = 2 * pack * 6 * LANES
         Omega = magnus(h, load6(work.xi, at), load6(work.xi, at + 6 * LANES))
         R, r = exp_se3(Omega, coefficients(dot(Omega[0], Omega[0])))
-        store_pose(work.relative, pack * 12 * LANES, R, r)
+        store6(work.relative, pack * 12 * LANES, ((R[0], R[1], R[2]), (R[3], R[4], R[5])))
+        store6(work.relative, (pack * 12 + 6) * LANES, ((R[6], R[7], R[8]), r))
     chain(rod.packs, work)
 
 
@@ -160,8 +153,7 @@ def poses_inside(length, interval, distance, work, out):
 
 @kernel
 def strains_inside(length, interval, distance, field, out):
-    """A field over points, xi, xi_dot or a column of Phi, as out (m, 6) at `distance` (m,) from the start of the intervals (m,): linear
-    between the two points of an interval."""
+    """A field over points as out (m, 6) at `distance` (m,) from the start of the intervals (m,), linear between their two points."""
     for m in range(interval.size):
         i = interval[m]
         pack, lane_index = i // LANES, i % LANES
@@ -181,17 +173,11 @@ def interval_operators(h, half, kappa, xi_1, xi_2, R, r):
     T, T_dual = dexp_operator(Omega, c)
     A = matmul(R, T)
     C = matrix_sum(matmul(R, T_dual), skew_times(r, A))
-    C_1 = matrix_sum(times_skew(C, xi_2[0]), times_skew(A, xi_2[1]))
-    C_2 = matrix_sum(times_skew(C, xi_1[0]), times_skew(A, xi_1[1]))
-    W_1 = (
-        matrix_sum(matrix_scaled(half, A), matrix_scaled(-kappa, times_skew(A, xi_2[0]))),
-        matrix_sum(matrix_scaled(half, C), matrix_scaled(-kappa, C_1)),
-    )
-    W_2 = (
-        matrix_sum(matrix_scaled(half, A), matrix_scaled(kappa, times_skew(A, xi_1[0]))),
-        matrix_sum(matrix_scaled(half, C), matrix_scaled(kappa, C_2)),
-    )
-    return W_1, W_2, A, C, Omega, c
+    A_1 = matrix_sum(matrix_scaled(half, A), matrix_scaled(-kappa, times_skew(A, xi_2[0])))
+    A_2 = matrix_sum(matrix_scaled(half, A), matrix_scaled(kappa, times_skew(A, xi_1[0])))
+    C_1 = matrix_sum(matrix_scaled(half, C), matrix_scaled(-kappa, matrix_sum(times_skew(C, xi_2[0]), times_skew(A, xi_2[1]))))
+    C_2 = matrix_sum(matrix_scaled(half, C), matrix_scaled(kappa, matrix_sum(times_skew(C, xi_1[0]), times_skew(A, xi_1[1]))))
+    return (A_1, C_1), (A_2, C_2), A, C, Omega, c
 
 
 @kernel(inline=True)
@@ -228,8 +214,7 @@ def constant6(carry, row):
 
 @kernel
 def sweep(rod, strain, columns, work):
-    """Twist eta = J q_dot at every node, its bias J_dot q_dot, and the first `columns` columns of the body Jacobian J (17)-(18); after
-    poses()."""
+    """Twist eta = J q_dot at every node, its bias J_dot q_dot, and the first `columns` columns of J (17)-(18); after poses()."""
     n, packs = strain.size, rod.packs
     blocks = 2 * packs
     work.carry[:] = 0.0
@@ -267,35 +252,23 @@ def sweep(rod, strain, columns, work):
             store6(work.J, (j * packs + pack) * 6 * LANES, Ad_inverse_apply(R_end, r_end, column))
 
 
-@kernel(inline=True)
-def growth_over(rod, pack, work):
-    """Growth of the base-frame twist over every interval of a pack, from xi_dot; after poses(). As sweep() has it, without columns."""
-    at = 2 * pack * 6 * LANES
-    R, r = load_pose(work.start, pack * 12 * LANES)
-    h, xi_1, xi_2 = load(rod.length, pack * LANES), load6(work.xi, at), load6(work.xi, at + 6 * LANES)
-    W_1, W_2, A, C, Omega, c = interval_operators(h, 0.5 * h, KAPPA * h * h, xi_1, xi_2, R, r)
-    rate_1, rate_2 = load6(work.xi_dot, at), load6(work.xi_dot, at + 6 * LANES)
-    return twist_sum(operator_apply(W_1[0], W_1[1], rate_1), operator_apply(W_2[0], W_2[1], rate_2))
+@kernel
+def node_twists(rod, work):
+    """Body twists eta at the nodes from xi_dot; after poses(). As sweep() has them, without columns."""
+    copy(work.base[12:18], work.carry[:6])
+    for pack in range(rod.packs):
+        at = 2 * pack * 6 * LANES
+        R, r = load_pose(work.start, pack * 12 * LANES)
+        h, xi_1, xi_2 = load(rod.length, pack * LANES), load6(work.xi, at), load6(work.xi, at + 6 * LANES)
+        W_1, W_2, A, C, Omega, c = interval_operators(h, 0.5 * h, KAPPA * h * h, xi_1, xi_2, R, r)
+        rate_1, rate_2 = load6(work.xi_dot, at), load6(work.xi_dot, at + 6 * LANES)
+        growth = twist_sum(operator_apply(W_1[0], W_1[1], rate_1), operator_apply(W_2[0], W_2[1], rate_2))
+        R_end, r_end = load_pose(work.pose, pack * 12 * LANES)
+        store6(work.eta, pack * 6 * LANES, Ad_inverse_apply(R_end, r_end, running_sum(work.carry, 0, growth)))
 
 
 @kernel
 def tip_twist(rod, work):
     """Body twist (angular, linear) of the tip from xi_dot, as numbers; after poses()."""
-    b = work.base
-    total = (b[12], b[13], b[14]), (b[15], b[16], b[17])
-    for pack in range(rod.packs):
-        k, p = growth_over(rod, pack, work)
-        growth = (lane_sum(k[0]), lane_sum(k[1]), lane_sum(k[2])), (lane_sum(p[0]), lane_sum(p[1]), lane_sum(p[2]))
-        total = twist_sum(total, growth)
-    R_tip, r_tip = tip_pose_of(work.pose)
-    return Ad_inverse_apply(R_tip, r_tip, total)
-
-
-@kernel
-def node_twists(rod, work):
-    """Body twists eta at the nodes from xi_dot; after poses()."""
-    copy(work.base[12:18], work.carry[:6])
-    for pack in range(rod.packs):
-        R_end, r_end = load_pose(work.pose, pack * 12 * LANES)
-        eta_end = running_sum(work.carry, 0, growth_over(rod, pack, work))
-        store6(work.eta, pack * 6 * LANES, Ad_inverse_apply(R_end, r_end, eta_end))
+    node_twists(rod, work)
+    return twist_at(work.eta, rod.packs - 1, LANES - 1)

@@ -14,46 +14,20 @@ import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.algebra.lie import (
-    ad_apply,
-    coefficients,
-    cross,
-    dexp_dot_apply,
-    dot,
-    operator_apply,
-    plus,
-    times,
-    twist_scaled,
-    twist_sum,
-)
+from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, dot, operator_apply, plus, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import add_product
 from soft_tendon_env.mechanics.terms.kinematics import KAPPA, interval_operators, magnus, pose_at, twist_at
 from soft_tendon_env.mechanics.terms.transposed_kinematics import add_at, transposed_dexp, wrench_at_start, zanna_transposed
 
 SIZE = 12  # unknowns of an interval: the scaled strains e at its two points
+DIFFERENCE = 1e-3  # [rad] of an interval's turn: errors of 1e-12 by truncation and by rounding
+STENCIL = (-2.0, 1 / 12), (-1.0, -2 / 3), (1.0, 2 / 3), (2.0, -1 / 12)  # of the first derivative
 
 
 @kernel(inline=True)
 def place(node):
     """Index in a field over points at which the unknowns of the interval begin that ends at a node, LANES apart."""
     return (node // LANES * SIZE) * LANES + node % LANES
-
-
-@kernel(inline=True)
-def _row(field, a):
-    return (field[a, 0], field[a, 1], field[a, 2]), (field[a, 3], field[a, 4], field[a, 5])
-
-
-@kernel(inline=True)
-def _work(wrench, twist):
-    return dot(wrench[0], twist[0]) + dot(wrench[1], twist[1])
-
-
-@kernel(inline=True)
-def _unit(a, size):
-    """Strain of this size of the unknown a, as a twist."""
-    i = a % 6
-    return (size * (i == 0), size * (i == 1), size * (i == 2)), (size * (i == 3), size * (i == 4), size * (i == 5))
 
 
 @kernel(inline=True)
@@ -73,6 +47,15 @@ def _node_load(rod, strain, part, node, work):
 
 
 @kernel
+def _interval_stress(rod, node, xi_1, xi_2, wrench, work):
+    """Generalised forces of a wrench beyond an interval, in the base frame, on the strains at its two points over their weight."""
+    h, (R, r) = rod.length[node], pose_at(work.start, node)
+    mu, Omega = 2.0 * KAPPA * h, magnus(h, xi_1, xi_2)
+    t = transposed_dexp(Omega, coefficients(dot(Omega[0], Omega[0])), wrench_at_start(R, r, wrench))
+    return zanna_transposed(-mu, xi_2, t), zanna_transposed(mu, xi_1, t)
+
+
+@kernel
 def load_stress(rod, strain, part, work, out):
     """Generalised force of `part` of the loads on the strains over their weight, out (points x 6); after poses()."""
     moment, force = times(part, strain.moment), (0.0, 0.0, 0.0)
@@ -80,38 +63,37 @@ def load_stress(rod, strain, part, work, out):
     for node in range(rod.length.size - 1, -1, -1):
         position, own = _node_load(rod, strain, part, node, work)
         moment, force = plus(moment, cross(position, own)), plus(force, own)
-        (R, r), (xi_1, xi_2), mu = pose_at(work.start, node), _strains(node, work), 2.0 * KAPPA * rod.length[node]
-        Omega = magnus(rod.length[node], xi_1, xi_2)
-        t = transposed_dexp(Omega, coefficients(dot(Omega[0], Omega[0])), wrench_at_start(R, r, (moment, force)))
-        add_at(out, place(node), zanna_transposed(-mu, xi_2, t))
-        add_at(out, place(node) + 6 * LANES, zanna_transposed(mu, xi_1, t))
+        xi_1, xi_2 = _strains(node, work)
+        first, second = _interval_stress(rod, node, xi_1, xi_2, (moment, force), work)
+        add_at(out, place(node), first)
+        add_at(out, place(node) + 6 * LANES, second)
+
+
+@kernel(inline=True)
+def _unit(rod, node, a):
+    """Strain of a point by the a-th unknown of an interval, as a twist."""
+    i, c = a % 6, rod.root_compliance[place(node) + a * LANES]
+    return (c * (i == 0), c * (i == 1), c * (i == 2)), (c * (i == 3), c * (i == 4), c * (i == 5))
 
 
 @kernel
-def _assemble_interval(rod, node, wrench, work, D, Z):
-    """Hessian D (12, 12) of an interval over the weight, but for what y makes of it; its unknowns as derivatives of Omega, Z (12, 6), over
-    the weight too. Returns the operator from these to W."""
-    at, h, (R, r), (xi_1, xi_2) = place(node), rod.length[node], pose_at(work.start, node), _strains(node, work)
-    mu, psi = 2.0 * KAPPA * h, wrench_at_start(R, r, wrench)
-    _, _, A, C, Omega, c = interval_operators(h, 1.0, mu, xi_1, xi_2, R, r)
-    t = transposed_dexp(Omega, c, psi)
+def _assemble_interval(rod, node, wrench, work, D):
+    """Hessian D (12, 12) of an interval over the weight, but for what y makes of it: the section's, and differences of load stresses."""
+    at, (xi_1, xi_2), block = place(node), _strains(node, work), 2 * (node // LANES)
     for a in range(SIZE):
-        e = _unit(a, rod.root_compliance[at + a * LANES])
-        x = twist_sum(e, ad_apply(twist_scaled(mu, xi_1), e) if a >= 6 else ad_apply(twist_scaled(-mu, xi_2), e))
-        for i in range(3):
-            Z[a, i], Z[a, 3 + i] = x[0][i], x[1][i]
-    for a in range(SIZE):
+        e, c, i = _unit(rod, node, a), rod.length[node] * rod.root_compliance[at + a * LANES], a % 6
+        way = DIFFERENCE / c if c > 0.0 else 1.0
         for b in range(SIZE):
-            D[b, a] = -0.5 * h * _work(psi, dexp_dot_apply(Omega, _row(Z, a), c, _row(Z, b)))
-            first, second = min(a, b), max(a, b)
-            if first // 6 == second // 6:
-                i, j = second % 6, first % 6
-                entry = (2 * (node // LANES) + a // 6) * 21 + i * (i + 1) // 2 + j
-                D[b, a] += work.factor[entry * LANES + node % LANES]
-            else:  # Z_2 = 1 + mu ad_xi1 depends on the other strain
-                e_1, e_2 = _unit(first, rod.root_compliance[at + first * LANES]), _unit(second, rod.root_compliance[at + second * LANES])
-                D[b, a] -= mu * _work(t, ad_apply(e_1, e_2))
-    return A, C
+            j, D[b, a] = b % 6, 0.0
+            if a // 6 == b // 6:
+                entry = (block + a // 6) * 21 + max(i, j) * (max(i, j) + 1) // 2 + min(i, j)
+                D[b, a] = work.factor[entry * LANES + node % LANES]
+        for steps, share in STENCIL:
+            moved = twist_scaled(steps * way, e)
+            first, second = twist_sum(xi_1, moved) if a < 6 else xi_1, twist_sum(xi_2, moved) if a >= 6 else xi_2
+            stress = _interval_stress(rod, node, first, second, wrench, work)
+            for b in range(SIZE):
+                D[b, a] -= rod.root_compliance[at + b * LANES] * stress[b // 6][b % 6 // 3][b % 3] * share / way
 
 
 @kernel
@@ -136,7 +118,7 @@ def _invert(D):
 @kernel(refcount=True)
 def factorise_hessian(rod, strain, part, work):
     """Eliminates the intervals from tip to base; the least pivot. After poses(), with the scaled section stiffness in work.factor."""
-    memory, least, Z, rows = work.under_loads, 1e300, np.empty((SIZE, 6)), np.empty((SIZE, 3))
+    memory, least, rows = work.under_loads, 1e300, np.empty((SIZE, 3))
     Q, rows_Q = np.zeros((3, 3)), np.zeros((3, 3))
     moment, force = times(part, strain.moment), (0.0, 0.0, 0.0)
     for i in range(3):  # rows_Q = moment~
@@ -150,12 +132,15 @@ def factorise_hessian(rod, strain, part, work):
                 change = (dot(position, own) if i == j else 0.0) - position[i] * own[j]
                 Q[i, j], rows_Q[i, j] = Q[i, j] + change, rows_Q[i, j] + change
         D, turn, columns, answer = memory.inverse[node], memory.turn[node], memory.columns[node], memory.answer[node]
-        A, C = _assemble_interval(rod, node, (moment, force), work, D, Z)
+        _assemble_interval(rod, node, (moment, force), work, D)
+        (R, r), (xi_1, xi_2), h = pose_at(work.start, node), _strains(node, work), rod.length[node]
+        W_1, W_2, _, _, _, _ = interval_operators(h, 1.0, 2.0 * KAPPA * h, xi_1, xi_2, R, r)
         for a in range(SIZE):
-            k, v = operator_apply(A, C, _row(Z, a))
+            A, C = W_1 if a < 6 else W_2
+            k, v = operator_apply(A, C, _unit(rod, node, a))
             for i in range(3):
                 turn[a, i], answer[a, i], side = k[i], 0.0, cross(force, v)[i]
-                columns[a, i] = 0.5 * rod.length[node] * (side + Q[i, 0] * k[0] + Q[i, 1] * k[1] + Q[i, 2] * k[2])
+                columns[a, i] = 0.5 * h * (side + Q[i, 0] * k[0] + Q[i, 1] * k[1] + Q[i, 2] * k[2])
                 rows[a, i] = -(side + rows_Q[i, 0] * k[0] + rows_Q[i, 1] * k[1] + rows_Q[i, 2] * k[2])
         add_product(turn, columns.T, D)
         pivot = _invert(D)

@@ -1,17 +1,7 @@
 """Strain parametrisations: registry of their compiled functions, and the continuation that finds a strain without a guess.
 
-A parametrisation is a struct of arrays (types.py), the arm's `strain`, and six compiled functions. Its class is part of
-the compiled type, so it selects their code. Each takes the arm and its strain first, and the workspace last:
-
-    solve(arm, strain, q, part, tolerance, contraction, work)
-                                                    the strain at q under `part` of the loads inside it, into work.xi, from the guess there;
-                                                    -1, or the block at which it could not be found; contraction: see CONTRACTION
-    columns(arm, strain, u, q, q_dot, work)         under tensions u, where solve has just left the strain: xi_dot, xi_bias, the
-                                                    columns Phi and the mismatch, of which B u - K is made
-    matrices(arm, strain, work)                     D and G, of what columns has left
-    is_unique(arm, strain, q, work)                 whether at most one strain belongs to q
-    softest(arm, strain, work)                      how stiff the rod still is where solve has just left the strain, 1 with nothing acting
-    rate(arm, strain, q_dot, work)                  xi_dot alone, where solve has just left the strain
+A parametrisation is a struct of arrays (types.py), the arm's `strain`, and five compiled functions. Its class is part of the compiled type,
+so it selects their code.
 """
 
 from collections.abc import Callable
@@ -27,17 +17,22 @@ from soft_tendon_env.mechanics.terms.statics_newton import ANY, CONTRACTION, all
 SMALLEST_PART = 1e-5  # of what was reached, in a continuation
 LEAST_PART = 1e-9  # of the way
 MARGIN_PARTS = 16
-SOFT = 0.05  # of the stiffness: less is left where the strain is about to give way
 
 
 class Parametrisation(NamedTuple):
-    """The functions of one parametrisation."""
+    """The functions of one parametrisation. Each takes the arm and its strain first, and the workspace last.
+
+    solve(arm, strain, q, part, tolerance, contraction, work) finds the strain at q under `part` of the loads inside it, into work.xi, from
+    the guess there; -1, or the block at which it could not be found; contraction: see CONTRACTION. Where it has just left the strain,
+    columns(arm, strain, u, q, q_dot, work) makes xi_dot, xi_bias, the columns Phi and, under tensions u, the mismatch, of which B u - K is
+    made; matrices(arm, strain, work) D and G of these; rate(arm, strain, q_dot, work) xi_dot alone. is_unique(arm, strain, q, work):
+    whether at most one strain belongs to q.
+    """
 
     solve: Callable[..., Any]
     columns: Callable[..., Any]
     matrices: Callable[..., Any]
     is_unique: Callable[..., Any]
-    softest: Callable[..., Any]
     rate: Callable[..., Any]
 
 
@@ -63,7 +58,7 @@ def _of_the_arm(name):
     return call
 
 
-solve_strain_at, strain_is_unique, strain_softest = _of_the_arm("solve"), _of_the_arm("is_unique"), _of_the_arm("softest")
+solve_strain_at, strain_is_unique = _of_the_arm("solve"), _of_the_arm("is_unique")
 strain_columns, strain_matrices, strain_rate = _of_the_arm("columns"), _of_the_arm("matrices"), _of_the_arm("rate")
 
 
@@ -110,21 +105,15 @@ def strain_from_rest(arm, q, tolerance, work):
     return continue_strain(arm, (np.zeros(q.size), 0.0), (q, 1.0), tolerance, work)
 
 
-@kernel
-def strain_along(arm, q_from, q, tolerance, work):
-    """The strain at q on the branch of that at q_from, which is in work.xi; as continue_strain()."""
-    return continue_strain(arm, (q_from, 1.0), (q, 1.0), tolerance, work)
-
-
 @kernel(refcount=True)
 def strain_has_margin(arm, q, tolerance, work):
-    """Whether there is a strain at q and, where it need not be the only one, Newton contracts at once in each of MARGIN_PARTS even parts of
-    the way from rest, to strains stiffer than SOFT."""
+    """Whether there is a strain at q and, where it need not be the only one, one a MARGIN_PARTS-th beyond too, with Newton contracting at
+    once in each of these even parts of the way from rest."""
     if strain_is_unique(arm, q, work):
         return strain_from_rest(arm, q, tolerance, work)[0] < 0
     copy(arm.rod.reference_strain, work.xi)
-    for k in range(MARGIN_PARTS):
+    for k in range(MARGIN_PARTS + 1):
         part = (k + 1.0) / MARGIN_PARTS
-        if solve_strain_at(arm, part * q, part, tolerance, CONTRACTION, work) >= 0 or not strain_softest(arm, work) > SOFT:
+        if solve_strain_at(arm, part * q, part, tolerance, CONTRACTION, work) >= 0:
             return False
     return True

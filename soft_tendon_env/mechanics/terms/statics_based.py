@@ -10,8 +10,8 @@ from soft_tendon_env.mechanics.algebra.lie import plus, times, twist_scaled, twi
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, load_factor, scaled, solve, store6, zero6
 from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, stiffness_matrix
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
-from soft_tendon_env.mechanics.terms.statics_newton import least_pivot, passive_wrench, solve_statics, statics_is_unique, strain_tension
-from soft_tendon_env.mechanics.terms.tendons import tangent_rate, wrench_column
+from soft_tendon_env.mechanics.terms.statics_newton import passive_wrench, solve_statics, statics_is_unique, strain_tension
+from soft_tendon_env.mechanics.terms.tendons import actuation_wrench, tangent_rate, wrench_column
 from soft_tendon_env.mechanics.types import StaticsBased
 
 
@@ -19,14 +19,6 @@ from soft_tendon_env.mechanics.types import StaticsBased
 def solve_column(f, c, wrench, free):
     """Column Phi = H^-1 wrench, H^-1 = C^1/2 L^-T D^-1 L^-1 C^1/2."""
     return scaled(c, solve(f, scaled(c, wrench), free))
-
-
-@kernel(inline=True)
-def actuation_wrench(tendons, blocks, block, i, work):
-    """Actuation wrench Phi_a of a tendon at one block, where its tangents are known."""
-    t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
-    at = (i * blocks + block) * 5 * LANES
-    return twist_scaled(-load(tendons.geometry, at + 4 * LANES), wrench_column(tendons.geometry, at, t))
 
 
 @kernel(inline=True)
@@ -40,12 +32,12 @@ def coordinate_wrenches(arm, law, block, u, q, work):
             store6(work.Phi, (j * blocks + block) * 6 * LANES, zero6())
     for i in range(tendons.size):
         if tendons.first[i] <= pack < tendons.last[i]:
-            wrench = actuation_wrench(tendons, blocks, block, i, work)
+            wrench = actuation_wrench(tendons, blocks, block, i, work.tangent)
             mismatch = twist_sum(mismatch, twist_scaled(u[i] - work.tau[i], wrench))
-            for m in range(law.row[i], law.row[i + 1]):
-                at, column = (law.coordinate[m] * blocks + block) * 6 * LANES, wrench
+            for m in range(law.row_start[i], law.row_start[i + 1]):
+                at, column = (law.column[m] * blocks + block) * 6 * LANES, wrench
                 if law.mixed:
-                    column = twist_sum(load6(work.Phi, at), twist_scaled(law.mixing[m], wrench))
+                    column = twist_sum(load6(work.Phi, at), twist_scaled(law.weight[m], wrench))
                 store6(work.Phi, at, column)
                 store6(work.Y, at, twist_scaled(weight, column))
     for j in range(law.active, law.size):
@@ -55,25 +47,6 @@ def coordinate_wrenches(arm, law, block, u, q, work):
             store6(work.Phi, at, column)
             store6(work.Y, at, twist_scaled(weight, column))
     store6(work.mismatch, block * 6 * LANES, twist_scaled(weight, mismatch))
-
-
-@kernel
-def statics_columns(arm, strain, u, q, q_dot, work):
-    """Columns Phi_xi (31) of every coordinate, xi_dot, xi_bias and the mismatch, of which is the drive of the implicit strain (34),
-    G ([u; 0] - q)."""
-    rod, blocks = arm.rod, 2 * arm.rod.packs
-    strain_tension(strain, q_dot, work.tau_dot)
-    for block in range(blocks):
-        coordinate_wrenches(arm, strain, block, u, q, work)
-        f, c, rate = load_factor(work.factor, block), load6(rod.root_compliance, block * 6 * LANES), zero6()
-        for j in range(strain.size):
-            if strain.first[j] <= block // 2 < strain.last[j]:
-                at = (j * blocks + block) * 6 * LANES
-                phi = solve_column(f, c, load6(work.Phi, at), rod.free)
-                rate = twist_sum(rate, twist_scaled(q_dot[j], phi))
-                store6(work.Phi, at, phi)
-        store6(work.xi_dot, block * 6 * LANES, rate)
-    statics_bias(arm, strain, work)
 
 
 @kernel(inline=True)
@@ -93,13 +66,23 @@ def turning_wrench(tendons, blocks, block, rate, work):
 
 
 @kernel
-def statics_bias(arm, strain, work):
-    """Bias xi_bias = A^-1 Sigma^-1 (Psi_adot + Psi_a_dot) xi_dot (33), where xi_dot is known."""
-    rod, tendons, blocks = arm.rod, arm.tendons, 2 * arm.rod.packs
+def statics_columns(arm, strain, u, q, q_dot, work):
+    """Columns Phi_xi (31) of every coordinate, xi_dot, the bias xi_bias = A^-1 Sigma^-1 (Psi_adot + Psi_a_dot) xi_dot (33), and the
+    mismatch, of which is the drive of the implicit strain (34), G ([u; 0] - q)."""
+    rod, blocks = arm.rod, 2 * arm.rod.packs
+    strain_tension(strain, q_dot, work.tau_dot)
     for block in range(blocks):
-        at = block * 6 * LANES
-        c, total = load6(rod.root_compliance, at), turning_wrench(tendons, blocks, block, load6(work.xi_dot, at), work)
-        store6(work.xi_bias, at, solve_column(load_factor(work.factor, block), c, total, rod.free))
+        coordinate_wrenches(arm, strain, block, u, q, work)
+        f, c, rate = load_factor(work.factor, block), load6(rod.root_compliance, block * 6 * LANES), zero6()
+        for j in range(strain.size):
+            if strain.first[j] <= block // 2 < strain.last[j]:
+                at = (j * blocks + block) * 6 * LANES
+                phi = solve_column(f, c, load6(work.Phi, at), rod.free)
+                rate = twist_sum(rate, twist_scaled(q_dot[j], phi))
+                store6(work.Phi, at, phi)
+        turning = turning_wrench(arm.tendons, blocks, block, rate, work)
+        store6(work.xi_dot, block * 6 * LANES, rate)
+        store6(work.xi_bias, block * 6 * LANES, solve_column(f, c, turning, rod.free))
 
 
 @kernel
@@ -115,10 +98,7 @@ def rate_wrench(tendons, law, blocks, block, q_dot, work):
     total = passive_wrench(law, blocks, block, q_dot)
     for i in range(tendons.size):
         if tendons.first[i] <= block // 2 < tendons.last[i]:
-            geometry_at = (i * blocks + block) * 5 * LANES
-            t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
-            pulled = -work.tau_dot[i] * load(tendons.geometry, geometry_at + 4 * LANES)
-            total = twist_sum(total, twist_scaled(pulled, wrench_column(tendons.geometry, geometry_at, t)))
+            total = twist_sum(total, twist_scaled(work.tau_dot[i], actuation_wrench(tendons, blocks, block, i, work.tangent)))
     return total
 
 
@@ -132,4 +112,4 @@ def statics_rate(arm, strain, q_dot, work):
         store6(work.xi_dot, block * 6 * LANES, solve_column(load_factor(work.factor, block), c, total, rod.free))
 
 
-parametrises(StaticsBased, Parametrisation(solve_statics, statics_columns, statics_matrices, statics_is_unique, least_pivot, statics_rate))
+parametrises(StaticsBased, Parametrisation(solve_statics, statics_columns, statics_matrices, statics_is_unique, statics_rate))

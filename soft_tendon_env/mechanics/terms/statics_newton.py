@@ -1,19 +1,16 @@
 """Newton iteration for the statics-based strain (30), with the exact Jacobian (31)-(32).
 
-In scaled form, with C = Sigma^-1 (0 for rigid strains) and e = Sigma^1/2 (xi - xi*), the strain solves
-e + C^1/2 (sum tau s - Phi_p q_p) = 0. Its Jacobian H is symmetric, and positive definite as long as every tendon pulls: e then
-minimises a convex energy.
+In scaled form, with C = Sigma^-1 (0 for rigid strains) and e = Sigma^1/2 (xi - xi*), the strain solves e + C^1/2 (sum tau s - Phi_p q_p) =
+0. Its Jacobian H is symmetric, and positive definite as long as every tendon pulls: e then minimises a convex energy.
 """
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load
-from soft_tendon_env.mechanics.algebra.lie import minus, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import dot, minus, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
-    inverse_diagonal,
     is_positive,
     load6,
-    load_factor,
     scaled,
     scaled_stiffness,
     solve,
@@ -22,7 +19,7 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
     store_factor,
     zero6,
 )
-from soft_tendon_env.mechanics.terms.tendons import chord, pull, squared_length
+from soft_tendon_env.mechanics.terms.tendons import chord, pull
 
 MAX_NEWTON = 20
 CONTRACTION = 0.25
@@ -50,8 +47,8 @@ def strain_tension(strain, q, tau):
     """Tensions of the strain law, tau = mixing q_a."""
     for i in range(tau.size):
         tau[i] = 0.0
-        for m in range(strain.row[i], strain.row[i + 1]):
-            tau[i] += strain.mixing[m] * q[strain.coordinate[m]]
+        for m in range(strain.row_start[i], strain.row_start[i + 1]):
+            tau[i] += strain.weight[m] * q[strain.column[m]]
 
 
 @kernel
@@ -107,7 +104,7 @@ def chords_stay(rod, tendons, before, after):
             (k0, p0), (k1, p1) = load6(before, block * 6 * LANES), load6(after, block * 6 * LANES)
             c0, c1 = chord(tendons.geometry, at, k0, p0), chord(tendons.geometry, at, k1, p1)
             turn, presence = minus(c1, c0), load(tendons.geometry, at + 4 * LANES)
-            excess = squared_length(turn) - (MOST_TURN * MOST_TURN) * squared_length(c0)
+            excess = dot(turn, turn) - (MOST_TURN * MOST_TURN) * dot(c0, c0)
             if not largest(presence * excess) <= 0.0:
                 return False
     return True
@@ -134,13 +131,3 @@ def statics_is_unique(arm, strain, q, work):
     """Whether at most one strain belongs to q: no tendon pushes."""
     strain_tension(strain, q, work.tau)
     return all_pull(work.tau)
-
-
-@kernel
-def least_pivot(arm, strain, work):
-    """Least pivot of the section stiffness at the strain that solve_strain() left."""
-    softest = 0.0
-    for block in range(2 * arm.rod.packs):
-        i0, i1 = inverse_diagonal(load_factor(work.factor, block))
-        softest = max(softest, largest(i0[0]), largest(i0[1]), largest(i0[2]), largest(i1[0]), largest(i1[1]), largest(i1[2]))
-    return 1.0 / softest

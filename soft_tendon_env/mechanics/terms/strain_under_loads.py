@@ -12,12 +12,10 @@ Loads make U non-convex: of several strains at the same coordinates the one is t
 from nothing, or along a motion; where the Hessian loses its positive pivots the arm buckles, and there is no strain.
 """
 
-import math
-
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, largest
 from soft_tendon_env.mechanics.algebra.lie import twist_scaled, twist_sum
-from soft_tendon_env.mechanics.algebra.linear import copy, product, total
+from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
     is_positive,
@@ -28,7 +26,7 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
     store6,
     store_factor,
 )
-from soft_tendon_env.mechanics.terms.dynamics import combined_columns, damping_matrix, point_rows, project
+from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, point_rows, project, sum_columns
 from soft_tendon_env.mechanics.terms.kinematics import poses
 from soft_tendon_env.mechanics.terms.load_hessian import factorise_hessian, load_stress, solve_hessian
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
@@ -41,13 +39,11 @@ SHARPER = 1e-3  # part of the tolerance that the last correction may have: colum
 ROUND_OFF = 1e-12  # relative size of corrections that rounding leaves
 STENCIL = (-3.0, 1 / 90), (-2.0, -0.15), (-1.0, 1.5), (0.0, -49 / 18), (1.0, 1.5), (2.0, -0.15), (3.0, 1 / 90)  # of the second derivative
 ALONG = 0.05  # [rad] of a step, of the turn of the whole rod: errors of 1e-11 by truncation, less by rounding
-ITERATIONS = 8  # of the inverse iteration for the least eigenvalue
 
 
 @kernel
 def linearise_loaded(arm, strain, q, part, work):
-    """Residual of the balance at work.xi into memory.step, and the Hessian, factorised; -1, the block of a section that gives way, or
-    2 packs where the arm buckles."""
+    """Residual into memory.step, and the Hessian, factorised; -1, the block of a section that gives way, or 2 packs: the arm buckles."""
     rod, memory, blocks = arm.rod, work.under_loads, 2 * arm.rod.packs
     poses(rod, work)
     load_stress(rod, strain, part, work, memory.step)
@@ -159,7 +155,7 @@ def loaded_columns(arm, strain, u, q, q_dot, work):
         coordinate_wrenches(arm, law, block, u, q, work)
     for j in range(law.size):
         solve_hessian(rod, memory, work.Phi, j * size)
-    combined_columns(work.Phi, q_dot, work.xi_dot)
+    sum_columns(work.Phi, q_dot, work.xi_dot)
     load_acceleration(rod, strain, work, work.xi_bias)
     for block in range(2 * rod.packs):
         at = block * 6 * LANES
@@ -184,20 +180,6 @@ def loaded_is_unique(arm, strain, q, work):
 
 
 @kernel
-def least_eigenvalue(arm, strain, work):
-    """Least eigenvalue of the Hessian, 1 without loads and tensions, by inverse iteration with the factors."""
-    x, norm = work.under_loads.step, 1.0
-    for m in range(x.size):
-        x[m] = math.cos(1.0 * m)
-    for _ in range(ITERATIONS):
-        for m in range(x.size):
-            x[m] *= arm.rod.root_stiffness[m] ** 2 / norm
-        solve_hessian(arm.rod, work.under_loads, x, 0)
-        norm = math.sqrt(product(x, x))
-    return 1.0 / norm
-
-
-@kernel
 def loaded_rate(arm, strain, q_dot, work):
     """Strain rate xi_dot = H^-1 Phi_w q_dot, from the tangents and factors that solve_loaded() left."""
     blocks = 2 * arm.rod.packs
@@ -207,4 +189,4 @@ def loaded_rate(arm, strain, q_dot, work):
     solve_hessian(arm.rod, work.under_loads, work.xi_dot, 0)
 
 
-parametrises(Loaded, Parametrisation(solve_loaded, loaded_columns, loaded_matrices, loaded_is_unique, least_eigenvalue, loaded_rate))
+parametrises(Loaded, Parametrisation(solve_loaded, loaded_columns, loaded_matrices, loaded_is_unique, loaded_rate))

@@ -9,9 +9,9 @@ import math
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, spread
 from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, times, twist_scaled, twist_sum
-from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store6, zero6
-from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
-from soft_tendon_env.mechanics.terms.tendons import tendon_forces, wrench_column
+from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
+from soft_tendon_env.mechanics.terms.kinematics import twist_at
+from soft_tendon_env.mechanics.terms.tendons import actuation_wrench, tendon_forces
 
 BEFORE = 0.5 - math.sqrt(3.0) / 6.0  # of an interval, what lies before its first Gauss point and after its second
 CUT_ACROSS, CUT_INSIDE = ((part**2 / (3.0 * (1.0 - part))) for part in (2.0 * BEFORE, 1.0 - 2.0 * BEFORE))
@@ -20,9 +20,8 @@ CUT_ACROSS, CUT_INSIDE = ((part**2 / (3.0 * (1.0 - part))) for part in (2.0 * BE
 
 @kernel
 def find_shares(arm, work):
-    """Shares of the tensions that are left along the tendons, in work.share, and what their friction is by their direction of sliding, in
-    work.slip and work.grip; True
-    if there is friction."""
+    """Shares of the tensions that friction leaves along the tendons, in work.share, and its derivatives by their direction of sliding, in
+    work.slip and work.grip; True if there is friction."""
     friction, tendons = arm.effects.transmission, arm.tendons
     if friction.friction == 0.0 or work.u_is_command[0] == 0.0:
         return False
@@ -31,7 +30,9 @@ def find_shares(arm, work):
     for i in range(tendons.size):
         z = work.pull_rate[i] / math.hypot(work.pull_rate[i], friction.stiction_speed)
         turned = friction.friction * find_share(arm, i, friction.friction, z, work)
-        work.grip[i] = turned * mean_slope(turned * z) * work.tension[i]
+        a = turned * z  # the mean tension falls with it by the mean of u exp(-a u) over u from 0 to 1
+        slope = (1.0 - (1.0 + a) * math.exp(-a)) / (a * a) if abs(a) > 0.01 else 0.5 - a / 3.0 + a * a / 8.0
+        work.grip[i] = turned * slope * work.tension[i]
     return True
 
 
@@ -39,13 +40,13 @@ def find_shares(arm, work):
 def tangent_at(arm, i, pack, z, m, work):
     """Unit tangent of a tendon at the z-th point of interval m of a pack, and its rate of turning with the section by arc length."""
     block = 2 * pack + z
-    at, xi = (i * 2 * arm.rod.packs + block) * 4 * LANES + m, block * 6 * LANES + m
+    at = (i * 2 * arm.rod.packs + block) * 4 * LANES + m
     t = work.tangent[at], work.tangent[at + LANES], work.tangent[at + 2 * LANES]
-    return t, cross((work.xi[xi], work.xi[xi + LANES], work.xi[xi + 2 * LANES]), t)
+    return t, cross(twist_at(work.xi, block, m)[0], t)
 
 
 @kernel
-def turned_by(one, other, distance):
+def tangent_change(one, other, distance):
     """How the tangent of a path turns between two points at this distance: within the section, and with it."""
     return plus(minus(other[0], one[0]), times(0.5 * distance, plus(one[1], other[1])))
 
@@ -61,10 +62,10 @@ def find_share(arm, i, friction, z, work):
             if width == 0.0 or geometry[(first * 5 + 4) * LANES + m] == 0.0:
                 continue
             one, other = tangent_at(arm, i, pack, 0, m, work), tangent_at(arm, i, pack, 1, m, work)
-            turned_inside = turned_by(one, other, (1.0 - 2.0 * BEFORE) * width)
+            turned_inside = tangent_change(one, other, (1.0 - 2.0 * BEFORE) * width)
             inside = math.sqrt(dot(turned_inside, turned_inside))
             if width_before > 0.0:
-                turned = turned_by(before, one, BEFORE * (width + width_before))
+                turned = tangent_change(before, one, BEFORE * (width + width_before))
                 across, both = math.sqrt(dot(turned, turned)), plus(turned, turned_inside)
                 cut = inside + across - math.sqrt(dot(both, both))
                 angle, inside = angle + across + CUT_ACROSS * cut, inside + CUT_INSIDE * cut
@@ -85,34 +86,13 @@ def leave_share(turned, z, at, work):
 
 
 @kernel
-def mean_slope(a):
-    """Mean of u exp(-a u) over u from 0 to 1: how the mean tension falls with mu z phi = a."""
-    return (1.0 - (1.0 + a) * math.exp(-a)) / (a * a) if abs(a) > 0.01 else 0.5 - a / 3.0 + a * a / 8.0
-
-
-@kernel
 def add_lost_stress(arm, work):
     """Adds to work.stress the wrench that friction takes from the tendons, - sum tau (1 - share) s."""
-    rod, tendons = arm.rod, arm.tendons
-    blocks = 2 * rod.packs
+    tendons, blocks = arm.tendons, 2 * arm.rod.packs
     for block in range(blocks):
-        at, total = block * 6 * LANES, zero6()
+        at, total = block * 6 * LANES, load6(work.stress, block * 6 * LANES)
         for i in range(tendons.size):
             if tendons.first[i] <= block // 2 < tendons.last[i]:
-                geometry_at = (i * blocks + block) * 5 * LANES
-                t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
-                left = load(work.share, (i * blocks + block) * LANES)
-                lost = work.tension[i] * load(tendons.geometry, geometry_at + 4 * LANES) * (left - spread(1.0))
-                total = twist_sum(total, twist_scaled(lost, wrench_column(tendons.geometry, geometry_at, t)))
-        store6(work.stress, at, twist_sum(load6(work.stress, at), total))
-
-
-@kernel
-def weighted_column(arm, i, shares, work, out):
-    """Column (n) of the forces that a tendon makes by shares (tendons x points) of its tension, where actuation_column() has left its
-    wrenches in work.mismatch."""
-    blocks, field = 2 * arm.rod.packs, work.stress
-    for block in range(blocks):
-        at = block * 6 * LANES
-        store6(field, at, twist_scaled(load(shares, (i * blocks + block) * LANES), load6(work.mismatch, at)))
-    project(work.Phi, field, point_rows(arm.rod), arm.strain.first, arm.strain.last, out)
+                lost = work.tension[i] * (spread(1.0) - load(work.share, (i * blocks + block) * LANES))
+                total = twist_sum(total, twist_scaled(lost, actuation_wrench(tendons, blocks, block, i, work.tangent)))
+        store6(work.stress, at, total)

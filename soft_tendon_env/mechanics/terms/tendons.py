@@ -6,7 +6,7 @@ project's sign (positive tension pulls) the actuation column is -s, so that Psi 
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread, sqrt, store
-from soft_tendon_env.mechanics.algebra.lie import minus, times, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import dot, minus, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store3, store6, zero6, zero21
 from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
 
@@ -20,15 +20,9 @@ def chord(geometry, at, k, p):
 
 
 @kernel(inline=True)
-def squared_length(t_c):
-    """Squared length |t_c|^2."""
-    return t_c[0] * t_c[0] + t_c[1] * t_c[1] + t_c[2] * t_c[2]
-
-
-@kernel(inline=True)
 def unit_tangent(t_c):
     """Unit tangent t = t_c / |t_c|, and 1 / |t_c|."""
-    inverse = 1.0 / sqrt(squared_length(t_c))
+    inverse = 1.0 / sqrt(dot(t_c, t_c))
     return (t_c[0] * inverse, t_c[1] * inverse, t_c[2] * inverse), inverse
 
 
@@ -95,26 +89,22 @@ def pull(rod, tendons, block, xi, tau, tangent):
     return h, total
 
 
+@kernel(inline=True)
+def actuation_wrench(tendons, blocks, block, i, tangent):
+    """Actuation wrench Phi_a of a tendon at one block, by the tangents that pull() left."""
+    at = i * blocks + block
+    presence, t = load(tendons.geometry, (at * 5 + 4) * LANES), load3(tangent, at * 4 * LANES)
+    return twist_scaled(-presence, wrench_column(tendons.geometry, at * 5 * LANES, t))
+
+
 @kernel
-def actuation_matrix(rod, tendons, strain, work, out):
+def actuation_matrix(arm, work, out):
     """Actuation matrix B (n, n_a)."""
-    for i in range(tendons.size):
+    for i in range(arm.tendons.size):
         column = work.extra[0]
-        actuation_column(rod, tendons, strain, i, work, column)
+        actuation_column(arm, i, work.whole, work, column)
         for j in range(column.size):
             out[j, i] = column[j]
-
-
-@kernel
-def chord_lengths(rod, tendons, xi, out):
-    """Lengths |t_c| of every tendon at the points, where it is present, else 0; out in the layout tendon x points."""
-    blocks = 2 * rod.packs
-    for i in range(tendons.size):
-        for block in range(blocks):
-            geometry_at = (i * blocks + block) * 5 * LANES
-            k, p = load6(xi, block * 6 * LANES)
-            t_c = chord(tendons.geometry, geometry_at, k, p)
-            store(out, (i * blocks + block) * LANES, load(tendons.geometry, geometry_at + 4 * LANES) * sqrt(squared_length(t_c)))
 
 
 @kernel
@@ -125,21 +115,18 @@ def tendon_lengths(rod, tendons, work, out):
         total = spread(0.0)
         for block in range(2 * tendons.first[i], 2 * tendons.last[i]):
             at, (k, p) = (i * blocks + block) * 5 * LANES, load6(work.xi, block * 6 * LANES)
-            weight = load(rod.weight, block * LANES) * load(tendons.geometry, at + 4 * LANES)
-            total = total + weight * sqrt(squared_length(chord(tendons.geometry, at, k, p)))
+            t_c = chord(tendons.geometry, at, k, p)
+            total = total + load(rod.weight, block * LANES) * load(tendons.geometry, at + 4 * LANES) * sqrt(dot(t_c, t_c))
         out[i] = lane_sum(total)
 
 
 @kernel
-def actuation_column(rod, tendons, strain, i, work, out):
-    """Column B_i = int Phi^T Phi_a,i dX (40e) of the actuation matrix, into out (n)."""
-    blocks = 2 * rod.packs
+def actuation_column(arm, i, share, work, out):
+    """Column B_i = int Phi^T Phi_a,i dX (40e) of the actuation matrix, into out (n), with a share (tendons x points) of the tension."""
+    rod, strain, blocks = arm.rod, arm.strain, 2 * arm.rod.packs
     for block in range(blocks):
-        at, geometry_at = block * 6 * LANES, (i * blocks + block) * 5 * LANES
-        weight = load(rod.weight, block * LANES) * load(tendons.geometry, geometry_at + 4 * LANES)
-        xi = load6(work.xi, at)
-        t = unit_tangent(chord(tendons.geometry, geometry_at, xi[0], xi[1]))[0]
-        store6(work.mismatch, at, twist_scaled(-weight, wrench_column(tendons.geometry, geometry_at, t)))
+        weight = load(rod.weight, block * LANES) * load(share, (i * blocks + block) * LANES)
+        store6(work.mismatch, block * 6 * LANES, twist_scaled(weight, actuation_wrench(arm.tendons, blocks, block, i, work.tangent)))
     project(work.Phi, work.mismatch, point_rows(rod), strain.first, strain.last, out)
 
 

@@ -8,12 +8,11 @@ import math
 
 from soft_tendon_env.compiler.compilation import kernel, phase
 from soft_tendon_env.mechanics.algebra.linear import copy
-from soft_tendon_env.mechanics.terms.tendon_friction import weighted_column
 from soft_tendon_env.mechanics.terms.tendons import actuation_column, tendon_lengths
 
 
 @kernel(refcount=True)
-def transmitted(arm, u, work):
+def actuator_tensions(arm, u, work):
     """Tensions (n_a) at the actuators under u, where it is a command, in the strain of work.xi; u itself where nothing is between."""
     path = arm.effects.transmission
     if work.u_is_command[0] == 0.0 or not (path.elastic or path.friction > 0.0):
@@ -41,20 +40,19 @@ def find_columns(arm, work):
     if work.u_is_command[0] == 0.0 or not (path.elastic or path.friction > 0.0):
         return
     for i in range(arm.tendons.size):
-        actuation_column(arm.rod, arm.tendons, arm.strain, i, work, work.columns[i])
+        actuation_column(arm, i, work.whole, work, work.columns[i])
         copy(work.columns[i], work.rubbed[i])
         if path.friction > 0.0:
             if path.elastic:
-                weighted_column(arm, i, work.share, work, work.rubbed[i])
-            weighted_column(arm, i, work.slip, work, work.rubbing[i])
+                actuation_column(arm, i, work.share, work, work.rubbed[i])
+            actuation_column(arm, i, work.slip, work, work.rubbing[i])
             for a in range(work.rubbing.shape[1]):
                 work.rubbing[i, a] *= work.tension[i]
 
 
 @kernel
 def add_tendon_matrices(arm, work, damping, stiffness):
-    """Add what is linear in small motions of elastic tendons and of those that rub, sum c B_i B_i^T and k B_i B_i^T, to matrices (n, n)
-    without them; after find_columns()."""
+    """Adds what elastic tendons and those that rub have of D and G, sum c B_i B_i^T and k B_i B_i^T; after find_columns()."""
     path = arm.effects.transmission
     for i in range(arm.tendons.size if path.elastic or path.friction > 0.0 else 0):
         slope, steepness = tension_slope(path, i, work) if path.elastic else 0.0, 0.0

@@ -4,8 +4,7 @@ A generalised force J^T f is Phi^T of such a stress field: the body Jacobian J o
 
 The displacement of an interval's end in the frame of its start is T Z(delta xi), see kinematics, so that a wrench psi there does the work
 t . Z(delta xi) with t = T^T psi. Over the weight h / 2, Z_1 = 1 - mu ad_xi2 and Z_2 = 1 + mu ad_xi1, mu = sqrt(3) h / 6. As in algebra/lie
-the formulas are those of SO(3) over the dual numbers: a wrench (m, f) is the dual vector f + eps m, and
-T^T psi = psi - a k x psi + b k x (k x psi).
+T has the formula of SO(3) over the dual numbers: T^T psi = psi + a ad^T psi + b ad^T ad^T psi, ad^T psi = -ad*_Omega psi.
 """
 
 import math
@@ -13,7 +12,6 @@ import math
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, prefix_sum, spread
 from soft_tendon_env.mechanics.algebra.lie import (
-    ad_apply,
     coad_apply,
     coefficients,
     cross,
@@ -27,22 +25,10 @@ from soft_tendon_env.mechanics.algebra.lie import (
     twist_scaled,
     twist_sum,
 )
-from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store6
+from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
 from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
 from soft_tendon_env.mechanics.terms.kinematics import KAPPA, load_pose, magnus, pose_at, strains_of_part
-from soft_tendon_env.mechanics.terms.tendons import wrench_column
-
-
-@kernel(inline=True)
-def dual_times(s, x):
-    """Product of a dual number (real, dual) and a dual vector."""
-    return times(s[0], x[0]), plus(times(s[0], x[1]), times(s[1], x[0]))
-
-
-@kernel(inline=True)
-def swapped(x):
-    """Wrench (moment, force) as the dual vector force + eps moment, and back."""
-    return x[1], x[0]
+from soft_tendon_env.mechanics.terms.tendons import actuation_wrench
 
 
 @kernel(inline=True)
@@ -54,11 +40,10 @@ def wrench_at_start(R, r, total):
 @kernel(inline=True)
 def transposed_dexp(Omega, c, psi):
     """Transposed tangent operator times a wrench, T^T psi."""
-    kp, w = dot(Omega[0], Omega[1]), swapped(psi)
-    once = ad_apply(Omega, w)
-    twice = ad_apply(Omega, once)
-    t = twist_sum(w, twist_sum(dual_times((-c.a, -c.a1 * kp), once), dual_times((c.b, c.b1 * kp), twice)))
-    return swapped(t)
+    kp, once = dot(Omega[0], Omega[1]), coad_apply(Omega, psi)
+    twice = coad_apply(Omega, once)
+    t = twist_sum(psi, twist_sum(twist_scaled(-c.a, once), twist_scaled(c.b, twice)))
+    return plus(t[0], plus(times(-c.a1 * kp, once[1]), times(c.b1 * kp, twice[1]))), t[1]
 
 
 @kernel(inline=True)
@@ -110,10 +95,9 @@ def add_tendon_stress(rod, tendons, force, tangent, stress):
     blocks = 2 * rod.packs
     for i in range(tendons.size):
         for block in range(2 * tendons.first[i], 2 * tendons.last[i]):
-            at, geometry_at = i * blocks + block, (i * blocks + block) * 5 * LANES
-            column = wrench_column(tendons.geometry, geometry_at, load3(tangent, at * 4 * LANES))
-            weight = force[i] * load(rod.weight, block * LANES) * load(tendons.geometry, geometry_at + 4 * LANES)
-            store6(stress, block * 6 * LANES, twist_sum(load6(stress, block * 6 * LANES), twist_scaled(weight, column)))
+            weight = -force[i] * load(rod.weight, block * LANES)
+            wrench = twist_scaled(weight, actuation_wrench(tendons, blocks, block, i, tangent))
+            store6(stress, block * 6 * LANES, twist_sum(load6(stress, block * 6 * LANES), wrench))
 
 
 @kernel

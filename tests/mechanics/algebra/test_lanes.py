@@ -12,10 +12,7 @@ from soft_tendon_env.mechanics.algebra.lanes import (
     load,
     prefix_sum,
     smallest,
-    spread,
-    sqrt,
     store,
-    with_lane,
 )
 
 pytestmark = pytest.mark.no_jit
@@ -51,34 +48,6 @@ def test_operators_agree_with_numpy_bit_for_bit():
 
 
 @kernel
-def copy_pack(source, source_at, target, target_at):
-    store(target, target_at, load(source, source_at))
-
-
-@pytest.mark.cases("source_at, target_at", [(0, 0), (1, 3), (4, 1)])
-def test_load_and_store_move_only_their_pack_at_any_offset(source_at, target_at):
-    source, target = np.arange(4.0 + LANES), np.full(2 * LANES, -1.0)
-    copy_pack(source, source_at, target, target_at)
-    expected = np.full(2 * LANES, -1.0)
-    expected[target_at : target_at + LANES] = source[source_at : source_at + LANES]
-    np.testing.assert_array_equal(target, expected)
-
-
-@kernel
-def overwrite(field):
-    """A pack that was loaded keeps its value when the array changes."""
-    before = load(field, 0)
-    store(field, 0, before * 2.0)
-    store(field, LANES, before)
-
-
-def test_a_loaded_pack_is_a_copy():
-    field = np.concatenate([X, np.zeros(LANES)])
-    overwrite(field)
-    np.testing.assert_array_equal(field, np.concatenate([2 * X, X]))
-
-
-@kernel
 def reductions(x, sums, out):
     a = load(x, 0)
     store(sums, 0, prefix_sum(a))
@@ -110,41 +79,3 @@ def test_extremes_are_nan_if_any_lane_is(where, others):
     with np.errstate(invalid="ignore"):
         _, out = reduced(x)
     assert np.isnan(out[1]) and np.isnan(out[2])
-
-
-@pytest.mark.cases("where", range(LANES))
-def test_extremes_find_every_lane_and_infinities(where):
-    x = np.zeros(LANES)
-    x[where] = np.inf
-    assert reduced(x)[1][1] == np.inf and reduced(-x)[1][2] == -np.inf
-
-
-@kernel
-def roots(x, out):
-    store(out, 0, sqrt(load(x, 0)))
-    out[LANES] = sqrt(x[0])
-    out[LANES + 1] = largest(x[0])
-    out[LANES + 2] = smallest(x[0])
-
-
-def test_square_root_of_packs_and_of_floats():
-    x, out = np.array([2.0, 0.0, 1e-300, 9e300]), np.empty(LANES + 3)
-    roots(x, out)
-    np.testing.assert_array_equal(out, [*np.sqrt(x), np.sqrt(2.0), 2.0, 2.0])
-
-
-@kernel
-def replace_lane(x, index, number, out):
-    a = load(x, 0)
-    store(out, 0, with_lane(a, index, number))
-    store(out, LANES, a)
-    store(out, 2 * LANES, spread(number))
-
-
-@pytest.mark.cases("index", range(LANES))
-def test_with_lane_replaces_one_lane_of_a_copy(index):
-    out = np.empty(3 * LANES)
-    replace_lane(X, index, 42.0, out)
-    expected = X.copy()
-    expected[index] = 42.0
-    np.testing.assert_array_equal(out.reshape(3, LANES), [expected, X, np.full(LANES, 42.0)])

@@ -52,13 +52,6 @@ def read_at(like, addresses, i):
 
 
 @pytest.mark.no_jit
-def test_a_struct_unpacks_to_its_fields_in_their_order():
-    struct = inner()
-    values, table = struct
-    assert values is struct.values and table is struct.table
-
-
-@pytest.mark.no_jit
 def test_compiled_code_reads_and_fills_the_fields():
     struct, out = outer(), np.zeros(7)
     read(struct, out)
@@ -76,25 +69,10 @@ def test_copies_stand_on_their_own(copied):
 
 
 @pytest.mark.no_jit
-def test_a_struct_with_replaced_fields_shares_the_others():
-    struct, out = outer(), np.zeros(7)
-    other = struct.replaced(count=8, inner=inner(10.0))
-    read(other, out)
-    assert (out[0], out[1], struct.count) == (8.0, 12.0, 7) and other.cube is struct.cube
-
-
-@pytest.mark.no_jit
 def test_structs_are_found_by_their_addresses():
     structs = [outer(inner=inner(start)) for start in (0.0, 10.0)]
     addresses = np.array([struct.address for struct in structs])
     assert [read_at(structs[0], addresses, i) for i in range(2)] == [3.0, 33.0]
-
-
-def test_views_of_an_array_are_fields_too():
-    many = np.arange(6.0).reshape(2, 3)
-    struct, out = outer(inner=Inner(values=many[1], table=np.zeros((2, 3)))), np.zeros(7)
-    read(struct, out)
-    assert out[1] == 5.0 and many[1, 0] == 4.0
 
 
 @pytest.mark.parametrize(

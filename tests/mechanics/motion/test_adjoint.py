@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.model.simulation import Simulation
 
@@ -138,69 +137,6 @@ def test_commands_behind_a_delay_and_a_lag_act_later(build):
         cotangents.tip_pose[:] = 0.0
     found = (cotangents.command * direction).sum(axis=(1, 2))
     np.testing.assert_allclose(found, expected, atol=0.03 * np.abs(expected).max())
-
-
-def test_gradient_of_a_rollout_points_as_that_by_differences(build):
-    """Gradient, by changes of commands, of the way of the tip of an arm under gravity to a point, over 16 periods."""
-    model = build("paper_16dof", {"quadrature.intervals": 4, "effects.gravity.acceleration": [0.0, 0.0, -9.81]})
-    commands = motion_tensions(model.scene, "smooth", 0, 16 * PERIOD)
-    arms, simulation, member = Arms(model, 1, PERIOD, np.zeros(0), np.zeros(0)), Simulation(model), np.arange(1)
-    arms.place(member, simulation.reset_at_rest().q[None])
-    tapes, pulls, maps = [arms.make_tape() for _ in commands], [], []
-    for tape, command in zip(tapes, commands, strict=True):
-        maps.append(simulation.linearize(command, PERIOD))
-        simulation.state = maps[-1].next
-        arms.step(command[None, None], member, None, tape)
-        pose = arms.reading.tip_pose[0]
-        pulls.append(pose[:3, :3].T @ (pose[:3, 3] - [0.9, 0.2, 0.1]))
-    later, expected = np.zeros(2 * model.coordinate_count), np.empty_like(commands)
-    for k in reversed(range(len(maps))):
-        by_tip = maps[k].tip[3:].T @ pulls[k]
-        expected[k] = maps[k].command.T @ later + by_tip[later.size :]
-        later = maps[k].state.T @ later + by_tip[: later.size]
-    cotangents, found = arms.make_cotangents(), np.empty_like(commands)
-    for k in reversed(range(len(tapes))):
-        cotangents.tip_pose[0, 3:] = pulls[k]
-        arms.adjoint(tapes[k], member, cotangents)
-        found[k] = cotangents.command[0, 0]
-    x, y = (np.cumsum(own[::-1], axis=0).ravel() for own in (found, expected))
-    assert x @ y > 0.9999 * np.linalg.norm(x) * np.linalg.norm(y)
-
-
-def test_parts_chain(build):
-    arms, command = moving_rows(build, GRAVITY)
-    start = {name: getattr(arms.rows, name).copy() for name in KEPT}
-    members, halves, both = np.arange(ROWS), np.full((ROWS, 1), 0.5 * PERIOD), np.concatenate([command, 0.5 * command], axis=1)
-    tape = arms.make_tape(2)
-    arms.step(both, members, np.repeat(halves, 2, axis=1), tape)
-    whole = drawn(arms, (*STATE, *READ), parts=2)
-    arms.adjoint(tape, members, whole)
-    for name, values in start.items():
-        getattr(arms.rows, name)[:] = values
-    tapes = [arms.make_tape() for _ in range(2)]
-    for part, own in enumerate(tapes):
-        arms.step(both[:, part : part + 1].copy(), members, halves, own)
-    last, first = drawn(arms, (*STATE, *READ)), arms.make_cotangents()
-    arms.adjoint(tapes[1], members, last)
-    first.q[:], first.q_dot[:] = last.q, last.q_dot
-    arms.adjoint(tapes[0], members, first)
-    np.testing.assert_equal(np.concatenate([first.command, last.command], axis=1), whole.command)
-    np.testing.assert_equal(first.q, whole.q)
-
-
-def test_motion_with_a_tape_and_adjoint_on_threads_are_the_same(build):
-    found = []
-    for threads, taped in ((1, True), (3, True), (1, False)):
-        arms, command = moving_rows(build, GRAVITY, threads, rows=24)
-        tape, members = arms.make_tape(2), np.arange(24)
-        both, halves = np.repeat(command, 2, axis=1), np.full((24, 2), 0.5 * PERIOD)
-        arms.step(both, members, halves, tape if taped else None)
-        cotangents = drawn(arms, (*STATE, *READ), parts=2)
-        if taped:
-            arms.adjoint(tape, members, cotangents)
-        found.append([arms.rows.q.copy(), arms.rows.q_dot.copy(), arms.reading.tip_twist.copy(), *list(cotangents)[:2], cotangents.command])
-    np.testing.assert_equal(found[0], found[1])
-    np.testing.assert_equal(found[0][:3], found[2][:3])
 
 
 @pytest.mark.parametrize(

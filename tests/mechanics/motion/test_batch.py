@@ -32,11 +32,6 @@ def arms_of(model, rows=1, period=0.02, threads=1):
     return Arms(model, rows, period, STATIONS, SENSORS, threads)
 
 
-def of_rows(arms):
-    """What rows hold, but for the addresses of their arms."""
-    return [values for name, values in arms.rows.fields().items() if name != "arm"]
-
-
 def placed(arms, seed=0):
     arms.place(np.arange(arms.size), np.zeros((arms.size, arms.model.coordinate_count)))
     return np.random.default_rng(seed)
@@ -66,31 +61,6 @@ def test_rows_step_as_simulations_do(model):
         np.testing.assert_allclose(arms.reading.tip_pose[0], simulation.tip_pose, atol=1e-12)
 
 
-def test_what_is_read_is_what_the_model_says(model):
-    arms = arms_of(model, rows=2)
-    rng = placed(arms)
-    for _ in range(10):
-        arms.step(rng.uniform(0.0, 5.0, (2, 2, 3)), np.arange(2))
-        for row in range(2):
-            assert_reads(arms.reading, row, model, arms.rows.q[row].copy(), arms.rows.q_dot[row].copy())
-
-
-def test_sensors_read_the_strain_between_neighbouring_sections(model, random_state):
-    """The strain is the backbone's derivative: log(g(X)^-1 g(X + h)) / h, inside an interval where it is smooth."""
-    from scipy.linalg import logm
-
-    q, _ = random_state(model, 3)
-    arms = arms_of(model)
-    arms.place(np.arange(1), q[None])
-    h = 1e-4
-    for place, seen in zip(SENSORS, arms.reading.strain[0], strict=True):
-        a, b = np.clip([place - h, place + h], 0.0, model.length)
-        before, after = model.backbone_at(q, [a, b])
-        x = np.real(logm(np.linalg.solve(before, after))) / (b - a)
-        slope = np.array([x[2, 1], x[0, 2], x[1, 0], *x[:3, 3]])
-        np.testing.assert_allclose(seen, slope, atol=0.02 * max(1.0, np.abs(slope).max()))
-
-
 def test_strain_rates_are_those_of_the_strains(model, random_state):
     """Along a motion: the rate at the sensors against differences of the strains that the model says there."""
     q, q_dot = random_state(model, 3)
@@ -100,17 +70,6 @@ def test_strain_rates_are_those_of_the_strains(model, random_state):
     difference = (model.strain_at(q + h * q_dot, SENSORS)[0] - model.strain_at(q - h * q_dot, SENSORS)[0]) / (2 * h)
     assert np.abs(difference).max() > 1.0
     np.testing.assert_allclose(reading.strain_rate[0], difference, atol=1e-6 * np.abs(difference).max())
-
-
-def test_members_alone_are_stepped(model):
-    arms = arms_of(model, rows=3)
-    rng = placed(arms)
-    arms.step(rng.uniform(0.0, 5.0, (3, 2, 3)), np.arange(3))
-    before = [np.copy(values) for values in (*of_rows(arms), *arms.outcome, *arms.reading)]
-    arms.step(rng.uniform(0.0, 5.0, (3, 2, 3)), np.array([1]))
-    for old, new in zip(before, (*of_rows(arms), *arms.outcome, *arms.reading), strict=True):
-        np.testing.assert_array_equal(old[[0, 2]], new[[0, 2]])
-    assert (before[list(arms.rows.fields()).index("q")][1] != arms.rows.q[1]).any()
 
 
 def test_a_failed_step_keeps_the_last_good_motion(build):
@@ -127,30 +86,6 @@ def test_a_failed_step_keeps_the_last_good_motion(build):
     assert arms.outcome.status.tolist()[0] == 0 and arms.outcome.status[1] != 0 and arms.outcome.rejected[1] == 1
     np.testing.assert_array_equal(arms.rows.q[1], half.rows.q[0])
     assert_reads(arms.reading, 1, model, arms.rows.q[1].copy(), arms.rows.q_dot[1].copy())
-
-
-def test_rows_that_cannot_be_placed_say_so(build):
-    model = build("three_tendon", {"quadrature.intervals": 4})
-    arms = arms_of(model, rows=2)
-    arms.place(np.arange(2), np.array([[0.0, 0.0, 0.0], [1e5, 0.0, 0.0]]))
-    assert arms.outcome.status.tolist() == [0, 1] and all(np.isfinite(values).all() for values in arms.reading)
-    arms.place(np.array([1]), np.array([[1.0, 0.0, 0.0]]))
-    assert arms.outcome.status.tolist() == [0, 0]
-
-
-def motion_between(random_state, model, samples):
-    """q, q_dot (samples, n) between two lively states."""
-    (a, a_dot), (b, b_dot) = random_state(model, 1), random_state(model, 2)
-    x = np.linspace(0.0, 1.0, samples)[:, None]
-    return a + x * (b - a), a_dot + x * (b_dot - a_dot)
-
-
-def test_given_motions_are_read_sample_by_sample(model, random_state):
-    q, q_dot = motion_between(random_state, model, 6)
-    reading, good = arms_of(model).read_samples(q, q_dot)
-    assert good.all()
-    for i in range(6):
-        assert_reads(reading, i, model, q[i].copy(), q_dot[i].copy(), atol=1e-11)
 
 
 def test_samples_without_a_strain_are_told(build):
@@ -174,15 +109,3 @@ def test_a_row_is_read_as_the_model_says(small):
     reading, good = arms.read_samples(arms.rows.q, arms.rows.q_dot)
     assert good[0] and arms.are_firm(arms.rows.q)[0]
     assert_reads(reading, 0, small, arms.rows.q[0].copy(), arms.rows.q_dot[0].copy())
-
-
-@pytest.mark.no_jit
-def test_a_row_with_the_scene_s_numbers_moves_as_the_scene_s_arm(small):
-    arms, rng = arms_of(small, rows=2), np.random.default_rng(0)
-    arms.set_model(1, small.with_scene(small.scene))
-    placed(arms)
-    for _ in range(3):
-        arms.step(np.tile(rng.uniform(0.0, 3.0, (1, 1, 3)), (2, 1, 1)), np.arange(2))
-    assert (arms.ratio == 1.0).all()
-    for values in of_rows(arms):
-        np.testing.assert_array_equal(values[0], values[1])

@@ -5,7 +5,7 @@ import pytest
 
 from soft_tendon_env.mechanics.motion.filter_adjoint import begin_filter, filter_adjoint, make_filter_memory
 from soft_tendon_env.mechanics.motion.scratch import make_scratch
-from soft_tendon_env.mechanics.terms.command_filter import lagged, receive, rest_filter
+from soft_tendon_env.mechanics.terms.command_filter import lag_response, receive, rest_filter
 
 PERIOD = 0.02
 FILTERS = {
@@ -20,9 +20,9 @@ FILTERS = {
 
 def numbers_of(state):
     """Which of the internal state are numbers of tendons, of commands that there are."""
-    waiting = np.repeat(state[6:].reshape(-1, 4)[:, :1] < 1e20, 4, axis=1)
+    waiting = np.repeat(state[3:].reshape(-1, 4)[:, :1] < 1e20, 4, axis=1)
     waiting[:, 0] = False
-    return np.append(np.ones(6, dtype=bool), waiting.ravel())
+    return np.append(np.ones(3, dtype=bool), waiting.ravel())
 
 
 @pytest.mark.parametrize("name", FILTERS)
@@ -45,8 +45,8 @@ def test_filter_adjoint_is_that_of_differences(name, build):
             receive(effects, command, k == 0, times[0] + k * step, state, acting, until)
             now = acting.copy()
             for i in range(3 if effects.transmission.lags else 0):
-                now[i] = lagged(effects.transmission, state[i], acting[i], 0.5 * step)
-                state[i] = lagged(effects.transmission, state[i], acting[i], step)
+                now[i] = lag_response(effects.transmission, state[i], acting[i], 0.5 * step)
+                state[i] = lag_response(effects.transmission, state[i], acting[i], step)
             mean[2 * k // count] += now / (count / 2)
         receive(effects, command, False, times[1], state, acting, until)
         return (of_means * mean).sum() + (of_state * state).sum()

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.mechanics.motion.force_gradient import force_gradient, make_gradient_memory
+from soft_tendon_env.mechanics.motion.force_gradient import GradientMemory, force_gradient
 from soft_tendon_env.mechanics.motion.implicit_euler import start_matrices
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.mechanics.motion.stages import evaluate_force
+from soft_tendon_env.mechanics.workspace import sizes_of, zeros
 from soft_tendon_env.model.step_control import step_method
 
 GRAVITY = {"effects.gravity.acceleration": [3.0, 0.0, -9.81], "effects.tip_load.mass": 0.005}
@@ -37,7 +38,7 @@ def test_gradient_is_that_of_all_terms(build, scene):
         steps = 1e-4 * np.diag(unit)
         return np.array([(power(q + x * step, v + y * step) - power(q - x * step, v - y * step)) / 2e-4 for step in steps]) / unit
 
-    scratch, memory = make_scratch(model.arm, 1), make_gradient_memory(model.arm)
+    scratch, memory = make_scratch(model.arm, 1), zeros(GradientMemory, sizes_of(model.arm))
     motion = Motion(q, v, model.packed_strain(q), np.zeros(0), np.array([TIME]))
     scratch.work.xi[:] = motion.xi
     evaluate_force(model.arm, step_method(model)._replace(strain_tolerance=1e-12), u, q, v, motion.state, TIME, scratch)

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
-from soft_tendon_env.mechanics.motion.pose_errors import move_poses, perturb_poses, pose_errors
+from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
 
 
 def matrix(twist):
@@ -47,38 +47,3 @@ def test_errors_carry_the_pose_to_the_wanted_one_at_every_angle(angle):
     np.testing.assert_allclose(np.linalg.norm(found[:, :3], axis=1), angle, atol=1e-7 if angle > 3 else 1e-15 + 1e-14)
     for g, g_bar, twist in zip(pose, pose @ step, found, strict=True):
         np.testing.assert_allclose(g @ expm(matrix(twist)), g_bar, atol=1e-10)
-
-
-def moved(pose, twist):
-    out = np.empty((*twist.shape[:2], 4, 4))
-    move_poses(pose, twist, out)
-    return out
-
-
-@pytest.mark.no_jit
-def test_moves_are_matrix_exponentials():
-    rng = np.random.default_rng(3)
-    pose, twist = random_poses(rng, 5), rng.normal(size=(5, 3, 6))
-    twist[0, 0], twist[0, 1, :3], twist[0, 2] = 0.0, 0.0, 1e-9
-    for g, row, found in zip(pose, twist, moved(pose, twist), strict=True):
-        for x, g_bar in zip(row, found, strict=True):
-            np.testing.assert_allclose(g_bar, g @ expm(matrix(x)), atol=1e-13)
-    np.testing.assert_array_equal(moved(pose, twist)[0, 0], pose[0])
-
-
-@pytest.mark.no_jit
-def test_no_moves_give_no_poses():
-    assert moved(random_poses(np.random.default_rng(5), 3), np.empty((3, 0, 6))).shape == (3, 0, 4, 4)
-
-
-@pytest.mark.no_jit
-def test_noise_turns_a_pose_about_its_own_axes_and_moves_it_along_the_world_s():
-    rng = np.random.default_rng(2)
-    pose, rotation, translation = random_poses(rng, 6), rng.normal(size=(6, 3)), rng.normal(size=(6, 3))
-    rotation[0], rotation[1] = 0.0, 1e-9
-    out = np.empty_like(pose)
-    perturb_poses(pose, rotation, translation, out)
-    np.testing.assert_allclose(out[:, :3, :3], pose[:, :3, :3] @ Rotation.from_rotvec(rotation).as_matrix(), atol=1e-14)
-    np.testing.assert_array_equal(out[:, :3, 3], pose[:, :3, 3] + translation)
-    np.testing.assert_array_equal(out[:, 3], pose[:, 3])
-    np.testing.assert_array_equal(out[0, :3, :3], pose[0, :3, :3])

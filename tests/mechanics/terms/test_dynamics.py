@@ -2,10 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-
-from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.terms.dynamics import RowLayout, gram, project
 
 COARSE = {"quadrature.intervals": 2}
 SMALL = pytest.param("paper", {"quadrature.intervals": 1}, marks=pytest.mark.no_jit, id="small")
@@ -28,9 +24,6 @@ def assert_close(found, expected, relative):
     np.testing.assert_allclose(found, expected, rtol=0, atol=relative * np.abs(expected).max())
 
 
-# reference numbers ------------------------------------------------------------------------------------------------------
-
-
 TIGHT = {  # three times what was measured
     "mass": 8e-7, "bias": 4e-6, "damping": 5e-8, "actuation": 5e-8, "elastic_force": 1e-7, "external_force": 5e-7, "tip_jacobian": 6e-7,
     "tip_pose": 8e-7,
@@ -47,22 +40,6 @@ def test_terms_agree_with_an_independent_model(dof, case, build, reference, chec
     expected = reference(f"terms_{dof}dof")[case]
     found = build(name, changes).terms(expected["q"], expected["q_dot"])
     check_terms(found, expected, TIGHT)
-
-
-# structure --------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", ("paper", "four_tendon", "helical", "paper_48dof"))
-def test_matrices_are_symmetric_and_definite(name, build, random_state):
-    model = build(name)
-    terms = model.terms(*random_state(model, 0))
-    for value in terms:
-        assert np.isfinite(value).all()
-    for matrix, least in ((terms.mass, 0.0), (terms.damping, -1e-14), (terms.stiffness, -1e-14)):
-        assert_close(matrix, matrix.T, 1e-15)
-        scale = np.sqrt(np.diag(matrix))
-        sizes = np.linalg.eigvalsh(matrix / np.outer(scale, scale))
-        assert sizes[0] > least * sizes[-1]
 
 
 @pytest.mark.parametrize(("name", "changes"), FEW)
@@ -90,30 +67,6 @@ def test_bias_is_lagranges(name, changes, build, random_state):
 
 
 @pytest.mark.parametrize(("name", "changes"), FEW)
-def test_mass_is_the_sum_over_the_nodes(name, changes, build, random_state, workspace_at, at_nodes):
-    """M = sum J^T M_node J, the base's share left out; no column is missing a pack."""
-    model = build(name, changes)
-    q, q_dot = random_state(model, 6)
-    work = workspace_at(model, q, q_dot)
-    J, inertia = at_nodes(model, work.J), at_nodes(model, model.arm.rod.inertia)[0]
-    assert_close(work.M, np.einsum("imk,mk,jmk->ij", J, inertia, J), 1e-13)
-
-
-@pytest.mark.parametrize(("name", "changes"), FEW)
-def test_energies_are_those_of_the_matrices_and_of_the_strain(name, changes, build, random_state):
-    model = build(name, changes)
-    q, q_dot = random_state(model, 7)
-    energy = model.energy(q, q_dot)
-    np.testing.assert_allclose(energy.kinetic, 0.5 * q_dot @ model.terms(q, q_dot).mass @ q_dot, rtol=1e-13)
-    assert energy.elastic > 0 and energy.load == 0 and energy.total == energy.kinetic + energy.elastic
-    at_rest = model.energy(0 * q, 0 * q)
-    assert at_rest == (0.0, 0.0, 0.0)
-
-
-# forces -----------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("name", "changes"), FEW)
 def test_elastic_force_is_the_gradient_of_the_elastic_energy(name, changes, build, random_state):
     model = build(name, changes)
     q, q_dot = random_state(model, 8)
@@ -128,15 +81,6 @@ def test_actuation_is_the_shortening_of_the_tendons(name, changes, build, random
     q, q_dot = random_state(model, 9)
     expected = -gradient(model.tendon_lengths, q, 1e-4 * np.abs(q).max()).T
     assert_close(model.terms(q, q_dot).actuation, expected, 1e-6)
-
-
-@pytest.mark.no_jit
-def test_tendons_of_the_stress_free_arm_have_the_lengths_of_their_routing(build):
-    """A helix of radius 0.02 and 4 pi 1/m over 1 m, one of 0.025 over half of it; exact for a constant slope."""
-    lengths = build("paper", {"quadrature.intervals": 1}).tendon_lengths(np.zeros(10))
-    helix = [np.hypot(1, 4 * np.pi * radius) for radius in (0.02, 0.025)]
-    surface = np.hypot(1, 0.01)
-    np.testing.assert_allclose(lengths, [surface] * 3 + helix[:1] * 2 + [surface / 2] * 3 + [helix[1] / 2] * 2, rtol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -186,77 +130,3 @@ def test_stiffness_is_the_jacobian_of_the_drive(name, build, random_state):
         return terms.elastic_force - terms.actuation @ u
 
     assert_close(model.terms(q, 0 * q, u).stiffness, gradient(unbalanced, q, 1e-4 * np.abs(q).max()), 1e-6)
-
-
-GRAVITY = {"effects.gravity.acceleration": [1.0, -2.0, -9.81]}
-FORCE = {"effects.tip_load.force": [0.3, -0.2, 0.5]}
-PAYLOAD = {**GRAVITY, "effects.tip_load.mass": 0.2, "effects.tip_load.inertia": [1e-4, 2e-4, 3e-4]}
-
-
-@pytest.mark.parametrize("name", ("paper", "helical"))
-def test_external_force_is_minus_the_gradient_of_the_load_energy(name, build, random_state):
-    model = build(name, {**COARSE, **FORCE, **PAYLOAD})
-    q, q_dot = random_state(model, 12)
-    expected = -gradient(lambda x: model.energy(x, q_dot).load, q, 1e-4 * np.abs(q).max())
-    assert_close(model.terms(q, q_dot).external_force, expected, 1e-6)
-
-
-def test_load_energy_of_the_straight_arm(build):
-    """Weight of the rod at its centre of mass, of the payload at the tip, and the tip force, lifted along x and z."""
-    model = build("three_tendon", {"quadrature.intervals": 4, "effects.gravity.acceleration": [-9.81, 0.0, 0.0], **FORCE,
-                                   "effects.tip_load.mass": 0.2})  # fmt: skip
-    length, rod = 0.3, 1070 * np.pi * 0.01**2 * 0.3
-    np.testing.assert_allclose(model.arm.rod.mass, rod + 0.2 - rod * 7 / 90 / 1, rtol=1e-12)  # the base node's share is left out
-    energy = model.energy(np.zeros(3), np.zeros(3))
-    np.testing.assert_allclose(energy.load, 9.81 * (rod * length / 2 + 0.2 * length) - 0.3 * length, rtol=1e-12)
-
-
-def test_payload_adds_its_inertia_at_the_tip(build, random_state):
-    payload = {"effects.tip_load.mass": 0.2, "effects.tip_load.inertia": [1e-4, 2e-4, 3e-4]}
-    light, heavy = build("paper", COARSE), build("paper", {**COARSE, **payload})
-    q, q_dot = random_state(light, 13)
-    before, after = light.terms(q, q_dot), heavy.terms(q, q_dot)
-    J = before.tip_jacobian
-    assert_close(after.mass, before.mass + J.T @ np.diag([1e-4, 2e-4, 3e-4, 0.2, 0.2, 0.2]) @ J, 1e-12)
-    assert not after.external_force.any()
-
-
-@pytest.mark.parametrize("frame", ("world", "tip"))
-@pytest.mark.parametrize("name", ("paper", "helical"))
-def test_tip_wrench_does_virtual_work(name, frame, build, random_state):
-    """F_j = force . d(position)/dq_j + moment . (rotation per q_j), both in the frame of the load, by differences of the tip's pose."""
-    force, moment = np.array([0.3, -0.2, 0.5]), np.array([0.02, 0.05, -0.03])
-    load = {"effects.tip_load.force": force.tolist(), "effects.tip_load.moment": moment.tolist(), "effects.tip_load.frame": frame}
-    model = build(name, {**COARSE, **load})
-    q, q_dot = random_state(model, 14)
-    R, step = model.tip_pose(q)[:3, :3], 1e-4 * np.abs(q).max()
-    if frame == "tip":
-        force, moment = R @ force, R @ moment
-    expected = []
-    for e in np.eye(q.size):
-        ahead, behind = model.tip_pose(q + step * e), model.tip_pose(q - step * e)
-        turned = Rotation.from_matrix(ahead[:3, :3] @ behind[:3, :3].T).as_rotvec()
-        expected.append((force @ (ahead[:3, 3] - behind[:3, 3]) + moment @ turned) / (2 * step))
-    assert_close(model.terms(q, q_dot).external_force, expected, 1e-6)
-
-
-# sums -------------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.no_jit
-@pytest.mark.parametrize("n", (1, 3, 4, 5, 9))
-def test_gram_and_project_of_columns_that_live_in_parts(n):
-    rng = np.random.default_rng(n)
-    packs, layout = 5, RowLayout(groups=2, size=3 * LANES, used=2 * LANES)
-    rows = layout.groups * layout.size
-    first = rng.integers(0, packs, n)
-    last = first + 1 + rng.integers(0, packs - first)
-    columns, weight, field = rng.normal(size=(n, packs, rows)), rng.uniform(1, 2, packs * rows), rng.normal(size=packs * rows)
-    for column, begin, end in zip(columns, first, last, strict=True):
-        column[:begin], column[end:] = 0.0, 0.0
-        column.reshape(packs, layout.groups, layout.size)[..., layout.used :] = 0.0
-    flat, out, projected = columns.reshape(n, -1), np.full((n, n), np.nan), np.full(n, np.nan)
-    gram(flat.ravel(), weight, layout, first, last, out)
-    project(flat.ravel(), field, layout, first, last, projected)
-    np.testing.assert_allclose(out, (flat * weight) @ flat.T, atol=1e-12)
-    np.testing.assert_allclose(projected, flat @ field, atol=1e-12)

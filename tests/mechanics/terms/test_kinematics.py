@@ -47,15 +47,6 @@ def test_constant_strain_gives_the_exponential_everywhere(seed, constant_strain)
     np.testing.assert_allclose(model.backbone_at(q, X), expected, atol=1e-14)
 
 
-@pytest.mark.no_jit
-def test_stress_free_straight_rod_lies_along_x(build):
-    model = build("paper", {"quadrature.intervals": 1})
-    X = np.linspace(0, 1, 11)
-    expected = np.tile(np.eye(4), (11, 1, 1))
-    expected[:, 0, 3] = X
-    np.testing.assert_allclose(model.backbone_at(np.zeros(10), X), expected, atol=1e-15)
-
-
 @pytest.mark.parametrize(("name", "changes"), MODELS)
 def test_body_jacobian_at_all_nodes_against_differences(name, changes, build, random_state, workspace_at, at_nodes):
     """g^-1 dg/dq_j = J_j^ at every node; the tip's is what `terms` gives."""
@@ -86,23 +77,6 @@ def test_bias_at_all_nodes_against_differences(name, changes, build, random_stat
     np.testing.assert_array_equal(model.terms(q, q_dot).tip_bias, bias[-1])
 
 
-@pytest.mark.parametrize(("name", "changes"), MODELS)
-def test_poses_are_rigid_and_the_backbone_meets_the_nodes(name, changes, build, random_state, workspace_at, at_nodes):
-    model = build(name, changes)
-    q, _ = random_state(model, 3)
-    packed = at_nodes(model, workspace_at(model, q).pose, 12)[0]
-    R, r = packed[:, :9].reshape(-1, 3, 3), packed[:, 9:]
-    np.testing.assert_allclose(R @ R.swapaxes(1, 2), np.tile(np.eye(3), (len(R), 1, 1)), atol=1e-13)
-    backbone = model.backbone_at(q, node_arc_lengths(model))
-    np.testing.assert_allclose(backbone[:, :3, :3], R, atol=1e-13)
-    np.testing.assert_allclose(backbone[:, :3, 3], r, atol=1e-13)
-    np.testing.assert_array_equal(backbone[:, 3], np.tile([0, 0, 0, 1], (len(R), 1)))
-    np.testing.assert_allclose(model.tip_pose(q), backbone[-1], atol=1e-13)
-    # and just before each node, where the interval before it is at work
-    before = model.backbone_at(q, node_arc_lengths(model) - 1e-9)
-    np.testing.assert_allclose(before, backbone, atol=1e-7)
-
-
 COUNTS = (2, 4, 8, 16)
 
 
@@ -119,14 +93,3 @@ def test_terms_converge_with_fourth_order(name, build, random_state):
     for key in ("tip_pose", "tip_jacobian", "tip_bias", "mass", "bias", "damping", "stiffness", "actuation", "elastic_force"):
         errors = [np.abs(found[key] - fine[key]).max() / np.abs(fine[key]).max() for found in coarse]
         assert slope(errors) > 3.7 and errors[-1] < 1e-4, f"{key}: {errors}, order {slope(errors):.2f}"
-
-
-@pytest.mark.parametrize("name", ("paper", "paper_48dof"))
-def test_backbone_between_the_nodes_converges(name, build, random_state):
-    """The strain is taken as linear between the two points of an interval: inside it, rotations lose an order, positions hardly."""
-    q, _ = random_state(build(name, {"quadrature.intervals": 8}), 5)
-    fine, *coarse = (build(name, {"quadrature.intervals": count}).backbone(q, 300) for count in (256, *COUNTS))
-    positions = [np.abs(found - fine)[:, :3, 3].max() for found in coarse]
-    rotations = [np.abs(found - fine)[:, :3, :3].max() for found in coarse]
-    assert slope(positions) > 3.7, f"{positions}, order {slope(positions):.2f}"
-    assert slope(rotations) > 2.7, f"{rotations}, order {slope(rotations):.2f}"

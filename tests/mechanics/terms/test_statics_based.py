@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import configure
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_rest, strain_has_margin
 from soft_tendon_env.mechanics.terms.statics_newton import ANY, solve_strain, strain_tension
@@ -90,35 +89,6 @@ def test_rigid_strains_stay_exactly_zero(strains, build, random_state, workspace
         assert not values[..., rigid].any() and values[..., ~rigid].any()
 
 
-def test_redundant_tendons_share_coordinates(build):
-    """Opposite pairs pull alike on a straight arm: three coordinates, and equal tensions on all four only shorten it."""
-    model = build("four_tendon", COARSE)
-    assert model.coordinate_count == 3
-    _, xi = model.strain(model.rest_coordinates([2.0, 2.0, 2.0, 2.0]))
-    np.testing.assert_allclose(xi[:, [0, 1, 2, 4, 5]], 0.0, atol=1e-15)
-    assert (xi[:, 3] < 0.99).all()
-    q_pairs = model.rest_coordinates([1.0, 0.0, 1.0, 0.0]), model.rest_coordinates([0.0, 1.0, 0.0, 1.0])
-    np.testing.assert_allclose(*q_pairs, atol=1e-14)
-
-
-def test_a_tendon_that_ends_has_no_effect_beyond(build, workspace_at, at_points):
-    model = build("paper", {"quadrature.intervals": 3})  # the border lies inside a pack
-    q = np.zeros(10)
-    q[5:] = 20.0
-    X, xi = model.strain(q)
-    np.testing.assert_array_equal(xi[X > 0.5], reference_strain(model.scene, X[X > 0.5]))
-    assert (np.abs(xi - reference_strain(model.scene, X))[X < 0.5].max(axis=1) > 1e-3).all()
-    Phi = at_points(model, workspace_at(model, q).Phi)
-    assert not Phi[5:, X > 0.5].any() and Phi[:5, X > 0.5].any(axis=(1, 2)).all()
-
-
-@pytest.mark.no_jit
-def test_stress_free_rod_is_exactly_the_reference(build):
-    model = build("paper", {"quadrature.intervals": 1})
-    X, xi = model.strain(np.zeros(10))
-    np.testing.assert_array_equal(xi, reference_strain(model.scene, X))
-
-
 def guessed(model, q, guess):
     """solve_strain from a guess: what it returns, and the strain."""
     work = make_workspace(model.arm)
@@ -126,28 +96,6 @@ def guessed(model, q, guess):
     work.xi[:] = guess
     failed = solve_strain(model.arm.rod, model.arm.tendons, model.arm.strain, q, TOLERANCE, ANY, work)
     return failed, work.xi
-
-
-def test_the_strain_does_not_depend_on_the_guess(build, random_state):
-    """Converged to round-off: the same coordinates mean the same strain, whatever came before."""
-    model = build("paper", COARSE)
-    q, _ = random_state(model, 4)
-    failed, from_rest = guessed(model, q, model.arm.rod.reference_strain)
-    assert failed == -1
-    noise = np.random.default_rng(0).uniform(-0.05, 0.05, from_rest.size)
-    failed, from_elsewhere = guessed(model, q, from_rest + noise)
-    assert failed == -1
-    np.testing.assert_allclose(from_elsewhere, from_rest, rtol=0, atol=1e-14 * np.abs(from_rest).max())
-
-
-@pytest.mark.no_jit
-@pytest.mark.cases("lane", range(LANES))
-def test_nan_in_any_lane_fails(lane, build):
-    model = build("paper", {"quadrature.intervals": 2})
-    guess = model.arm.rod.reference_strain.copy()
-    guess[lane] = np.nan
-    with np.errstate(invalid="ignore"):
-        assert guessed(model, np.full(10, 1.0), guess)[0] == 0
 
 
 @pytest.mark.no_jit
@@ -163,41 +111,6 @@ def test_strong_pulls_and_pushes(tension, reaches, build):
         np.testing.assert_array_equal(guessed(model, reached * q, work.xi)[0], -1)
 
 
-def slowly_loaded(model, q):
-    """The part of q that loading by small parts reaches, each strain close to the last, and the strain there."""
-    weights = np.repeat([0.01] * 3 + [1.0] * 3, LANES)  # curvatures as strains at a centimetre from the axis
-
-    def size(strain):
-        return np.abs(strain.reshape(-1, weights.size) * weights).max()
-
-    reached, part, strain = 0.0, 1e-3, model.arm.rod.reference_strain
-    while reached < 1.0 and part > 1e-8:
-        failed, ahead = guessed(model, min(1.0, reached + part) * q, strain)
-        if failed < 0 and size(ahead - strain) <= 0.02 * max(1.0, size(strain)):
-            reached, part, strain = min(1.0, reached + part), 1.5 * part, ahead.copy()
-        else:
-            part *= 0.5
-    return reached, strain
-
-
-@pytest.mark.parametrize("scene", ["paper", "helical", "four_tendon", "two_segment_six"])
-def test_strains_of_pushing_tendons_are_the_ends_of_slow_loadings(scene, build):
-    """Random tensions of up to 1e5 N, most of which push: a section has other strains far away, to which no slow loading leads."""
-    model = build(scene, {"quadrature.intervals": 2})
-    rng, held = np.random.default_rng(0), 0
-    for _ in range(25):
-        tension = rng.uniform(-1.0, 0.2, model.tendon_count) * 10.0 ** rng.uniform(0.0, 5.0)
-        q, work = model.rest_coordinates(tension), make_workspace(model.arm)
-        block, reached = strain_from_rest(model.arm, q, TOLERANCE, work)
-        slow, strain = slowly_loaded(model, q)
-        assert (block < 0) == (reached == 1.0) == (slow == 1.0)
-        assert reached == pytest.approx(slow, rel=0.01)
-        if block < 0:
-            np.testing.assert_allclose(work.xi, strain, rtol=0, atol=1e-9 * np.abs(strain).max())
-        held += block < 0
-    assert 5 < held < 25
-
-
 def is_firm(model, tension):
     return bool(strain_has_margin(model.arm, model.rest_coordinates(tension), 1e-6, make_workspace(model.arm)))
 
@@ -209,20 +122,3 @@ def test_strains_near_the_limit_of_a_push_are_not_firm(build):
     assert [is_firm(model, push * one) for push in (-100.0, -280.0, -315.0, -330.0, -1e4)] == [True, True, False, False, False]
     assert strain_from_rest(model.arm, -315.0 * one, TOLERANCE, make_workspace(model.arm))[0] == -1
     assert [is_firm(model, pull * one) for pull in (0.0, 100.0, 250.0, 300.0, 1e4)] == [True, True, True, False, False]
-
-
-@pytest.mark.parametrize("scene", ["paper", "helical", "four_tendon", "two_segment_six"])
-def test_firm_strains_follow_small_changes_of_the_tensions(scene, build):
-    """What is firm has neighbours: strains a little beyond it in any direction, which are near its own."""
-    model = build(scene, {"quadrature.intervals": 2})
-    rng, found = np.random.default_rng(1), 0
-    for _ in range(150):
-        tension = rng.uniform(-1.0, 0.2, model.tendon_count) * 10.0 ** rng.uniform(0.0, 4.0)
-        if not is_firm(model, tension):
-            continue
-        found += 1
-        here = model.strain(model.rest_coordinates(tension))[1]
-        for _ in range(3):
-            beside = tension + 0.005 * np.abs(tension).max() * rng.uniform(-1.0, 1.0, tension.size)
-            assert np.abs(model.strain(model.rest_coordinates(beside))[1] - here).max() < 0.2 * max(1.0, np.abs(here).max())
-    assert found > 20

@@ -8,7 +8,7 @@ import pytest
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import configure
-from soft_tendon_env.mechanics.terms.parametrisation import strain_along, strain_from_guess, strain_from_rest, strain_has_margin
+from soft_tendon_env.mechanics.terms.parametrisation import strain_has_margin
 from soft_tendon_env.mechanics.types import Loaded
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.model import model_on
@@ -102,13 +102,6 @@ def test_stiffness_is_symmetric_and_B_its_part_for_dead_forces(name, changes, on
         np.testing.assert_allclose(terms.actuation, terms.stiffness, atol=1e-12 * np.abs(terms.stiffness).max())
 
 
-def test_a_dead_moment_has_no_potential(on_few_intervals, random_state):
-    model = on_few_intervals("paper", {**INSIDE, **MOMENT})
-    q, q_dot = random_state(model, 6)
-    G = model.terms(q, q_dot).stiffness
-    assert not model.arm.strain.has_potential and np.abs(G - G.T).max() > 1e-3 * np.abs(G).max()
-
-
 MOST = {"mass": 1e-5, "bias": 1e-4, "damping": 1e-5, "actuation": 1e-5, "stiffness": 1e-5, "tip_jacobian": 1e-5, "tip_pose": 2e-6}
 
 
@@ -122,26 +115,6 @@ def test_terms_agree_with_an_independent_model(dof, case, on_few_intervals, refe
     assert not any(expected["tip_force"])
     found = on_few_intervals({10: "paper", 16: "paper_16dof"}[dof], changes).terms(expected["q"], expected["q_dot"])
     check_terms(found, expected, MOST)
-
-
-def test_the_drive_is_exactly_zero_at_rest(on_few_intervals, random_state, workspace_at):
-    model = on_few_intervals("paper", {**INSIDE, **GRAVITY})
-    q, _ = random_state(model, 7)
-    np.testing.assert_array_equal(workspace_at(model, q, tension=q).drive, 0.0)
-
-
-def test_the_strain_is_continued_from_rest_and_between_coordinates(on_few_intervals, random_state):
-    """A load that bends the arm by far more than Newton's method takes at once is followed, to the same strain from either side."""
-    model = on_few_intervals("paper", {**INSIDE, "effects.gravity.acceleration": [0.0, 0.0, -200.0]})
-    arm, (q, _) = model.arm, random_state(model, 8)
-    work = make_workspace(arm)
-    work.xi[:] = arm.rod.reference_strain
-    assert strain_from_guess(arm, q, TOLERANCE, work) >= 0
-    assert strain_from_rest(arm, q, TOLERANCE, work) == (-1, 1.0)
-    found = work.xi.copy()
-    assert strain_from_rest(arm, np.zeros(q.size), TOLERANCE, work) == (-1, 1.0)
-    assert strain_along(arm, np.zeros(q.size), q, TOLERANCE, work) == (-1, 1.0)
-    np.testing.assert_allclose(work.xi, found, atol=1e-10 * np.abs(found).max())
 
 
 UPRIGHT = {**INSIDE, "strain.strains": ["torsion", "bend_y", "bend_z"], "quadrature.intervals": 8}

@@ -1,0 +1,143 @@
+"""Every command once, at its smallest: what it prints and what it leaves."""
+
+import importlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import pytest
+
+from soft_tendon_env.accuracy import calibration, proper_orthogonal_fields
+from soft_tendon_env.accuracy.test_inputs import motion_tensions
+from soft_tendon_env.cli.main import COMMANDS, register_command
+from soft_tendon_env.effects import EFFECTS
+from soft_tendon_env.scene.file import SHIPPED
+from soft_tendon_env.tools import user_cache
+
+ARM = ("--scene", "three_tendon", "--fidelity", "fast")
+SHORT = ("--seconds", "0.2", "--skip", "0.1")
+HEAVY = ("torch", "stable_baselines3", "sb3_contrib", "rerun", "matplotlib", "pyarrow", "scipy.optimize", "joblib", "optuna")
+QUICK = [
+    (("scenes",), ["| paper_16dof ", "| 10 "], []),
+    (("scenes", "paper"), [(SHIPPED / "paper.toml").read_text()], []),
+    (("effects",), [f"[effects.{name}]" for name in EFFECTS], []),
+    (("effects", "gravity"), ["[effects.gravity]\n", "\n  acceleration: required; "], []),
+    (("evaluate", "feedforward", *ARM, *SHORT, "--errors", "nominal", "--episodes", "1"), ["\n| nominal "], ["evaluate/TipPose.png"]),
+    (
+        ("compare", "--task", "Shape", "--policies", "feedforward", "tracking", *ARM, *SHORT, "--errors", "nominal", "--seeds", "7"),
+        ["\n| feedforward ", "\n| tracking ", "1 episodes of 0.2 s"],
+        ["compare/Shape.csv", "compare/Shape.json", "compare/Shape_episodes.csv", "compare/configuration.json"],
+    ),
+    (("record", "feedforward", *ARM, *SHORT), ["`rerun out/side_by_side.rrd`"], ["side_by_side.rrd"]),
+    (("record", "{best}", "feedforward", *SHORT), ["\n| feedforward "], ["side_by_side.rrd"]),
+    (("export", "{best}"), ["| tip_pose ", "the command [N] of 3 tendons, 50 times a second", "by onnxruntime"], ["agent.onnx"]),
+    (("train", "{config}", "--seed", "3"), ["PPO on TipPose, 128 steps, seed 3"], ["runs/small/seed_3/best/weights.pt"]),
+    pytest.param(
+        ("demo", "--agent", "{best}", "--episodes", "1", "--seconds", "0.2"),
+        ["\n| agent (PPO) ", "cannot push"],
+        ["demo.rrd", "demo.png"],
+        marks=pytest.mark.slow,  # it draws
+    ),
+    (
+        ("accuracy", "three_tendon", "--motion", "redrawn", "--within", "5mm"),
+        ["| (fine) ", "cheapest: "],
+        ["accuracy/three_tendon_5mm.toml"],
+    ),
+    (("fields", "three_tendon", "--within", "1mm"), ["three_tendon, digest ", 'passive = { type = "snapshots", fields = '], []),
+    (("doctor",), ["TendonRod-Reach-v0 one step in", "all is well\n"], []),
+    (("compile", "--scenes", "three_tendon"), ["machine code is kept in "], []),
+]
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch, tmp_path):
+    """Short motions of accuracy, and the demo on a small arm."""
+    from soft_tendon_env.demo import demo
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(calibration, "motion_tensions", lambda scene, kind, seed: motion_tensions(scene, kind, seed, 0.2))
+    monkeypatch.setattr(calibration, "RUNS", {"redrawn": 2})
+    monkeypatch.setattr(demo, "ARM", {"scene": "three_tendon", "fidelity": "fast"})
+    monkeypatch.setattr(demo, "shipped_for", lambda task: ())  # agents of another arm
+
+
+@pytest.mark.parametrize("arguments, printed, left", QUICK, ids=lambda value: value[0] if value and value[0] in COMMANDS else "")
+def test_commands_print_and_leave_what_they_should(command, capsys, tmp_path, request, arguments, printed, left):
+    known = {"config": request.getfixturevalue("config")} if "{config}" in arguments else {}
+    known |= {"best": request.getfixturevalue("finished") / "best"} if "{best}" in arguments else {}
+    ended = 0
+    try:
+        command(*(argument.format(**known) for argument in arguments))
+    except SystemExit as exit:
+        ended = exit.code
+    said = capsys.readouterr().out
+    assert not ended and all(text in said for text in printed), said
+    assert all((tmp_path / "out" / name).stat().st_size > 100 for name in left)
+
+
+@pytest.mark.slow
+def test_an_arms_own_fields_are_kept_in_the_cache_and_not_made_again(command, capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr(user_cache, "cache_parents", lambda: [tmp_path / "cache"])
+    for name, value in (("RUNS", 1), ("TESTS", 1), ("COUNTS", (0, 3))):
+        monkeypatch.setattr(proper_orthogonal_fields, name, value)
+    for more, is_made in (((), True), ((), False), (("--anew",), True)):
+        command("fields", "three_tendon", "--set", "segments.0.radius=0.009", *more)
+        assert ("written: " in capsys.readouterr().out) is is_made
+
+
+def test_a_task_that_does_not_work_is_broken_and_the_others_are_tried(command, capsys, monkeypatch):
+    make = gym.make
+    monkeypatch.setattr(gym, "make", lambda id: 1 / 0 if "Shape" in id else make(id))
+    with pytest.raises(SystemExit, match="1"):
+        command("doctor")
+    printed = capsys.readouterr().out
+    assert "TendonRod-Shape-v0 BROKEN: ZeroDivisionError" in printed and "TendonRod-TipPose-v0 one step in" in printed
+
+
+@pytest.mark.cases("name", COMMANDS)
+def test_help_has_every_option_with_a_text(command, capsys, monkeypatch, name):
+    from soft_tendon_env.cli import options
+
+    monkeypatch.setenv("COLUMNS", "300")
+    kind = importlib.import_module(f"soft_tendon_env.cli.{name.replace('-', '_')}").run.__annotations__["settings"]
+    with pytest.raises(SystemExit, match="0"):
+        command(name, "--help")
+    printed, texts = " ".join(capsys.readouterr().out.split()), options.descriptions(kind)
+    assert printed.startswith(f"usage: soft-tendon {name} ")
+    for field in kind.model_fields.keys() - {"options", "entrants"}:
+        assert texts[field].split()[0] in printed and options.flag(kind, field).removeprefix("--").lower() in printed.lower(), field
+
+
+def test_the_commands_are_listed_and_keep_their_names(command, capsys):
+    with pytest.raises(SystemExit, match="0"):
+        command("--help")
+    printed = capsys.readouterr().out
+    assert all(f"  {name} " in printed for name in COMMANDS)
+    with pytest.raises(ValueError, match="there is a command 'train' already"):
+        register_command("train", "another")
+
+
+@pytest.mark.slow  # a process
+def test_help_and_the_package_load_nothing_that_extras_bring():
+    code = "import sys, soft_tendon_env\nfrom soft_tendon_env.cli.main import main\n"
+    code += "for name in sys.argv[1:]:\n    try:\n        main([name, '--help'])\n    except SystemExit:\n        pass\n"
+    code += f"print(sorted(set(sys.modules) & set({HEAVY!r})), file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", code, *COMMANDS], capture_output=True, text=True)
+    assert done.stderr.splitlines() == ["[]"]
+
+
+@pytest.mark.slow  # processes
+def test_modules_of_a_users_own_come_first_in_every_process(tmp_path):
+    root = Path(__file__).parents[2]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(root), str(root / "examples")])}
+    run = [sys.executable, "-m", "soft_tendon_env", "--import", "own_metric"]
+
+    def said(*given):
+        return subprocess.run([*run, *given], cwd=tmp_path, env=environment, capture_output=True, text=True).stdout
+
+    assert said("length", "three_tendon") == "0.3 m\n"
+    arm = (*ARM, "--seconds", "0.4", "--skip", "0.2", "--episodes", "1", "--workers", "2")
+    table = said("evaluate", "tracking", *arm, "--errors", "nominal", "stiffness-50%")
+    assert " peak [N] " in table and "\n| stiffness-50% " in table

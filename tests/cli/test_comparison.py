@@ -1,0 +1,133 @@
+"""Several policies, and several seeds of one, on the same episodes, and their tables."""
+
+import csv
+import json
+import math
+import re
+import shutil
+import tomllib
+from pathlib import Path
+
+import gymnasium as gym
+import pytest
+
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.evaluation import comparison, entrants, provenance, settings, tables
+from soft_tendon_env.evaluation.metrics import ActionTime, ErrorScore
+from soft_tendon_env.evaluation.summaries import Summary
+from soft_tendon_env.policies.agent import save_agent
+
+CONFIGS = Path(__file__).parent.parent.parent / "configs"
+SMALL = {"scene": "three_tendon", "fidelity": "fast"}
+
+
+@pytest.fixture(scope="session")
+def ppo(tmp_path_factory):
+    """The file of an agent that has learned nothing, without options beside it."""
+    from stable_baselines3 import PPO
+
+    file = tmp_path_factory.mktemp("ppo") / "model.zip"
+    PPO("MlpPolicy", gym.make(IDS["TipPose"], **SMALL), n_steps=8, batch_size=4, seed=0, device="cpu").save(file)
+    return file
+
+
+@pytest.fixture
+def runs(tmp_path, ppo):
+    """A folder of two runs, as `soft-tendon sweep` leaves it: the agents have learned nothing, each in another way."""
+    from stable_baselines3 import PPO
+
+    for seed in (2, 10):
+        run = tmp_path / "ppo_tip_pose" / f"seed_{seed}"
+        (run / "best").mkdir(parents=True)
+        (run / "config.json").write_text(json.dumps({"task": "TipPose", "algorithm": "PPO", "seed": seed, "options": SMALL}))
+        shutil.copy(run / "config.json", run / "best" / "config.json")
+        agent = PPO.load(ppo, device="cpu")
+        agent.policy.action_net.bias.data[:] = 0.3 if seed == 2 else -0.3
+        save_agent(run / "best", agent.policy, None)
+    return tmp_path / "ppo_tip_pose"
+
+
+def test_shipped_configs_are_valid():
+    for path in CONFIGS.glob("compare*.toml"):
+        table = tomllib.loads(path.read_text())
+        read = settings.Comparison.parse(table, path.name)
+        assert table and read.model_dump(mode="json").items() >= table.items(), "as it stands there"
+
+
+def test_options_go_before_the_config_file(tmp_path, capsys, command):
+    """And model errors that are given together are drawn together."""
+    config, both = tmp_path / "own.toml", "tension-10%,latency-20ms"
+    config.write_text('errors = ["noise"]\nepisodes = 2\nseconds = 0.2\nskip = 0.1\n[options]\nscene = "three_tendon"\nfidelity = "fast"\n')
+    given = ("--task", "Shape", "--policies", "feedforward", "tracking", "--errors", "nominal", both, "--seeds", "7", "2000000")
+    command("compare", "--config", config, *given, "--set", "control_period=0.04", "randomize.payload=[0, 0.1]", "--out", tmp_path)
+    said = capsys.readouterr()
+    assert "note: every arm, the nominal one too, has randomize = {'payload': [0, 0.1]}" in said.err
+    results = json.loads((tmp_path / "Shape.json").read_text())["results"]
+    assert [(own["policy"], own["model_error"]) for own in results[:2]] == [("feedforward", "nominal"), ("feedforward", both)]
+    assert [[episode["seed"] for episode in own["episodes"]] for own in results] == [[7, 2_000_000]] * 4
+    assert {episode["steps"] for own in results for episode in own["episodes"]} == {5}
+    assert results[1]["summary"]["effort"] < results[0]["summary"]["effort"]
+    record = json.loads((tmp_path / "Shape.json").read_text())
+    assert (record["settings"]["seeds"], record["settings"]["episodes"]) == ([7, 2_000_000], 2)
+    assert record["environments"]["tracking"]["fidelity"] == "fast", "of the file"
+
+
+def test_a_folder_of_runs_is_one_policy(tmp_path, runs, capsys, command):
+    files, out = [runs / f"seed_{seed}" / "best" for seed in (2, 10)], tmp_path / "out"
+    given = ("--errors", "nominal", "--episodes", "2", "--seconds", "0.2", "--skip", "0.1", "--out", out)
+    command("compare", "--task", "TipPose", "--policies", "feedforward", runs, *files, *given)
+    results = {own["policy"]: own for own in json.loads((out / "TipPose.json").read_text())["results"]}
+    assert list(results) == ["feedforward", str(runs), *map(str, files)]
+    assert results[str(runs)]["episodes"] == [episode for file in files for episode in results[str(file)]["episodes"]]
+    assert f"{runs} (2 seeds) " in capsys.readouterr().out
+    rows = {row["policy"]: row for row in csv.DictReader((out / "TipPose.csv").read_text().splitlines())}
+    low, value, high = (float(rows[str(runs)][f"position_error_rms{end}"]) for end in ("_low", "", "_high"))
+    assert low < value < high and (rows[str(runs)]["members"], rows[str(runs)]["episodes"]) == ("2", "4")
+
+
+def rewrite(run, **changes):
+    path = run / "config.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+
+@pytest.mark.parametrize(
+    "spoil, said",
+    [
+        (lambda runs: shutil.rmtree(runs), "no policy: it should be the folder of an agent"),
+        (lambda runs: rewrite(runs / "seed_10", task="Shape"), "seed_10 has task = 'Shape', the first seed has 'TipPose'"),
+        (lambda runs: rewrite(runs / "seed_10", algorithm="SAC"), "seed_10 has algorithm = 'SAC', the first seed has 'PPO'"),
+        (lambda runs: shutil.rmtree(runs / "seed_10" / "best"), "seed_10 has no agent in best"),
+        (lambda runs: (runs / "seed_2" / "config.json").unlink(), "seed_2 is no run: it has no config.json"),
+    ],
+    ids=["missing", "task", "algorithm", "unfinished", "no run"],
+)
+def test_folders_that_are_no_sweep(runs, spoil, said):
+    spoil(runs)
+    with pytest.raises((ValueError, OSError), match=re.escape(said)):
+        comparison.shared_arms(settings.EpisodeSettings(), "TipPose", entrants.every_file(entrants.agents_of("TipPose", [str(runs)])))
+
+
+def test_tables_flag_what_diverged():
+    errors = {"position_error": ErrorScore(0.0123, 0.02), "angle_error": ErrorScore(math.radians(3.0), 0.1)}
+    metrics = {"effort": 5.0, "tension_rate": 1234.0, "chatter": 0.25}
+
+    def summary(diverged):
+        return Summary(20, diverged, errors, 0, None, metrics, 0, 400.0, None, ActionTime(0.002, 0.004))
+
+    full = tables.summary_table("policy", {"a": summary(1)}, every=True)
+    assert "400.0 ! | 1/20" in full and "12.3 !" in full and tables.LEGEND in full, "beside the return"
+    usual = tables.summary_table("policy", {"a": summary(0)}).splitlines()[0]
+    headers = [name.strip() for name in usual.split("|")[1:-1]]
+    assert headers == ["policy", "position [mm] RMS", "angle [deg] RMS", "settled", "chatter [N]", "time [ms]"]
+
+
+@pytest.mark.cases(
+    "value, text", [(None, "-"), (math.nan, "-"), (12.34, "12.3"), (20.0, "20.0"), (999.7, "1000"), (123.4, "123"), (12345.6, "12346")]
+)
+def test_numbers_have_three_digits(value, text):
+    assert tables.number(value) == text
+
+
+def test_what_is_not_finite_becomes_null(tmp_path):
+    provenance.write_json(tmp_path / "a.json", {"a": [math.inf, 1.0], "b": {"c": (math.nan,)}})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"a": [None, 1.0], "b": {"c": [None]}}
