@@ -28,13 +28,11 @@ from soft_tendon_env.tools.messages import say_unless_quiet
 from soft_tendon_env.tools.types import Array, length_text
 from soft_tendon_env.tools.user_cache import new_data_folder
 
-SEEDS = range(500, 505)
-"""Seeds of the motions of each kind that a scene is calibrated on."""
+SEEDS = range(500, 505)  # of the motions of each kind that a scene is calibrated on
 MARGIN = 2.0
 """Factor by which the error on those motions must stay below what is asked for, see docs/appendix/accuracy_command.md."""
 REFERENCE = 3e-5  # of the rod's length, error of the reference motions
 SOURCES = tuple(f"{folder}/**/*.py" for folder in ("mechanics", "effects", "scene", "model", "accuracy"))
-"""The files of the package that a calibration depends on."""
 
 
 class Calibration(NamedTuple):
@@ -116,10 +114,7 @@ def made_fields(scene: Scene) -> PassiveFields:
 
 
 def calibrate(scene: Scene, inputs: Sequence[Array], fields: PassiveFields | None) -> Calibration:
-    """The calibration of a scene on inputs (rows, n_a) [N], from the cache, or made and kept there. fields: the arm's own.
-
-    Raises ConfigurationError where full physics has none of the motions, OSError.
-    """
+    """The calibration of a scene on inputs (rows, n_a) [N], from the cache or made now. Raises ConfigurationError, OSError."""
     scene = scene.replace({"effects": scene.effects.on_arm()})  # inputs are tensions
     path = new_data_folder("calibrations") / f"{calibration_digest(scene, inputs, fields)}.json"
     with FileLock(path.with_suffix(".lock")):

@@ -8,10 +8,8 @@ from soft_tendon_env.scene.passive_fields import PassiveFields
 from soft_tendon_env.scene.scene import TIP_TOLERANCE, Scene, breakpoints
 from soft_tendon_env.scene.strain import ExplicitStrain
 
-OWN_FIELDS = (3, 6, 9, 12, 18, 24)
-"""Numbers of the arm's own passive fields that are tried."""
-LEGENDRE_ORDERS = (2, 3)
-"""Orders of passive moments over the rod."""
+OWN_FIELDS = (3, 6, 9, 12, 18, 24)  # numbers of the arm's own passive fields that are tried
+LEGENDRE_ORDERS = (2, 3)  # of passive moments over the rod
 ANGULAR = ("torsion", "bend_y", "bend_z")
 TOLERANCES = (1e-3, 3e-4, 1e-4, 5e-5, 3e-5, 2e-5, 1e-5, 3e-6)
 """Error tolerances of the integrator, as shares of the rod's length; its order and then its step follow them."""

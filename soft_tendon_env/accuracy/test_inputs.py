@@ -16,16 +16,11 @@ from soft_tendon_env.tools.types import Array
 Motion = Literal["redrawn", "increments", "smooth", "wild", "step", "noisy"]
 
 MOTIONS: tuple[Motion, ...] = get_args(Motion)
-"""The kinds of inputs: the first three are what agents and controllers make, the fourth what an agent makes before it has learned."""
-
 USUAL: tuple[Motion, ...] = MOTIONS[:3]
-"""The kinds that the errors of passive fields and presets are stated for."""
+"""The kinds that agents and controllers make, and that the errors of passive fields and presets are stated for."""
 CALIBRATED: tuple[Motion, ...] = (*USUAL, "noisy")
 """The kinds that a scene is calibrated on: with those of an agent that explores, which move an arm faster than the usual ones."""
-
-HOLD = 0.02
-"""Time [s] for which each row of a table of tensions is held: the environments' control period."""
-
+HOLD = 0.02  # [s], for which each row of a table of tensions is held: the environments' control period
 REDRAWN_EVERY = 5  # rows
 INCREMENT = 0.1  # of the band, the largest change from row to row
 MEAN, NOISE = 5 / 6, 0.1  # of the band: the largest mean, and the noise, root mean square

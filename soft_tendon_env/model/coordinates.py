@@ -15,10 +15,7 @@ from soft_tendon_env.tools.types import Array
 
 
 def make_arm(scene: Scene, grid: Grid, strain: StaticsBased | Loaded | Explicit | None = None) -> Arm:
-    """All that the kernels read of a scene, on this grid.
-
-    strain: that of the scene with other numbers, whose combinations of tensions and passive fields stay; made anew if None.
-    """
+    """All that the kernels read of a scene, on this grid; strain: with the combinations of tensions and passive fields that stay."""
     here = at_points(scene, grid)
     seen = discretisation(scene, grid, here)
     effects = effects_outside(scene).table(seen)
@@ -107,10 +104,7 @@ def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid, here: AtPo
 
 
 def with_every_tension(arm: Arm) -> Arm:
-    """The arm with a coordinate for every tension of its statics-based strain, those of redundant tendons too.
-
-    Their mass and stiffness are singular where the arm is straight, so that it can be placed, and not moved.
-    """
+    """The arm with a coordinate for every tension, those of redundant tendons too: it can be placed, and not moved."""
     strain, count = arm.strain, arm.tendons.size
     assert not isinstance(strain, Explicit)
     size = count + strain.law.size - strain.law.active

@@ -1,7 +1,4 @@
-"""Static balance of an arm under a part of its load: unbalanced force, stiffness, stability, at given coordinates.
-
-Tensions and effects grow together with `part`, from the unloaded arm at 0 to the full load at 1.
-"""
+"""Static balance of an arm under a part of its load, 0 to 1: unbalanced force, stiffness, stability, at given coordinates."""
 
 import math
 from functools import cached_property
@@ -16,8 +13,7 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.strain_limits import limit_at
 from soft_tendon_env.tools.types import Array
 
-ASYMMETRIC = 1e-4
-"""Relative size of S - S^T above which the loads have no potential; the differences that S comes from leave 1e-6 at most."""
+ASYMMETRIC = 1e-4  # relative size of S - S^T above which loads have no potential; differences that S comes from leave 1e-6 at most
 NEUTRAL = 1e-5
 """Eigenvalue of S, of the norm of S in the metric of the unloaded arm, that counts as 0, as where a column that has buckled rests to any
 side, and growth of a motion in a radian. Differences leave less than 1e-6."""
@@ -53,13 +49,12 @@ class Stability(NamedTuple):
 
 
 class Balance:
-    """The balance of one model under one load: f(q, part) = part (B u + F) - K and its derivatives; what stood in the way last.
+    """The balance of one model under one load, f(q, part) = part (B u + F) - K, and its derivatives; None, and `obstacle`: there are none.
 
-    Where there is nothing to compute, None is returned and `obstacle` says why.
+    work: of the model, that nobody else uses meanwhile; its own if None.
     """
 
     def __init__(self, model: Model, tension: Array, work: Workspace | None = None) -> None:
-        """work: of the model, that nobody else uses meanwhile; its own if None."""
         self.model, self.tension, self.size, self.energy = model, tension, model.coordinate_count, model.bending_energy
         self.work = make_workspace(model.arm) if work is None else work
         self.linearisations, self.obstacle = 0, ""

@@ -1,8 +1,7 @@
 """Inverse statics: tensions within limits whose equilibrium has a wanted tip pose or position.
 
-Bounded nonlinear least squares over the tensions u: the scaled tip error e(u) and, far below it, the effort, |e|^2 + mu^2 |u|^2. mu
-falls from one solution to the next: the search begins at the least effort and spends more only as the error asks for it. The derivative
-is exact, J_tip dq/du with dq/du = S^-1 B of the equilibrium (implicit function theorem).
+Bounded nonlinear least squares over the tensions u: the scaled tip error e(u) and, far below it, the effort, |e|^2 + mu^2 |u|^2, for one
+falling mu after the other. The derivative is exact, J_tip dq/du with dq/du = S^-1 B of the equilibrium (implicit function theorem).
 """
 
 from __future__ import annotations

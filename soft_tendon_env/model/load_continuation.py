@@ -1,8 +1,7 @@
 """Equilibrium path of a slowly loaded arm: numerical continuation of B u - K + F = 0 from the unloaded arm to its full load.
 
-Predictor and corrector (Allgower and Georg, Introduction to Numerical Continuation Methods, 1990), with steps in the load that are
-short enough to show that they stayed on the path: the cubic through both ends, with the tangents there, is an equilibrium in its
-middle too, to a small angle, and the arm is stable at both ends and in the middle. What a step skips is then no other branch.
+Predictor and corrector (Allgower and Georg, Introduction to Numerical Continuation Methods, 1990), with steps that show that they stayed on
+the path: the cubic through both ends is an equilibrium in its middle too, to a small angle, and the arm is stable at all three.
 """
 
 from typing import NamedTuple

@@ -28,20 +28,17 @@ from soft_tendon_env.tools.checks import checked_array, checked_count, checked_n
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
-TOLERANCE = 1e-12
-"""Relative size of the last Newton correction at which a strain counts as found: round-off."""
-SINGULAR = 1e-14
-"""Least eigenvalue of a matrix, scaled to a unit diagonal, up to which it counts as singular."""
+TOLERANCE = 1e-12  # relative size of the last Newton correction at which a strain counts as found: round-off
+SINGULAR = 1e-14  # least eigenvalue of a matrix, scaled to a unit diagonal, up to which it counts as singular
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
     """Reduced-order Cosserat-rod model of a tendon-driven arm, made by `build_model` from a scene; it never changes.
 
-    Coordinates q (n,): with the statics-based strain the tensions [N] that the strain answers to (combinations of them where
-    tendons are redundant), then the passive coordinates; with an explicit basis the amplitudes of its fields.
-    Every method raises ValueError or TypeError for arrays of wrong shape, type or with NaN or infinity, `StrainLimitError` where no strain
-    balances the coordinates, and OverflowError for absurd rates.
+    Coordinates q (n,): with the statics-based strain the tensions [N] that the strain answers to (combinations of them where tendons are
+    redundant), then the passive coordinates; with an explicit basis the amplitudes of its fields. Methods raise ValueError or TypeError for
+    bad arrays, `StrainLimitError` where no strain balances the coordinates, and OverflowError for absurd rates.
     """
 
     scene: Scene
@@ -77,10 +74,9 @@ class Model:
         (own, ours), (their, theirs) = (([*model.acting], model.arm.effects) for model in (self, other))
         if their[: len(own)] != own:
             return f"which effects act, from {', '.join(own) or 'none'} to {', '.join(their) or 'none'}"
-        if not np.array_equal(ours.first_state, theirs.first_state[: len(own) + 1]) or theirs.state.size > ours.state.size:
-            return "the number of internal states of the effects"
         sizes = [[np.shape(field) for struct in table.structs[: len(own)] for field in struct] for table in (ours, theirs)]
-        return "" if sizes[0] == sizes[1] else "the places of an effect along the arm"
+        is_alike = sizes[0] == sizes[1] and np.array_equal(ours.first_state, theirs.first_state[: len(own) + 1])
+        return "" if is_alike and theirs.state.size <= ours.state.size else "the number of internal states, or of places, of an effect"
 
     @property
     def coordinate_count(self) -> int:
@@ -198,8 +194,7 @@ class Model:
         return self.scene.effects.command_unit
 
     def command(self, tension: ArrayLike, q: ArrayLike) -> Array:
-        """The command (n_a,) that holds tensions (n_a,) [N] at rest at q (n,): the tensions themselves [N], or with elastic tendons the
-        displacements [m] of their actuators."""
+        """The command (n_a,), tensions [N] or displacements [m], that holds tensions (n_a,) [N] at rest at q (n,)."""
         u, path = checked_array("tension", tension, (self.tendon_count,)), self.arm.effects.transmission
         return np.asarray(u / path.stiffness + path.length - self.tendon_lengths(q)) if path.elastic else u
 

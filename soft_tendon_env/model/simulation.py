@@ -158,8 +158,7 @@ class Simulation:
     def step(self, command: ArrayLike, duration: float) -> StepReport:
         """Integrates over `duration` [s] in equal steps of at most the scene's, under a constant command (n_a,), see `Model.command_unit`.
 
-        Beyond `tension_limits` it is taken as it is, with a TensionLimitWarning. Raises ValueError or TypeError before anything changes,
-        `SimulationDiverged` with the state before the failing step.
+        Beyond `tension_limits` it is taken as it is, with a TensionLimitWarning. Raises ValueError, TypeError, `SimulationDiverged`.
         """
         u = checked_array("command", command, (self.model.tendon_count,))
         duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
@@ -188,14 +187,12 @@ class Simulation:
         finally:
             self._take(start.copy(), step)
 
-    def rollout(self, commands: ArrayLike, duration: ArrayLike, *, forces: ArrayLike | None = None, steps: int | None = None) -> Rollout:
+    def rollout(self, commands: ArrayLike, duration: ArrayLike, *, forces: ArrayLike | None = None) -> Rollout:
         """Simulated motion over N periods from the present state, with its linearisation; leaves the simulation where it was.
 
         commands (N, n_a), each held for `duration` [s], or (N, p, n_a) of p parts of a period with durations (p,) [s]. forces (n, k):
-        generalised forces by which to differentiate besides. steps: implicit steps of a period that the linearisation takes, by default as
-        many as resolve the slowest vibration.
-
-        Raises ValueError, TypeError, `SimulationDiverged` where the motion ends, LinAlgError where there is no linearisation.
+        generalised forces by which to differentiate besides. Raises ValueError, TypeError, `SimulationDiverged` where the motion ends,
+        LinAlgError where there is no linearisation.
         """
         n, n_a = self.model.coordinate_count, self.model.tendon_count
         parts = np.atleast_1d(checked_array("duration", duration, (None,) * np.ndim(duration)))
@@ -207,8 +204,7 @@ class Simulation:
         plan.command[:], plan.duration[:] = played.reshape(plan.command.shape), parts
         warn_beyond_limits(self._limits, plan.command, self.model.command_unit)
         period, motion = float(plan.duration.sum()), self._motion.copy()
-        steps = math.ceil(period * linear_rate(self.model)) if steps is None else checked_count("steps", steps, 1)
-        control = step_control(self.model, period)
+        steps, control = math.ceil(period * linear_rate(self.model)), step_control(self.model, period)
         code, row = linearised_rollout(self.model.arm, advance.Scheme(self._method, control), motion, steps, self._scratch, plan)
         if code != status.OK:
             raise self._diverged(code, motion, plan.command[min(row, len(plan.command) - 1), 0], control)
@@ -242,15 +238,12 @@ class Simulation:
 def simulate(model: Model, command: Command, duration: float, sample_period: float, initial: State | None = None) -> Trajectory:
     """Simulates `duration` [s] and samples the motion every `sample_period` [s].
 
-    command: tensions [N], or what the scene's effects take in their place, see `Model.command_unit`: an array (n_a,) held throughout, a
-    table (duration / sample_period, n_a) of which each row is held over one sample period, or a function of time [s] that is sampled at
-    the middle of each integrator step and held over it (second order, and jumps at the borders of steps stay exact). Beyond
-    `tension_limits` commands are taken as they are, with a TensionLimitWarning.
-    initial: the state to start from, by default at rest without tension under the loads at time 0, see `Simulation.reset_at_rest`;
-    `Simulation(model).state` is the stress-free shape.
+    command, see `Model.command_unit`: an array (n_a,) held throughout, a table (duration / sample_period, n_a) of which each row is held
+    over one sample period, or a function of time [s] that is sampled at the middle of each integrator step and held over it (second
+    order, and jumps at the borders of steps stay exact). Beyond `tension_limits` it is taken as it is, with a TensionLimitWarning.
+    initial: the state to start from, by default at rest without tension; `Simulation(model).state` is the stress-free shape.
 
-    Raises ValueError or TypeError for bad input before anything is computed, NoEquilibriumError where no initial state is given and the
-    arm rests nowhere, `SimulationDiverged`.
+    Raises ValueError or TypeError before anything is computed, NoEquilibriumError where the arm rests nowhere, `SimulationDiverged`.
     """
     simulation = Simulation(model, initial)
     period = checked_number("sample_period", sample_period, SHORTEST, "a positive number of seconds")

@@ -15,8 +15,7 @@ from soft_tendon_env.tools.checks import checked_array, checked_number, checked_
 from soft_tendon_env.tools.files import read_arrays
 from soft_tendon_env.tools.types import Array
 
-SAME_STRAIN = 1e-6
-"""Relative difference up to which a state's strain counts as that of its coordinates."""
+SAME_STRAIN = 1e-6  # relative difference up to which a state's strain counts as that of its coordinates
 SHORTEST = 1e-12  # [s], what may count as a time step
 STATE = "state that State.save wrote"
 
@@ -25,17 +24,15 @@ STATE = "state that State.save wrote"
 class State:
     """State of a simulation, everything that the next step depends on: a saved state continues bit for bit.
 
-    time [s]; q, q_dot (n,) coordinates and rates; strain (points, 6) at the quadrature points, from which the next solution starts;
-    step [s] the size to try next, where steps follow a tolerance: those of fixed size begin with the scene's; effects (m,) the internal
-    states of the scene's effects, one after the other.
+    Internal states of other effects, as many as the scene's, are not told apart from these.
     """
 
-    time: float
-    q: Array
-    q_dot: Array
-    strain: Array
-    step: float
-    effects: Array = field(default_factory=lambda: np.zeros(0))
+    time: float  # [s]
+    q: Array  # (n,) coordinates
+    q_dot: Array  # (n,) rates
+    strain: Array  # (points, 6) at the quadrature points, from which the next solution starts
+    step: float  # [s], the size to try next, where steps follow a tolerance
+    effects: Array = field(default_factory=lambda: np.zeros(0))  # (m,) internal states of the scene's effects, one after the other
 
     def save(self, path: str | Path) -> None:
         """Saves the state to an .npz file."""

@@ -1,7 +1,6 @@
 """Static equilibria: solve B u - K + F = 0 of (23) for the coordinates q at given tensions u, for every strain parametrisation.
 
-A loaded arm may have many equilibria. The one found is where a slowly loaded arm goes: the end of the path that begins at the
-unloaded arm and along which tensions and effects grow together, see load_continuation.
+Of many equilibria the one found is where a slowly loaded arm goes, see load_continuation.
 """
 
 from __future__ import annotations
@@ -26,10 +25,8 @@ from soft_tendon_env.tools.types import Array
 
 MOST_COMMANDED = 50
 SAME_TENSION = 1e-11  # relative difference of two tensions, or of the rod's length as a spring of a tendon is longer, that counts as none
-CONTRACTION = 0.5
-"""Contraction from a correction to the next above which Newton's method with the stiffness of another equilibrium is given up."""
-SEEN = 1e-4
-"""Share of the rod's length: how far redundant tendons may leave the tip off without a warning."""
+CONTRACTION = 0.5  # from a correction to the next, above which Newton's method with the stiffness of another equilibrium is given up
+SEEN = 1e-4  # share of the rod's length: how far redundant tendons may leave the tip off without a warning
 
 
 class RedundancyWarning(UserWarning):
@@ -155,7 +152,7 @@ def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium
 
 
 class ChordSolver:
-    """Static equilibria near one that is known, by Newton's method with its stiffness (chord iteration): to follow tensions that change.
+    """Static equilibria near one that is known, by Newton's method with its stiffness (chord iteration).
 
     answer (n, n_a): dq/du = S^-1 B there; terms: of the equation of motion, there. Raises StrainLimitError where there is no strain.
     """
@@ -180,10 +177,7 @@ class ChordSolver:
         return np.asarray(self.terms.tip_jacobian @ self.answer)
 
     def at(self, tension: Array) -> tuple[Array, Array] | None:
-        """Coordinates (n,) and tip pose (4, 4) of the equilibrium under other tensions (n_a,); None where there is none.
-
-        Where Newton's method with the old stiffness does not converge, that of `static_equilibrium` is found.
-        """
+        """Coordinates (n,) and tip pose (4, 4) of the equilibrium under other tensions (n_a,); None where there is none."""
         q = self.model.rest_coordinates(tension) if self._known else self.q + self.answer @ (tension - self.tension)
         with self.model.workspace() as work:
             balance, size = Balance(self.model, tension, work), np.inf

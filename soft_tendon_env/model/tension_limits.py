@@ -9,8 +9,7 @@ import numpy as np
 
 from soft_tendon_env.tools.types import Array
 
-ROUND_OFF = 1e-9
-"""Share of its range by which a command may be beyond it."""
+ROUND_OFF = 1e-9  # share of its range by which a command may be beyond it
 _erring = ContextVar("_erring", default=False)
 
 

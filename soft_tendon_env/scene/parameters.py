@@ -66,11 +66,9 @@ def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...
     `"tendons.3.routing.offset.0"`, `"effects.gravity.acceleration.2"`.
 
     Any number of `[[segments]]`, `[[tendons]]` and `[effects]` can be one, but for lengths of segments and ends and limits of
-    tendons. An effect that does nothing unless it is told to, as a tip load, need not be in the scene. Raises TypeError for what is no
-    text, ConfigurationError for keys of anything else, with those that there are.
+    tendons. An effect that does nothing unless it is told to, as a tip load, need not be in the scene. Raises ConfigurationError for keys
+    of anything else, with those that there are.
     """
-    if isinstance(names, str):
-        raise TypeError(f"keys should be several dotted keys, such as ['segments.*.young_modulus'], not {shown(names)}")
     entries = _entries(scene)
     return tuple(_parameter(name, entries) for name in names)
 
@@ -91,10 +89,9 @@ def dotted_ranges(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def ranges_of(scene: Scene, wanted: Mapping[str, Any]) -> tuple[Range, ...]:
-    """Ranges by dotted keys of a scene, checked against it; of a vector a list with one for each entry.
+    """Ranges by dotted keys of a scene, of a vector a list with one for each entry.
 
-    Raises ConfigurationError for keys that are no numbers of the scene, with those that there are, for what is no range, and for a number
-    that two of them draw.
+    Raises ConfigurationError for keys that are no numbers of the scene, for what is no range, and for a number that two of them draw.
     """
     entries, found, drawn = _entries(scene), list[Range](), dict[str, str]()
     for name, value in wanted.items():
@@ -152,8 +149,6 @@ def _misfit(key: str, value: Any) -> str:
 
 
 def _parameter(name: str, entries: Mapping[str, Any]) -> Parameter:
-    if not isinstance(name, str):
-        raise TypeError(f"a parameter should be a dotted key such as 'segments.*.young_modulus', not {shown(name)}")
     keys = _matching(name, entries)
     if not keys and name in entries:
         _fail(name, f"is no parameter: {_misfit(name, entries[name])}")

@@ -26,10 +26,8 @@ from soft_tendon_env.tools.files import read_json, replacing
 from soft_tendon_env.tools.types import Array
 from soft_tendon_env.tools.user_cache import data_folders
 
-ALIKE = 2.0
-"""Factor up to which the material may differ from that which fields were made for."""
-MATERIAL = ("young_modulus", "density", "damping")
-"""Properties of a segment that are none of its geometry."""
+ALIKE = 2.0  # factor up to which the material may differ from that which fields were made for
+MATERIAL = ("young_modulus", "density", "damping")  # properties of a segment that are none of its geometry
 SUFFIX = ".fields.json"
 ARRAYS = ("tension_limits", "borders", "singular_values", "coefficients")
 
@@ -40,19 +38,15 @@ class FieldsWarning(UserWarning):
 
 @dataclass(frozen=True, eq=False)
 class PassiveFields:
-    """Wrench fields along a rod, piecewise Legendre polynomials, the leading ones of a proper orthogonal decomposition.
-
-    The coefficients are moments [N m] and forces [N] of unit energy: int F^T Sigma^-1 F dX = 1. The errors are the largest tip distances
-    [m] from full physics on motions that the fields were not made from.
-    """
+    """Wrench fields along a rod, piecewise Legendre polynomials, the leading ones of a proper orthogonal decomposition."""
 
     arm: Mapping[str, Any]  # tables of segments and tendons that they were made for, see `arm_of`
     tension_limits: Array  # (n_a, 2) [N], within which tensions were drawn
     borders: Array  # (pieces + 1,) arc lengths [m] between the polynomials
-    coefficients: Array  # (fields, pieces, 6, orders)
+    coefficients: Array  # (fields, pieces, 6, orders) moments [N m] and forces [N] of unit energy: int F^T Sigma^-1 F dX = 1
     effects: Effects  # the loads, none or those up to whose size they were drawn, see Effects.sample_smaller
     singular_values: Array  # (fields,), as shares of the first
-    errors: Mapping[str, tuple[float, ...]]  # by kind of motion, for each of the numbers of fields in "fields"
+    errors: Mapping[str, tuple[float, ...]]  # [m] largest of the tip, by kind of motion, for each of the numbers of fields in "fields"
 
     @functools.cached_property
     def digest(self) -> str:
@@ -134,10 +128,7 @@ def arm_of(scene: Scene) -> dict[str, Any]:
 
 
 def find_fields(scene: Scene, digest: str | None = None) -> PassiveFields | None:
-    """Passive fields of the scene's arm, among those that ship and those in the user's cache; None where there are none.
-
-    Those that were made for the scene's loads go before those made for more, and these before the others. With a digest: those alone.
-    """
+    """Passive fields of the scene's arm that ship or are in the user's cache, those made for its loads first; digest: those alone."""
     paths = [path for folder in (*data_folders("fields"), SHIPPED) for path in sorted(folder.glob(f"*{SUFFIX}"))]
     everything = [_read_once(path, path.stat().st_mtime_ns) for path in paths]
     known = [fields for fields in everything if digest in (None, fields.digest) and fields.fits(scene)]
@@ -146,8 +137,7 @@ def find_fields(scene: Scene, digest: str | None = None) -> PassiveFields | None
 
 
 def fields_of(scene: Scene) -> PassiveFields:
-    """The passive fields that a scene with `Snapshots` names. Raises ConfigurationError where there are none or they do not fit; warns
-    (FieldsWarning) where they were made for another material or load."""
+    """The passive fields that a scene with `Snapshots` names. Raises ConfigurationError; warns where they were made for other loads."""
     assert not isinstance(scene.strain, ExplicitStrain) and isinstance(scene.strain.passive, Snapshots)
     table, key, problem = scene.strain.passive, "file", ""
     try:

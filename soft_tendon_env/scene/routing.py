@@ -1,6 +1,5 @@
 """Tendon routings: offset d = (0, y, z) of a tendon from the rod's axis in the section's frame, and its derivative d' = dd/dX.
 
-Offset and slope come from the same function, so that they cannot disagree (a taper's slope is part of d').
 To add a routing, write its class here and name it in `Routing`.
 """
 

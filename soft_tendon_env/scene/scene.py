@@ -20,8 +20,7 @@ from soft_tendon_env.scene.strain import ExplicitStrain, StaticsBased
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, override
 from soft_tendon_env.tools.types import Array, Length, NotNegative, Positive, TimeStep, Triple
 
-GREATEST_TENSION = 1e9
-"""Largest tension limit [N]."""
+GREATEST_TENSION = 1e9  # [N], of limits
 
 
 def _is_range(limits: tuple[float, float]) -> tuple[float, float]:
@@ -31,18 +30,11 @@ def _is_range(limits: tuple[float, float]) -> tuple[float, float]:
 
 
 TensionLimits = Annotated[tuple[float, float], AfterValidator(_is_range)]
-LEAST_TOLERANCE = 1e-11
-"""Least error of a step, in parts of the rod's length, that may be asked for: ten times what the integrator's strains are good to."""
-SAME_PLACE = 1e-9
-"""Arc lengths closer than this fraction of the rod's length are one place."""
-SHORTEST = 4 * SAME_PLACE
-"""Share of the rod's length that a tendon covers at least: both of its ends may be at the place of another, with points between them."""
-
-MOST_INTERVALS = 512
-"""Most quadrature intervals per piece of the rod."""
-MOST_COLUMNS = 6
-"""Most columns of extrapolation: 16 evaluations a step."""
-
+LEAST_TOLERANCE = 1e-11  # share of the rod's length, error of a step that may be asked for: ten times what strains are good to
+SAME_PLACE = 1e-9  # share of the rod's length: arc lengths closer than this are one place
+SHORTEST = 4 * SAME_PLACE  # share of the rod's length that a tendon covers at least
+MOST_INTERVALS = 512  # quadrature intervals per piece of the rod
+MOST_COLUMNS = 6  # of extrapolation: 16 evaluations a step
 TIP_TOLERANCE = 2.5e-3
 """Largest displacement of the tip by quadrature, as a share of the rod's length, that counts as small unless a scene says otherwise."""
 
@@ -182,10 +174,7 @@ def tendon_ends(scene: Scene, tendon: Tendon) -> Ends:
 
 
 def breakpoints(scene: Scene) -> Array:
-    """Sorted unique arc lengths [m], from 0 to the rod's length, between which everything is smooth.
-
-    Base, tip, the ends of tendons, the borders of segments and those of the strain; the same place counts once.
-    """
+    """Sorted unique arc lengths [m] between which everything is smooth: base, tip, ends of tendons, borders of segments and strain."""
     length = rod_length(scene)
     ends = [end for tendon in scene.tendons for end in tendon_ends(scene, tendon)]
     places = [0.0]

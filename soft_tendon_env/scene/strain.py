@@ -10,11 +10,8 @@ from soft_tendon_env.tools.types import Positive
 
 Strain = Literal["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
 
-MOST_SNAPSHOT_FIELDS = 24
-"""Most fields that are made from snapshots: beyond, they hardly add anything."""
-SNAPSHOT_ORDER = 10
-"""Legendre order, on each piece of the rod, of the polynomials that fields from snapshots are kept as."""
-
+MOST_SNAPSHOT_FIELDS = 24  # beyond, fields hardly add anything
+SNAPSHOT_ORDER = 10  # Legendre order, on each piece of the rod, of the polynomials that fields from snapshots are kept as
 STRAINS: tuple[Strain, ...] = ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")
 """The six strains in the order of xi = (k, p)."""
 
