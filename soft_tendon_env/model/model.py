@@ -238,7 +238,8 @@ class Model:
         """A workspace with strains and poses at q (n,). Raises StrainLimitError."""
         q = self._coordinates("q", q)
         with self.workspace() as work:
-            self._check(q, work, *configure(self.arm, q, TOLERANCE, work), bool(np.isfinite(work.pose).all()))
+            block, reached = configure(self.arm, q, TOLERANCE, work)
+            self._check(q, work, block, reached, bool(np.isfinite(work.pose).all()))
             yield work
 
     def _check(self, q: Array, work: Workspace, block: int, reached: float, placed: bool) -> None:

@@ -261,7 +261,8 @@ def simulate(model: Model, command: Command, duration: float, sample_period: flo
     if samples:
         report = simulation._run(commands.reshape(-1, model.tendon_count), control, Record(*(values[1:] for values in record)))
     times = start.time + period * np.arange(samples + 1, dtype=np.float64)
-    return Trajectory(times, *record, commands, simulation.state, *report)
+    steps, rejected, error, evaluations = report
+    return Trajectory(times, *record, commands, simulation.state, steps, rejected, error, evaluations)
 
 
 def _check_length(duration: float, control: Control) -> None:

@@ -53,7 +53,7 @@ def checked_motion(model: Model, state: State) -> tuple[Motion, float]:
     """Motion of a state, in arrays of its own, and the step [s] to try next. Raises TypeError, ValueError where it is not of the model."""
     checked_type("state", state, State, "see Simulation.state")
     q, q_dot = (checked_array(f"state.{name}", getattr(state, name), (model.coordinate_count,)) for name in ("q", "q_dot"))
-    strain = checked_array("state.strain", state.strain, (2 * np.count_nonzero(model.grid.real), 6))
+    strain = checked_array("state.strain", state.strain, (2 * int(model.grid.real.sum()), 6))
     effects = checked_array("state.effects", state.effects, model.arm.effects.state.shape)
     clock = np.array([checked_number("state.time", state.time, -np.inf, "a finite number")])
     motion = Motion(q, q_dot, model.grid.packed(strain), effects, clock)
