@@ -1,7 +1,4 @@
-"""Calibration of a scene: the cheapest setting that keeps its tip within a tolerance of full physics, chosen once and kept in the cache.
-
-The choice is deterministic: errors are those of fixed motions, and costs those of a cost model, never measured times.
-"""
+"""Calibration of a scene: the cheapest setting that keeps its tip within a tolerance of full physics, chosen once and kept in the cache."""
 
 import contextlib
 import hashlib

@@ -1,7 +1,4 @@
-"""Fidelity: presets of accuracy against time, strain field, quadrature and integrator together, for the arm at hand.
-
-What each costs and how far its tip is from full physics: `python benchmarks/fidelity.py`, docs/appendix/fidelity.md.
-"""
+"""Fidelity: presets of accuracy against time, strain field, quadrature and integrator together, see docs/appendix/fidelity.md."""
 
 from __future__ import annotations
 
@@ -19,8 +16,7 @@ from soft_tendon_env.scene.strain import STRAINS, Snapshots, StaticsBased
 from soft_tendon_env.tools.checks import checked_type
 from soft_tendon_env.tools.types import is_length, read_length
 
-AS_SCENE = "scene"
-"""The fidelity that leaves a scene as it is."""
+AS_SCENE = "scene"  # the fidelity that leaves a scene as it is
 UNSAID: Any = type("Unsaid", (), {"__repr__": lambda self: "UNSAID"})()
 """The fidelity of a model for which none is given: AS_SCENE, with a warning where that leaves the strain open."""
 

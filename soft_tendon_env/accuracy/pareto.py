@@ -1,7 +1,4 @@
-"""Accuracy against computing time: errors of settings against full physics, and the Pareto front of them.
-
-Strain fields on several quadratures are compared with a fine tolerance of time first; those that nothing beats, with every tolerance.
-"""
+"""Accuracy against computing time: errors of settings against full physics, and the Pareto front of them."""
 
 import contextlib
 import time
@@ -25,17 +22,13 @@ QUADRATURES = 3  # numbers of intervals that every strain field is tried with
 
 
 class Point(NamedTuple):
-    """A setting, what it costs and how far its motions are from full physics.
-
-    tip_errors: largest distance [m] of the tip over each motion, inf where the model has no such motion, nan where full physics has none.
-    cost: CPU seconds of a simulated second by the cost model.
-    """
+    """A setting, what it costs and how far its motions are from full physics."""
 
     setting: Setting
     coordinates: int
-    tip_errors: tuple[float, ...]
+    tip_errors: tuple[float, ...]  # [m] largest over each motion, inf where the model has no such motion, nan where full physics has none
     evaluations: float  # of a simulated second
-    cost: float
+    cost: float  # CPU seconds of a simulated second by the cost model
 
     @property
     def tip_error(self) -> float:

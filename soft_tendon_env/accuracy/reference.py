@@ -82,8 +82,7 @@ def distance(found: Array | None, reference: Array | None) -> float:
 
 def reference_motions(scene: Scene, inputs: Sequence[Array], tolerance: float) -> Reference:
     """Motions of full physics under inputs (rows, n_a) [N], each row held for HOLD, each refined until it does not change by more than
-    `tolerance` [m], or to the finest of LEVELS, where tip_errors say how far it is. The level is that of the last to be refined.
-    """
+    `tolerance` [m], or to the finest of LEVELS. The level is that of the last to be refined."""
     found: list[Array | None] = [None] * len(inputs)
     changes, rest = [np.inf] * len(inputs), list(range(len(inputs)))
     for level in LEVELS:

@@ -22,11 +22,7 @@ FIXED, PER_PACK, PER_FIELD, SOLVE = 3.37e-6, 4.87e-7, 9.81e-8, 4.51e-9
 
 
 def evaluation_cost(model: Model) -> float:
-    """CPU time [s] of one evaluation of the equation of motion by the cost model, FIXED + packs (PER_PACK + PER_FIELD n) + SOLVE n^2.
-
-    n coordinates of a statics-based strain. It is not measured, so that every process ranks settings alike; what is the same for all
-    settings of a scene is left out.
-    """
+    """CPU time [s] of one evaluation by the cost model, FIXED + packs (PER_PACK + PER_FIELD n) + SOLVE n^2, alike in every process."""
     n = model.coordinate_count
     return FIXED + model.grid.packs * (PER_PACK + PER_FIELD * n) + SOLVE * n**2
 

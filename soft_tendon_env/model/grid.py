@@ -1,8 +1,8 @@
 """Discretisation of the rod: intervals, quadrature points and nodes, and the arrays of section and tendons there."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,7 +29,6 @@ class Grid:
     real: np.ndarray  # (intervals,) False where padded
     breakpoints: Array
     per_piece: int
-    shapes: dict[str, Any] = field(default_factory=dict, repr=False)  # of the last arm on it, see `at_points`
 
     @property
     def packs(self) -> int:
@@ -123,16 +122,8 @@ class AtPoints(NamedTuple):
 
 
 def at_points(scene: Scene, grid: Grid) -> AtPoints:
-    """Section and shape at the points of a grid, which keeps the shape for the next scene that differs in other numbers alone."""
+    """Section and shape at the points of a grid; lengths and turns of tendons to second order in the intervals."""
     elasticity, damping, _ = (m.reshape(-1, 2, 6) for m in screw_matrices(scene, grid.points.ravel()))
-    key = scene.tendons, [(own.length, own.radius, own.curvature) for own in scene.segments]
-    if grid.shapes.get("key") != key:
-        grid.shapes.update(key=key, shape=_shape(scene, grid))
-    return AtPoints(elasticity, damping, *grid.shapes["shape"])
-
-
-def _shape(scene: Scene, grid: Grid) -> tuple[Array, Array, Tendons, Array, Array]:
-    """Curvature, geometry, tendons, their lengths and the angles by which they turn to second order in the intervals."""
     k = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, grid.points)]
     geometry = tendon_geometry(scene, grid)
     _, chord = chords(geometry, k, STRAIGHT)
@@ -144,7 +135,8 @@ def _shape(scene: Scene, grid: Grid) -> tuple[Array, Array, Tendons, Array, Arra
     turn = np.diff(t, axis=1) + 0.5 * distance * (rate[:, 1:] + rate[:, :-1])
     turned = (np.linalg.norm(turn, axis=-1) * there[:, 1:] * there[:, :-1]).sum(axis=1)
     first, last = np.array([pack_range((own[..., 4] > 0.0).any(axis=1) & grid.real) for own in geometry], dtype=np.int64).T.copy()
-    return k, geometry, Tendons(size=len(geometry), geometry=point_field(geometry), first=first, last=last), length, np.asarray(turned)
+    tendons = Tendons(size=len(geometry), geometry=point_field(geometry), first=first, last=last)
+    return AtPoints(elasticity, damping, k, geometry, tendons, length, np.asarray(turned))
 
 
 def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], here: AtPoints, seen: Discretisation) -> Rod:

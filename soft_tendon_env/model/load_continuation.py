@@ -20,8 +20,7 @@ SHORTEST, BEYOND, LEAST_LOAD = 2e-5, 1e-2, 1e-7
 """Step, as a share of the load that was reached: a limit is told to this accuracy; how far past the end of its path an arm settles; and the
 load below which no step is tried."""
 MOST_LINEARISATIONS, MOST_CORRECTIONS, MOST_SETTLINGS = 5000, 25, 20
-SLOW, FEW = 0.05, 8
-"""Contraction of Newton's method with an old stiffness above which it is computed anew; coordinates up to which that costs little."""
+SLOW, FEW = 0.05, 8  # contraction of Newton's method above which its stiffness is computed anew; coordinates up to which that costs little
 NEAR, SOFT, SOFTEST = 0.05, 0.3, 1e-2
 """[rad] from an equilibrium up to which a stiffness stands for its own, where the least eigenvalue, 1 for the unloaded arm, is above SOFT;
 and that below which steps need be no shorter."""

@@ -28,8 +28,7 @@ MASS_TOLERANCE, LEAST_INERTIA, NO_INERTIA = 0.02, 0.1, 1e-9
 """Largest relative error of the rod's mass; least part of its inertia that a combination of coordinates must keep, as fields of high order
 need as many nodes; and the share of the largest up to which a combination has none on any quadrature."""
 PER_WAVE = 4.0  # intervals of the finer quadrature for the shortest wavelength of the geometry
-CORNERS, SETTLED = 32, 6
-"""Sets of several tendons at their limits that are tried, and how many of the worst tensions equilibria are solved under."""
+CORNERS, SETTLED = 32, 6  # sets of tendons at their limits that are tried; of the worst tensions equilibria are solved under
 HOPELESS = 96  # intervals from which on the search ends where twice as many do not even halve the error
 FARTHEST, MOST_HALVINGS = 2.0, 40  # lengths from the base beyond which no tip is; halvings of tensions that no strain balances
 MOST_LINEARISATIONS = 100  # on the path to an equilibrium
@@ -92,7 +91,6 @@ class QuadratureTest:
         sides[0] = 1  # all at their greatest
         together = [self.limits[np.arange(count), side] for side in sides]
         self.tensions = list({tension.tobytes(): tension for tension in [*together, *alone, self.slack]}.values())
-        self.rests = dict[tuple[int, bytes], Array]()  # coordinates at rest on the last quadrature
         radii = [segment.radius for segment in scene.segments if isinstance(segment.radius, RadiusProfile)]
         shortest = min(shape.wavelength() for shape in (*(tendon.routing for tendon in scene.tendons), *radii))
         per_piece = math.ceil(PER_WAVE * np.diff(breakpoints(scene)).max() / shortest)
@@ -155,10 +153,9 @@ class QuadratureTest:
             return shares[0]
         full, q, settled = self.limits[:, 1], np.zeros(coarse.coordinate_count), list[tuple[float, Array]]()
         for tension in [self.slack, full, 0.5 * (self.slack + full)] * loaded + [tension for _, tension in shares[:SETTLED]]:
-            key = q.size, tension.tobytes()
-            share, self.rests[key] = _share_at_rest(coarse, fine, tension, self.rests.get(key, q + responses[0] @ tension))
+            share, rest = _share_at_rest(coarse, fine, tension, q + responses[0] @ tension)
             settled.append((share, tension))
-            q = self.rests[key] if tension is self.slack else q  # the answer to the loads
+            q = rest if tension is self.slack else q  # the answer to the loads
         return max(settled, key=lambda found: found[0])
 
 

@@ -187,12 +187,12 @@ class Simulation:
         finally:
             self._take(start.copy(), step)
 
-    def rollout(self, commands: ArrayLike, duration: ArrayLike, *, forces: ArrayLike | None = None) -> Rollout:
+    def rollout(self, commands: ArrayLike, duration: ArrayLike, *, forces: ArrayLike | None = None, steps: int | None = None) -> Rollout:
         """Simulated motion over N periods from the present state, with its linearisation; leaves the simulation where it was.
 
         commands (N, n_a), each held for `duration` [s], or (N, p, n_a) of p parts of a period with durations (p,) [s]. forces (n, k):
-        generalised forces by which to differentiate besides. Raises ValueError, TypeError, `SimulationDiverged` where the motion ends,
-        LinAlgError where there is no linearisation.
+        generalised forces by which to differentiate besides. steps: of a period that the linearisation takes, by default as many as resolve
+        the slowest vibration. Raises ValueError, TypeError, `SimulationDiverged`, LinAlgError where there is no linearisation.
         """
         n, n_a = self.model.coordinate_count, self.model.tendon_count
         parts = np.atleast_1d(checked_array("duration", duration, (None,) * np.ndim(duration)))
@@ -204,7 +204,8 @@ class Simulation:
         plan.command[:], plan.duration[:] = played.reshape(plan.command.shape), parts
         warn_beyond_limits(self._limits, plan.command, self.model.command_unit)
         period, motion = float(plan.duration.sum()), self._motion.copy()
-        steps, control = math.ceil(period * linear_rate(self.model)), step_control(self.model, period)
+        steps = math.ceil(period * linear_rate(self.model)) if steps is None else checked_count("steps", steps, 1)
+        control = step_control(self.model, period)
         code, row = linearised_rollout(self.model.arm, advance.Scheme(self._method, control), motion, steps, self._scratch, plan)
         if code != status.OK:
             raise self._diverged(code, motion, plan.command[min(row, len(plan.command) - 1), 0], control)

@@ -1,7 +1,6 @@
 """Scene: configuration of an arm, with its rod, tendons, strain parametrisation, quadrature, integrator and effects.
 
-SI units throughout. Only sources are stored; what follows from them is computed by the functions at the end of this file.
-Every class raises `ConfigurationError` for unknown keys, wrong types and wrong ranges.
+SI units throughout. Every class raises `ConfigurationError` for unknown keys, wrong types and wrong ranges.
 """
 
 import re
@@ -35,8 +34,7 @@ SAME_PLACE = 1e-9  # share of the rod's length: arc lengths closer than this are
 SHORTEST = 4 * SAME_PLACE  # share of the rod's length that a tendon covers at least
 MOST_INTERVALS = 512  # quadrature intervals per piece of the rod
 MOST_COLUMNS = 6  # of extrapolation: 16 evaluations a step
-TIP_TOLERANCE = 2.5e-3
-"""Largest displacement of the tip by quadrature, as a share of the rod's length, that counts as small unless a scene says otherwise."""
+TIP_TOLERANCE = 2.5e-3  # share of the rod's length, displacement of the tip by quadrature that counts as small
 
 
 class Segment(Configuration):

@@ -12,8 +12,7 @@ Strain = Literal["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
 
 MOST_SNAPSHOT_FIELDS = 24  # beyond, fields hardly add anything
 SNAPSHOT_ORDER = 10  # Legendre order, on each piece of the rod, of the polynomials that fields from snapshots are kept as
-STRAINS: tuple[Strain, ...] = ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")
-"""The six strains in the order of xi = (k, p)."""
+STRAINS: tuple[Strain, ...] = ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")  # in the order of xi = (k, p)
 
 
 def _check_each_once(strains: tuple[Strain, ...]) -> tuple[Strain, ...]:

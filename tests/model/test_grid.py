@@ -65,14 +65,3 @@ def test_packed_and_unpacked_are_inverse(name, lead):
     np.testing.assert_array_equal(grid.unpacked(packed), strain)
     empty = grid.at_points(packed, 6)[..., ~grid.real, :, :]
     np.testing.assert_array_equal(empty, np.broadcast_to(strain[..., None, -1:, :], empty.shape))
-
-
-def test_the_shape_on_a_grid_is_that_of_the_scene_at_hand():
-    """The grid keeps the last one, for scenes that differ in other numbers."""
-    straight = load_scene("three_tendon")
-    bent, grid = straight.replace({"segments.0.curvature": [0.0, 5.0, 0.0]}), make_grid(straight, 6)
-    for scene in (straight, bent, straight.replace({"segments.0.density": 900.0}), bent):
-        found, fresh = (at_points(scene, own) for own in (grid, make_grid(scene, 6)))
-        for name in ("curvature", "tendon_length", "geometry", "elasticity"):
-            np.testing.assert_array_equal(getattr(found, name), getattr(fresh, name))
-    assert at_points(bent, grid).geometry is at_points(bent.replace({"segments.0.density": 900.0}), grid).geometry
