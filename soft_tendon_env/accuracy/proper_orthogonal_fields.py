@@ -28,7 +28,7 @@ from soft_tendon_env.tools.parallel import processors, run_all
 from soft_tendon_env.tools.types import Array
 from soft_tendon_env.tools.user_cache import new_data_folder
 
-TRAINED = (*USUAL, "wild")  # kinds of motions that snapshots are taken of
+KINDS, TRAINED = USUAL, (*USUAL, "wild")  # kinds of motions that fields are tested on, and that snapshots are taken of
 RUNS, FIRST_SEED = 10, 1000  # motions of each kind that snapshots are taken of, and the first of their seeds
 WILD = 0.2  # weight of samples of wild motions, which are several times as large as the others
 RESOLVED = 1e-3  # of the rod's length: full physics may change by so much at its next refinement, to take snapshots of
