@@ -43,7 +43,7 @@ def corners(scene, count=40):
     """Tendons slack or at their limits: each alone, all, and at random."""
     greatest = np.array([tendon.tension_limits[1] for tendon in scene.tendons])
     chosen = np.random.default_rng(1).random((count, greatest.size)) < 0.5
-    return greatest * np.vstack([np.eye(greatest.size), np.ones(greatest.size), chosen])
+    return greatest * np.unique(np.vstack([np.eye(greatest.size), np.ones(greatest.size), chosen]), axis=0)
 
 
 def true_error(scene, intervals, fine=64):
