@@ -58,9 +58,13 @@ class LoadPath:
         # with the statics-based strain q = [u; 0] balances the tensions (34): what is left to find is the answer to the effects
         self._answer = model.arm.strain.rest_coordinates(balance.tension)
 
+    def start(self) -> Point:
+        """The unloaded arm."""
+        return self._point(self.balance.unloaded)
+
     def rest(self, settlings: int = 0) -> End:
         """Follow the path from the unloaded arm; where it ends let the arm go, at most so many times, and load it further."""
-        end = self.end(self._point(self.balance.unloaded))
+        end = self.end(self.start())
         for _ in range(settlings):
             if not end.reason or (point := self.settled(end)) is None:
                 break
