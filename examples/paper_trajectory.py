@@ -93,14 +93,10 @@ def run(name: str, duration: float, references: dict[str, np.ndarray], bar: tqdm
     scene = ste.load_scene(name)
     model = ste.build_model(scene, "scene")
     compile_time = seconds(time.perf_counter, lambda: ste.simulate(model, tension, SAMPLE_PERIOD, SAMPLE_PERIOD))[1]
-    before = bar.n
-
-    def show(simulated: float) -> None:
-        bar.update(before + simulated - bar.n)
-
     started = time.process_time()
-    trajectory, wall_time = seconds(time.perf_counter, lambda: ste.simulate(model, tension, duration, SAMPLE_PERIOD, progress=show))
+    trajectory, wall_time = seconds(time.perf_counter, lambda: ste.simulate(model, tension, duration, SAMPLE_PERIOD))
     cpu_time = time.process_time() - started
+    bar.update(duration)
     own = None
     if name in OWN_REFERENCE:
         as_reference = ste.build_model(scene.replace(OWN_CHANGES.get(name, {})), "scene")

@@ -1,8 +1,6 @@
-"""Calibration of a scene: the cheapest setting that keeps its tip within a tolerance of full physics, chosen once and kept in the cache.
+"""Calibration of a scene: the cheapest setting that keeps its tip within a tolerance of full physics, chosen once and kept in the cache."""
 
-The choice is deterministic: errors are those of fixed motions, and costs those of a cost model, never measured times.
-"""
-
+import contextlib
 import hashlib
 import inspect
 import json
@@ -27,14 +25,11 @@ from soft_tendon_env.tools.messages import say_unless_quiet
 from soft_tendon_env.tools.types import Array, length_text
 from soft_tendon_env.tools.user_cache import new_data_folder
 
-SEEDS = range(500, 505)
-"""Seeds of the motions of each kind that a scene is calibrated on."""
+SEEDS = range(500, 505)  # of the motions of each kind that a scene is calibrated on
 MARGIN = 2.0
-"""Factor by which the error on those motions must stay below what is asked for: the largest of few is no bound of others. What was within
-on other motions: docs/appendix/accuracy_command.md."""
+"""Factor by which the error on those motions must stay below what is asked for, see docs/appendix/accuracy_command.md."""
 REFERENCE = 3e-5  # of the rod's length, error of the reference motions
 SOURCES = tuple(f"{folder}/**/*.py" for folder in ("mechanics", "effects", "scene", "model", "accuracy"))
-"""The files of the package that a calibration depends on."""
 
 
 class Calibration(NamedTuple):
@@ -50,18 +45,16 @@ class Calibration(NamedTuple):
 
     def within(self, point: Point) -> float:
         """Tolerance [m] that a setting is good for: MARGIN times its largest error, the reference's own added."""
-        uncertain = [bar if np.isfinite(bar) else 0.0 for bar in self.reference.tip_errors]
-        return MARGIN * worst(np.add(point.tip_errors, uncertain))
+        return MARGIN * worst(np.add(point.tip_errors, np.nan_to_num(self.reference.tip_errors, posinf=0.0)))
 
 
 def calibrated(scene: Scene, tolerance: float) -> Scene:
     """The scene with the cheapest strain field, quadrature and integrator that keep its tip within a tolerance [m] of full physics.
 
-    It holds for motions from rest of the CALIBRATED kinds under the scene's loads, and is taken from a calibration that is made on first
-    use, which takes a minute or two, and then kept in the user's cache, with the arm's own passive fields if there are none yet.
+    It holds for motions from rest of the CALIBRATED kinds under the scene's loads. The calibration is made on first use, in a minute or
+    two, and kept in the user's cache, with the arm's own passive fields if there are none yet.
 
-    Raises TypeError, ValueError, ConfigurationError where no setting reaches the tolerance or the arm may meet obstacles, OSError where
-    there is no cache folder.
+    Raises TypeError, ValueError, OSError, ConfigurationError where no setting reaches the tolerance or the arm may meet obstacles.
     """
     checked_type("scene", scene, Scene, "see load_scene")
     tolerance = checked_number("tolerance", tolerance, 1e-12, "a positive length in metres")
@@ -75,15 +68,15 @@ def refuse_obstacles(scene: Scene) -> None:
     """Raises ConfigurationError that names obstacles: where an arm touches is not smooth, and reference motions hardly converge."""
     for name, effect in scene.effects.chosen().items():
         if effect.is_contact:
-            text = "cannot be calibrated: no error on some motions holds for others where the arm touches something; take a preset"
-            raise ConfigurationError([Problem(("effects", name), f"{text}, or calibrate the arm without this table")])
+            text = "cannot be calibrated, where the arm touches something: take a preset, or leave this table out"
+            raise ConfigurationError([Problem(("effects", name), text)])
 
 
 def check_tolerance(scene: Scene, tolerance: float) -> None:
-    """Raises ConfigurationError where a tolerance [m] is below the error of the reference motions: a calibration could not tell."""
+    """Raises ConfigurationError where a tolerance [m] is below the error of the reference motions."""
     if tolerance < (least := REFERENCE * rod_length(scene)):
-        what = f"{length_text(tolerance)} cannot be told from full physics, whose own error is {length_text(least)}"
-        raise ConfigurationError([Problem((), f"{what}: the tolerance should be at least that")])
+        text = f"{length_text(tolerance)} cannot be told from full physics: the tolerance should be at least {length_text(least)}"
+        raise ConfigurationError([Problem((), text)])
 
 
 def recommended(scene: Scene, calibration: Calibration, tolerance: float) -> Point:
@@ -118,16 +111,12 @@ def made_fields(scene: Scene) -> PassiveFields:
 
 
 def calibrate(scene: Scene, inputs: Sequence[Array], fields: PassiveFields | None) -> Calibration:
-    """The calibration of a scene on inputs (rows, n_a) [N], from the cache, or made and kept there. fields: the arm's own.
-
-    Raises ConfigurationError where full physics has none of the motions, OSError.
-    """
-    refuse_obstacles(scene)
+    """The calibration of a scene on inputs (rows, n_a) [N], from the cache or made now. Raises ConfigurationError, OSError."""
     scene = scene.replace({"effects": scene.effects.on_arm()})  # inputs are tensions
     path = new_data_folder("calibrations") / f"{calibration_digest(scene, inputs, fields)}.json"
     with FileLock(path.with_suffix(".lock")):
-        if (kept := kept_calibration(path)) is not None:
-            return kept
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # none, or damaged
+            return read_calibration(path)
         say_unless_quiet(f"{scene.name!r} is calibrated against full physics, once: {path}")
         reference = reference_motions(scene, inputs, REFERENCE * rod_length(scene))
         if all(tips is None for tips in reference.tips):
@@ -142,22 +131,16 @@ def calibrate(scene: Scene, inputs: Sequence[Array], fields: PassiveFields | Non
 def calibration_digest(scene: Scene, inputs: Sequence[Array], fields: PassiveFields | None) -> str:
     """16 hex digits of all that a calibration depends on: arm, limits, loads, fields, motions, and the code that simulates them."""
     arm = scene.model_dump(mode="json", include={"segments", "tendons", "effects"})
-    kept = scene.strain.model_dump(mode="json", exclude={"passive", "modes"}), scene.integrator.max_halvings
+    kept = scene.strain.model_dump(mode="json", exclude={"passive", "modes"}), scene.integrator.max_halvings, scene.strain.free
     code = [sources_digest(*SOURCES), *(digest(Path(inspect.getfile(type(effect)))) for effect in scene.effects.chosen().values())]
-    made_of = [arm, kept, scene.strain.free, fields and fields.digest, code, [table.tolist() for table in inputs]]
+    made_of = [arm, kept, fields and fields.digest, code, [table.tolist() for table in inputs]]
     return hashlib.sha256(json.dumps(made_of, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def kept_calibration(path: Path) -> Calibration | None:
-    """The calibration in a file; None where there is none, or a damaged one."""
-    try:
-        table = read_json(path)
-        points = tuple(Point(Setting(*own), count, tuple(apart), *cost) for own, count, apart, *cost in table["points"])
-        tips, errors, level = table["reference"]
-        present = tuple(None if own is None else np.array(own) for own in tips)
-        return Calibration(points, Reference(present, tuple(errors), Level(*level)))
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        say_unless_quiet(f"{path} is damaged, and made anew: {error}")
-        return None
+def read_calibration(path: Path) -> Calibration:
+    """The calibration in a file. Raises OSError, ValueError, KeyError, TypeError."""
+    table = read_json(path)
+    points = tuple(Point(Setting(*own), count, tuple(apart), *cost) for own, count, apart, *cost in table["points"])
+    tips, errors, level = table["reference"]
+    present = tuple(None if own is None else np.array(own) for own in tips)
+    return Calibration(points, Reference(present, tuple(errors), Level(*level)))

@@ -1,7 +1,4 @@
-"""Fidelity: presets of accuracy against time, strain field, quadrature and integrator together, for the arm at hand.
-
-What each costs and how far its tip is from full physics: `python benchmarks/fidelity.py`, docs/appendix/fidelity.md.
-"""
+"""Fidelity: presets of accuracy against time, strain field, quadrature and integrator together, see docs/appendix/fidelity.md."""
 
 from __future__ import annotations
 
@@ -19,8 +16,7 @@ from soft_tendon_env.scene.strain import STRAINS, Snapshots, StaticsBased
 from soft_tendon_env.tools.checks import checked_type
 from soft_tendon_env.tools.types import is_length, read_length
 
-AS_SCENE = "scene"
-"""The fidelity that leaves a scene as it is."""
+AS_SCENE = "scene"  # the fidelity that leaves a scene as it is
 UNSAID: Any = type("Unsaid", (), {"__repr__": lambda self: "UNSAID"})()
 """The fidelity of a model for which none is given: AS_SCENE, with a warning where that leaves the strain open."""
 
@@ -49,10 +45,9 @@ PRESETS: Mapping[str, Preset] = {
 def build_model(scene: Scene, fidelity: str | None = UNSAID) -> Model:
     """Model of a scene at a fidelity: chooses its quadrature and prepares the arrays of its kernels.
 
-    fidelity: "scene", as the scene says of strain, quadrature and integrator, which for a scene that says nothing of them, as "paper", are
-    the coordinates of the tensions alone, 10 to 100 mm off in motion on an arm of 1 m; "fast", "standard" or "fine", a preset, see
-    docs/appendix/fidelity.md; a length as "1mm", what a calibration finds for this error of the tip; None, as in `gym.make` by default,
-    "standard" for what the scene leaves open; left out, "scene", with a `FidelityWarning` where that is not the strain of `gym.make`.
+    fidelity: "scene", as the scene says of strain, quadrature and integrator, where it says nothing the coordinates of the tensions alone;
+    "fast", "standard" or "fine", a preset, see docs/appendix/fidelity.md; a length as "1mm", what a calibration finds for this error of the
+    tip; None, as in `gym.make`, "standard" for what the scene leaves open; left out, "scene", with a warning where that differs.
 
     Raises TypeError if it is not a Scene, ValueError for another fidelity, ConfigurationError if its coordinates are not independent. Warns
     (`QuadratureWarning`) if `quadrature.intervals` is too coarse.
@@ -60,12 +55,9 @@ def build_model(scene: Scene, fidelity: str | None = UNSAID) -> Model:
     checked_type("scene", scene, Scene, "see load_scene")
     if fidelity is UNSAID:
         if _leaves_strain_open(scene):
-            warnings.warn(
-                f"{scene.name!r} leaves its strain open, so that this model has the coordinates of the tensions alone and may be far off "
-                "in motion: say fidelity='standard', as gym.make has it, or fidelity='scene' for this",
-                FidelityWarning,
-                stacklevel=2,
-            )
+            text = f"{scene.name!r} leaves its strain open, so that this model has the coordinates of the tensions alone and may be far off"
+            text = f"{text} in motion: say fidelity='standard', as gym.make has it, or fidelity='scene' for this"
+            warnings.warn(text, FidelityWarning, stacklevel=2)
         fidelity = AS_SCENE
     if fidelity is not None:
         try:
@@ -76,11 +68,7 @@ def build_model(scene: Scene, fidelity: str | None = UNSAID) -> Model:
 
 
 def at_fidelity(scene: Scene, fidelity: str | None) -> Scene:
-    """The scene with the preset's strain, quadrature and integrator; "scene": as it is.
-
-    A length: with those that a calibration finds for this error of the tip, see accuracy.calibration. None: with what the scene leaves
-    open of the three as in "standard".
-    """
+    """The scene with the strain, quadrature and integrator of a fidelity, see `build_model`."""
     if fidelity == AS_SCENE:
         return scene
     if fidelity is not None and is_length(fidelity):
@@ -111,7 +99,7 @@ def _leaves_strain_open(scene: Scene) -> bool:
 
 
 def _rod_of(scene: Scene) -> dict[str, Any]:
-    """Strain table of the bare rod: the strains that exist and its borders, without what is a matter of accuracy."""
+    """Strain table of the bare rod, without what is a matter of accuracy."""
     if isinstance(scene.strain, StaticsBased):
         return scene.strain.model_dump(include={"type", "strains", "borders", "rank_tolerance", "include_loads"})
     free = [strain for strain in STRAINS if strain in scene.strain.free]
@@ -127,11 +115,8 @@ def _passive(scene: Scene, preset: Preset) -> Any:
         count = len(fields.coefficients) if count is None else count
         file = {"file": named.file} if named and named.file else {}
         return {"type": "snapshots", "fields": count, "digest": fields.digest, **file} if count else ()
-    warnings.warn(
-        f"{scene.name!r} has no passive fields of its own, so that its accuracy is not known: Legendre moments up to order "
-        f"{preset.moments} take their place; `soft-tendon fields SCENE` makes them in a minute",
-        FieldsWarning,
-        stacklevel=2,
-    )
+    text = f"{scene.name!r} has no passive fields of its own, so that its accuracy is not known: Legendre moments up to order"
+    text = f"{text} {preset.moments} take their place; `soft-tendon fields SCENE` makes them in a minute"
+    warnings.warn(text, FieldsWarning, stacklevel=2)
     angular = [strain for strain in STRAINS[:3] if strain in scene.strain.free]
     return [{"strains": angular, "order": preset.moments, "span": "rod"}] if angular else ()

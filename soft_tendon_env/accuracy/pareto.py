@@ -1,7 +1,4 @@
-"""Accuracy against computing time: errors of settings against full physics, and the Pareto front of them.
-
-Strain fields on several quadratures are compared with a fine tolerance of time first; those that nothing beats, with every tolerance.
-"""
+"""Accuracy against computing time: errors of settings against full physics, and the Pareto front of them."""
 
 import contextlib
 import time
@@ -25,17 +22,13 @@ QUADRATURES = 3  # numbers of intervals that every strain field is tried with
 
 
 class Point(NamedTuple):
-    """A setting, what it costs and how far its motions are from full physics.
-
-    tip_errors: largest distance [m] of the tip over each motion, inf where the model has no such motion, nan where full physics has none.
-    cost: CPU seconds of a simulated second by the cost model.
-    """
+    """A setting, what it costs and how far its motions are from full physics."""
 
     setting: Setting
     coordinates: int
-    tip_errors: tuple[float, ...]
+    tip_errors: tuple[float, ...]  # [m] largest over each motion, inf where the model has no such motion, nan where full physics has none
     evaluations: float  # of a simulated second
-    cost: float
+    cost: float  # CPU seconds of a simulated second by the cost model
 
     @property
     def tip_error(self) -> float:
@@ -66,8 +59,7 @@ def measure(model: Model, setting: Setting, inputs: Sequence[Array], reference: 
     pairs = zip(found, reference.tips, strict=True)
     errors = tuple(distance(None if motion is None else motion.tip_pose[:, :3, 3], exact) for motion, exact in pairs)
     present = [motion for motion in found if motion is not None]
-    seconds = HOLD * sum(len(motion.time) - 1 for motion in present)
-    evaluations = sum(motion.evaluations for motion in present) / seconds if present else np.inf
+    evaluations = sum(own.evaluations for own in present) / (HOLD * sum(len(own.time) - 1 for own in present)) if present else np.inf
     return Point(setting, model.coordinate_count, errors, evaluations, evaluations * evaluation_cost(model))
 
 
@@ -83,10 +75,7 @@ def cpu_time(model: Model, inputs: Sequence[Array]) -> float:
 
 
 def explore(scene: Scene, inputs: Sequence[Array], reference: Reference, fields: PassiveFields | None) -> list[Point]:
-    """Settings that may lie on the Pareto front, with what they cost and their errors under inputs (rows, n_a) [N].
-
-    fields: the arm's own, if there are any.
-    """
+    """Settings that may lie on the Pareto front, with costs and errors under inputs (rows, n_a) [N]; fields: the arm's own, if any."""
     tolerances = [share * rod_length(scene) for share in TOLERANCES]
 
     def measured(setting: Setting) -> Point:

@@ -2,8 +2,7 @@
 
 Full physics moves under random tensions and loads; what its section wrenches have that the tendons cannot make, at every sample
 w = Sigma (xi - xi*) - Phi_a(xi) tau with the least-squares tensions tau, is what the passive coordinates of (30) have to make. The leading
-singular vectors of these residuals are the fields. They are sought in the norm of the displacements and rotations along the rod that
-the residuals make, rather than in that of energy alone, since it is the pose that counts.
+singular vectors of these residuals are the fields, in the norm of the displacements and rotations along the rod that they make.
 """
 
 import hashlib
@@ -15,13 +14,13 @@ from pathlib import Path
 import numpy as np
 from numpy.polynomial import legendre
 
-from soft_tendon_env.accuracy.reference import LEVELS, Level, distance, full_physics, reference_motions, tips, trajectory
+from soft_tendon_env.accuracy.reference import LEVELS, distance, full_physics, reference_motions, tips, trajectory
 from soft_tendon_env.accuracy.test_inputs import MOTIONS, USUAL, Motion, motion_tensions
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.coordinates import actuation_columns
 from soft_tendon_env.model.grid import Grid, screw_matrices, tendon_geometry
 from soft_tendon_env.model.model import Model, model_on
-from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, arm_of, rounded
+from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, arm_of
 from soft_tendon_env.scene.scene import Scene, breakpoints, rod_length
 from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS, SNAPSHOT_ORDER, STRAINS
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
@@ -29,16 +28,15 @@ from soft_tendon_env.tools.parallel import processors, run_all
 from soft_tendon_env.tools.types import Array
 from soft_tendon_env.tools.user_cache import new_data_folder
 
-KINDS, TRAINED = USUAL, (*USUAL, "wild")
-"""Kinds of motions that fields are tested on, and that snapshots are taken of."""
-RUNS, FIRST_SEED = 10, 1000
-"""Motions of each kind that snapshots are taken of, and the first of their seeds."""
+KINDS, TRAINED = USUAL, (*USUAL, "wild")  # kinds of motions that fields are tested on, and that snapshots are taken of
+RUNS, FIRST_SEED = 10, 1000  # motions of each kind that snapshots are taken of, and the first of their seeds
 WILD = 0.2  # weight of samples of wild motions, which are several times as large as the others
 RESOLVED = 1e-3  # of the rod's length: full physics may change by so much at its next refinement, to take snapshots of
 ENERGY = 0.01  # weight of the energy beside displacements and rotations, which fix no field that moves nothing
 TESTS, COUNTS = 2, (0, 3, 4, 6, 7, 8, 9, 10, 12, 15, 18, 24)
 """Motions of each usual kind, with seeds from 0, that fields are tested on, and their numbers."""
 REFERENCE = 1e-4  # of the rod's length, error of the reference motions
+DIGITS = 9  # of the coefficients
 DEPENDENT = 1e-4  # relative size of tensions' fields that count as combinations of others
 
 
@@ -46,9 +44,7 @@ def make_passive_fields(scene: Scene) -> PassiveFields:
     """Simulates full physics under the tensions and loads that the scene may meet, and decomposes what its tendons cannot make.
 
     Loads are those of the scene in half of the motions, and in the other half of random direction and size up to theirs; obstacles are left
-    out. The result does not depend on what passive fields the scene has.
-
-    Raises ConfigurationError where full physics has none of the motions.
+    out. Raises ConfigurationError where full physics has none of the motions.
     """
     scene = scene.replace({"effects": scene.effects.everywhere()})
     bare = scene.replace({"strain": {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders)}})
@@ -58,7 +54,7 @@ def make_passive_fields(scene: Scene) -> PassiveFields:
         tension_limits=np.array([tendon.tension_limits for tendon in scene.tendons]),
         effects=scene.effects,
         borders=breakpoints(bare),
-        coefficients=rounded(coefficients),
+        coefficients=coefficients,
         singular_values=singular_values,
         errors={},
     )
@@ -72,11 +68,10 @@ def fields_path(scene: Scene) -> Path:
 
 
 def snapshots(scene: Scene) -> tuple[Array, Grid]:
-    """Residual wrenches (samples, 6 points) of RUNS motions of every kind, times their weights, and the grid of their points.
-
-    Raises ConfigurationError where full physics has none of them.
-    """
-    level = resolving_level(scene)
+    """Residual wrenches (samples, 6 points) of RUNS motions of every kind, times their weights, and the grid of their points."""
+    trial = [motion_tensions(scene, kind, FIRST_SEED, 0.5) for kind in USUAL]
+    level = reference_motions(scene, trial, RESOLVED * rod_length(scene)).level
+    level = LEVELS[LEVELS.index(level) - 1]  # the coarsest full physics whose motion the next one hardly changes
 
     def residuals(which: tuple[Motion, int]) -> Array | None:
         kind, run = which
@@ -91,13 +86,6 @@ def snapshots(scene: Scene) -> tuple[Array, Grid]:
     if not (found := [wrench for wrench in wrenches if wrench is not None]):
         raise ConfigurationError([Problem((), "full physics diverges under every motion that passive fields are made from")])
     return np.concatenate(found), full_physics(scene, level).grid
-
-
-def resolving_level(scene: Scene) -> Level:
-    """The coarsest full physics whose motion the next one hardly changes."""
-    trial = [motion_tensions(scene, kind, FIRST_SEED, 0.5) for kind in USUAL]
-    level = reference_motions(scene, trial, RESOLVED * rod_length(scene)).level
-    return LEVELS[LEVELS.index(level) - 1]
 
 
 def residual_wrenches(model: Model, q: Array) -> Array:
@@ -123,10 +111,8 @@ def energy_norm(scene: Scene, grid: Grid) -> tuple[Array, Array]:
 
 
 def decompose(scene: Scene, samples: Array, grid: Grid) -> tuple[Array, Array]:
-    """The leading fields of wrenches (samples, 6 points) as Legendre coefficients (fields, pieces, 6, orders) of unit energy.
-
-    Also their singular values as shares.
-    """
+    """The leading fields of wrenches (samples, 6 points) as Legendre coefficients (fields, pieces, 6, orders) of unit energy, to DIGITS
+    digits, and their singular values as shares."""
     _, root = energy_norm(scene, grid)
     measures = []
     for measure, share in weighted_measures(scene, grid):
@@ -140,8 +126,7 @@ def decompose(scene: Scene, samples: Array, grid: Grid) -> tuple[Array, Array]:
 
 
 def weighted_measures(scene: Scene, grid: Grid) -> tuple[tuple[Array, float], ...]:
-    """Measures (m, 6 points) of wrenches (points, 6), with their weights: displacements along the straight rod that they make, its
-    rotations, as displacements at its length, (3 points, 6 points) each, and energy."""
+    """Measures (m, 6 points) of wrenches (points, 6), with their weights: displacements and rotations along the rod, and energy."""
     places, weight = grid.points[grid.real].ravel(), grid.weights[grid.real].ravel()
     elasticity, root = energy_norm(scene, grid)
     reach = (places[:, None] > places) * weight + 0.5 * np.diag(weight)  # integral from the base to each point
@@ -166,14 +151,13 @@ def fitted_polynomials(fields: Array, scene: Scene, grid: Grid) -> Array:
         solution = np.linalg.lstsq(basis, values, rcond=None)[0].reshape(SNAPSHOT_ORDER + 1, len(fields), 6)
         found[:, piece] = np.moveaxis(solution, 0, -1)
     flat = found.reshape(len(found), -1)
-    largest = np.take_along_axis(flat, np.abs(flat).argmax(axis=1)[:, None], axis=1)
-    return found * np.sign(largest)[:, :, None, None]
+    largest = np.take_along_axis(flat, np.abs(flat).argmax(axis=1)[:, None], axis=1)[:, :, None, None]
+    unit = 10.0 ** (np.floor(np.log10(np.abs(largest))) + 1 - DIGITS)
+    return np.asarray(np.round(found * np.sign(largest) / unit) * unit)
 
 
 def tested(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ...]]:
-    """Largest tip distance [m] from full physics on TESTS motions of each usual kind that the fields were not made from, for COUNTS of
-    them. The scene's own loads act; inf where the model, nan where full physics has no such motion.
-    """
+    """Largest tip distance [m] from full physics on TESTS other motions of each usual kind, for COUNTS of the fields, under the loads."""
     counts = [count for count in COUNTS if count <= len(fields.coefficients)]
     inputs = [motion_tensions(scene, kind, seed) for kind in USUAL for seed in range(TESTS)]
     exact = reference_motions(scene, inputs, REFERENCE * rod_length(scene)).tips
@@ -181,7 +165,6 @@ def tested(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ...]]:
         fields.save(path := Path(folder) / "tested.json")
 
         def largest(count: int) -> Array:
-            """Distances [m] by kind of motion."""
             passive = {"type": "snapshots", "fields": count, "file": str(path)} if count else []
             model = model_on(scene.replace({"strain.passive": passive, "integrator": {"step": 0.005, "columns": 4}}), 16)
             apart = [distance(tips(model, tensions), own) for tensions, own in zip(inputs, exact, strict=True)]

@@ -1,7 +1,7 @@
 """Converged reference motions: full Cosserat-rod physics, refined until the arm's tip no longer moves, with an error bar.
 
-Full physics is an explicit Legendre basis of every strain that the rod has. Its order, the quadrature and the step are refined together,
-so that what a motion changes by from one level to the next bounds the error of the finer one.
+Full physics is an explicit Legendre basis of every strain that the rod has. Order, quadrature and step are refined together: what a motion
+changes by from one level to the next bounds the error of the finer one.
 """
 
 from collections.abc import Sequence
@@ -39,14 +39,10 @@ LEVELS = (
 
 
 class Reference(NamedTuple):
-    """Motions of full physics.
+    """Motions of full physics."""
 
-    tips: positions [m] of the tip every HOLD, the start first, (rows + 1, 3) for every input; None where full physics has no such motion.
-    tip_errors: [m], what each still changed by when it was last refined.
-    """
-
-    tips: tuple[Array | None, ...]
-    tip_errors: tuple[float, ...]
+    tips: tuple[Array | None, ...]  # (rows + 1, 3) [m] for every input, the tip every HOLD, the start first; None: there is no such motion
+    tip_errors: tuple[float, ...]  # [m], what each still changed by when it was last refined
     level: Level
 
 
@@ -62,10 +58,7 @@ def full_physics(scene: Scene, level: Level) -> Model:
 
 
 def trajectory(model: Model, tensions: Array) -> Trajectory | None:
-    """Motion every HOLD of an arm that begins at rest, slack, under tensions (rows, n_a) each held for HOLD.
-
-    None where there is no such motion, or no such rest.
-    """
+    """Motion every HOLD from rest, slack, under tensions (rows, n_a) each held for HOLD; None where there is no such motion or rest."""
     start = Simulation(model)
     slack = np.clip(0.0, *np.array([tendon.tension_limits for tendon in model.scene.tendons]).T)
     try:
@@ -89,8 +82,7 @@ def distance(found: Array | None, reference: Array | None) -> float:
 
 def reference_motions(scene: Scene, inputs: Sequence[Array], tolerance: float) -> Reference:
     """Motions of full physics under inputs (rows, n_a) [N], each row held for HOLD, each refined until it does not change by more than
-    `tolerance` [m], or to the finest of LEVELS, where tip_errors say how far it is. The level is that of the last to be refined.
-    """
+    `tolerance` [m], or to the finest of LEVELS. The level is that of the last to be refined."""
     found: list[Array | None] = [None] * len(inputs)
     changes, rest = [np.inf] * len(inputs), list(range(len(inputs)))
     for level in LEVELS:

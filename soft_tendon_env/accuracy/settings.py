@@ -8,10 +8,8 @@ from soft_tendon_env.scene.passive_fields import PassiveFields
 from soft_tendon_env.scene.scene import TIP_TOLERANCE, Scene, breakpoints
 from soft_tendon_env.scene.strain import ExplicitStrain
 
-OWN_FIELDS = (3, 6, 9, 12, 18, 24)
-"""Numbers of the arm's own passive fields that are tried."""
-LEGENDRE_ORDERS = (2, 3)
-"""Orders of passive moments over the rod."""
+OWN_FIELDS = (3, 6, 9, 12, 18, 24)  # numbers of the arm's own passive fields that are tried
+LEGENDRE_ORDERS = (2, 3)  # of passive moments over the rod
 ANGULAR = ("torsion", "bend_y", "bend_z")
 TOLERANCES = (1e-3, 3e-4, 1e-4, 5e-5, 3e-5, 2e-5, 1e-5, 3e-6)
 """Error tolerances of the integrator, as shares of the rod's length; its order and then its step follow them."""
@@ -24,11 +22,7 @@ FIXED, PER_PACK, PER_FIELD, SOLVE = 3.37e-6, 4.87e-7, 9.81e-8, 4.51e-9
 
 
 def evaluation_cost(model: Model) -> float:
-    """CPU time [s] of one evaluation of the equation of motion by the cost model, FIXED + packs (PER_PACK + PER_FIELD n) + SOLVE n^2.
-
-    n coordinates of a statics-based strain. It is not measured, so that every process ranks settings alike. What is the same for all
-    settings of a scene is left out, as the machine and loads inside of the strain: it is a factor, which leaves their order as it is.
-    """
+    """CPU time [s] of one evaluation by the cost model, FIXED + packs (PER_PACK + PER_FIELD n) + SOLVE n^2, alike in every process."""
     n = model.coordinate_count
     return FIXED + model.grid.packs * (PER_PACK + PER_FIELD * n) + SOLVE * n**2
 
@@ -46,11 +40,6 @@ class Setting(NamedTuple):
         quadrature = {"intervals": self.intervals, "tolerance": QUADRATURE_TOLERANCE}
         integrator = {"tolerance": self.tolerance, "max_halvings": scene.integrator.max_halvings}
         return scene.replace({"strain": self.strain, "quadrature": quadrature, "integrator": integrator})
-
-    @property
-    def integrator(self) -> str:
-        """The integrator in words."""
-        return f"tolerance {1e6 * self.tolerance:.3g} um"
 
 
 def strain_fields(scene: Scene, fields: PassiveFields | None) -> dict[str, dict[str, Any]]:

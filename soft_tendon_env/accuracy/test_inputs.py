@@ -1,9 +1,8 @@
 """Test inputs of a tendon-driven arm: tables of tensions as agents and controllers make them, drawn from a seed.
 
 Each kind keeps to a band of every tendon's range of tension. On the paper's arm (0 to 60 N) they are tensions redrawn in 0 to 15 N
-every 100 ms, a walk in 0 to 20 N with increments of up to 2 N every 20 ms, sin² of about 0.8 Hz with amplitudes of up to 20 N,
-tensions redrawn in 0 to 60 N every 20 ms, a step to tensions within 20 N, and tensions within 20 N with noise of 2.4 N (rms) every
-20 ms, up to 24 N.
+every 100 ms, a walk in 0 to 20 N, sin² of about 0.8 Hz up to 20 N, tensions redrawn in 0 to 60 N every 20 ms, a step to tensions within
+20 N, and tensions within 20 N with noise.
 """
 
 from collections.abc import Callable, Mapping
@@ -17,16 +16,11 @@ from soft_tendon_env.tools.types import Array
 Motion = Literal["redrawn", "increments", "smooth", "wild", "step", "noisy"]
 
 MOTIONS: tuple[Motion, ...] = get_args(Motion)
-"""The kinds of inputs: the first three are what agents and controllers make, the fourth what an agent makes before it has learned."""
-
 USUAL: tuple[Motion, ...] = MOTIONS[:3]
-"""The kinds that the errors of passive fields and presets are stated for."""
+"""The kinds that agents and controllers make, and that the errors of passive fields and presets are stated for."""
 CALIBRATED: tuple[Motion, ...] = (*USUAL, "noisy")
 """The kinds that a scene is calibrated on: with those of an agent that explores, which move an arm faster than the usual ones."""
-
-HOLD = 0.02
-"""Time [s] for which each row of a table of tensions is held: the environments' control period."""
-
+HOLD = 0.02  # [s], for which each row of a table of tensions is held: the environments' control period
 REDRAWN_EVERY = 5  # rows
 INCREMENT = 0.1  # of the band, the largest change from row to row
 MEAN, NOISE = 5 / 6, 0.1  # of the band: the largest mean, and the noise, root mean square

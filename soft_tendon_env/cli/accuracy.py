@@ -75,4 +75,4 @@ def write_recommended(setting: Setting, scene: Scene, fields: PassiveFields | No
         fields.save(path.with_suffix(SUFFIX))
         found = found.replace({"strain.passive.file": path.with_suffix(SUFFIX).name})
     save_scene(found, path)
-    print(f"cheapest: {setting.name}, {setting.intervals} intervals per piece, {setting.integrator}\nwritten: {path}")
+    print(f"cheapest: {setting.name}, {setting.intervals} intervals per piece, tolerance {1e6 * setting.tolerance:.3g} um\nwritten: {path}")

@@ -16,8 +16,7 @@ from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
 from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.control.smith_predictor import whole_periods
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.rollout import Rollout
-from soft_tendon_env.model.simulation import Simulation
+from soft_tendon_env.model.simulation import Rollout, Simulation
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.tension_limits import erring_actuators
 from soft_tendon_env.tools.checks import checked_array, checked_number

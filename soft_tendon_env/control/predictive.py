@@ -16,8 +16,7 @@ from soft_tendon_env.control.dynamics import DECADES, implicit_inertia
 from soft_tendon_env.control.objectives import Objective
 from soft_tendon_env.control.protocol import FAILURES, ControllerInput, ControllerOutput, InputError, ModelController
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.rollout import Rollout
-from soft_tendon_env.model.simulation import Simulation
+from soft_tendon_env.model.simulation import Rollout, Simulation
 from soft_tendon_env.model.tension_limits import erring_actuators
 from soft_tendon_env.tools.types import Array
 

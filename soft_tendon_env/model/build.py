@@ -22,11 +22,6 @@ def build_model(scene: Scene) -> Model:
     checked_type("scene", scene, Scene, "see load_scene")
     warn_of_units(scene)
     model = model_on_needed(scene)
-    _check_independence(model)
-    return model
-
-
-def _check_independence(model: Model) -> None:
     n = model.coordinate_count
     if n == 0:
         raise ConfigurationError([Problem(("strain",), "gives no coordinates: no tendon and no passive field strains the rod")])
@@ -40,4 +35,5 @@ def _check_independence(model: Model) -> None:
         raise ConfigurationError([Problem(("strain",), f"{text} per piece: drop a field, or leave quadrature.intervals out, if given")])
     if not least_eigenvalue(terms.mass) > SINGULAR:
         text = f"{n} coordinates are too many for {model.grid.per_piece} quadrature intervals per piece: the mass matrix is singular"
-        warnings.warn(text, stacklevel=3)
+        warnings.warn(text, stacklevel=2)
+    return model

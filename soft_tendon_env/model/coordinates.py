@@ -15,17 +15,15 @@ from soft_tendon_env.tools.types import Array
 
 
 def make_arm(scene: Scene, grid: Grid, strain: StaticsBased | Loaded | Explicit | None = None) -> Arm:
-    """All that the kernels read of a scene, on this grid.
-
-    strain: that of the scene with other numbers, whose combinations of tensions and passive fields stay; made anew if None.
-    """
+    """All that the kernels read of a scene, on this grid; strain: with the combinations of tensions and passive fields that stay."""
     here = at_points(scene, grid)
     seen = discretisation(scene, grid, here)
     effects = effects_outside(scene).table(seen)
     if effects.base.any() and effects_inside(scene):
         text = "is given, but the loads inside of a strain have to stand still beside the arm's base, which moves: leave it out"
         raise ConfigurationError([Problem(("strain", "include_loads"), text)])
-    own = make_strain(scene, grid, here) if strain is None or isinstance(strain, Explicit) else _under_loads(scene, strain.law, grid)
+    law = None if strain is None or isinstance(strain, Explicit) else strain.law
+    own = make_strain(scene, grid, here, law)
     return Arm(rod=make_rod(scene, grid, scene.strain.free, here, seen), tendons=here.tendons, strain=own, effects=effects)
 
 
@@ -39,12 +37,21 @@ def effects_outside(scene: Scene) -> Effects:
     return scene.effects.outside() if effects_inside(scene) else scene.effects
 
 
-def make_strain(scene: Scene, grid: Grid, here: AtPoints | None = None) -> StaticsBased | Loaded | Explicit:
-    """Arrays of the scene's strain parametrisation. here: section and tendons at the points, if they are at hand."""
+def make_strain(
+    scene: Scene, grid: Grid, here: AtPoints | None = None, law: StaticsBased | None = None
+) -> StaticsBased | Loaded | Explicit:
+    """Arrays of the scene's strain parametrisation: an explicit basis, or a law, made anew if None, with its dead loads, if any."""
     here = here or at_points(scene, grid)
     if isinstance(scene.strain, ExplicitStrain):
-        return explicit_strain(scene.strain, grid, here)
-    return _under_loads(scene, tension_law(scene, scene.strain, grid, here), grid)
+        fields = mode_fields(scene.strain.modes, grid)
+        first, last = _ranges(fields, grid)
+        elasticity, damping = (_inner(fields, fields, own, grid) for own in (here.elasticity, here.damping))
+        tip = np.full(len(fields), grid.packs)
+        return Explicit(size=len(fields), first=first, last=last, tip=tip, field=point_field(fields), stiffness=elasticity, damping=damping)
+    law, dead = law or tension_law(scene, scene.strain, grid, here), scene.effects.dead_loads()
+    if not (effects_inside(scene) and dead.exist):
+        return law
+    return Loaded(size=law.size, first=np.zeros_like(law.first), last=law.tip, tip=law.tip, law=law, **dead._asdict())
 
 
 def mode_fields(modes: tuple[Modes, ...], grid: Grid) -> Array:
@@ -62,29 +69,6 @@ def mode_fields(modes: tuple[Modes, ...], grid: Grid) -> Array:
                     field[..., STRAINS.index(strain)] = values[..., order]
                     fields.append(field)
     return np.array(fields).reshape(len(fields), *grid.points.shape, 6)
-
-
-def explicit_strain(strain: ExplicitStrain, grid: Grid, here: AtPoints) -> Explicit:
-    """Arrays of an explicit basis: its fields at the points, and their stiffness and damping."""
-    fields = mode_fields(strain.modes, grid)
-    first, last = _ranges(fields, grid)
-    return Explicit(
-        size=len(fields),
-        first=first,
-        last=last,
-        tip=np.full(len(fields), grid.packs),
-        field=point_field(fields),
-        stiffness=_inner(fields, fields, here.elasticity, grid),
-        damping=_inner(fields, fields, here.damping, grid),
-    )
-
-
-def _under_loads(scene: Scene, law: StaticsBased, grid: Grid) -> StaticsBased | Loaded:
-    """The strain of a law with the scene's dead loads inside, if it is to answer to any."""
-    dead = scene.effects.dead_loads()
-    if not (effects_inside(scene) and dead.exist):
-        return law
-    return Loaded(size=law.size, first=np.zeros_like(law.first), last=law.tip, tip=law.tip, law=law, **dead._asdict())
 
 
 def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid, here: AtPoints) -> StaticsBased:
@@ -120,10 +104,7 @@ def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid, here: AtPo
 
 
 def with_every_tension(arm: Arm) -> Arm:
-    """The arm with a coordinate for every tension of its statics-based strain, those of redundant tendons too.
-
-    Their mass and stiffness are singular where the arm is straight, so that it can be placed, and not moved.
-    """
+    """The arm with a coordinate for every tension, those of redundant tendons too: it can be placed, and not moved."""
     strain, count = arm.strain, arm.tendons.size
     assert not isinstance(strain, Explicit)
     size = count + strain.law.size - strain.law.active
@@ -143,8 +124,8 @@ def actuation_columns(geometry: Array, k: Array, p: Array) -> Array:
 def independent_tensions(gram: Array, tolerance: float) -> Array:
     """Basis of the independent tensions, tensions of the strain law by coordinate: (n_a, rank).
 
-    The identity where the actuation fields are independent; otherwise orthonormal, made from the projector on the tensions that strain the
-    straight arm by taking the tendons in order: the same tendons give the same coordinates on every machine.
+    The identity where the actuation fields are independent; otherwise orthonormal, from the projector on the tensions that strain the
+    straight arm, the tendons in order: the same tendons give the same coordinates on every machine.
     """
     scale = np.sqrt(np.diag(gram))
     scale[scale == 0] = 1.0  # a tendon that strains nothing: all that it would strain is rigid

@@ -20,7 +20,7 @@ from soft_tendon_env.model.state import State
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.step_control import step_control, step_method
 from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.parameters import Parameter, scene_parameters
+from soft_tendon_env.scene.parameters import scene_parameters
 from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.types import Array
 
@@ -33,7 +33,7 @@ SIDES = ({-1: -0.5, 1: 0.5}, {0: -1.5, 1: 2.0, 2: -0.5}, {0: 1.5, -1: -2.0, -2: 
 class Linearization(NamedTuple):
     """The end of a period and its derivatives, with s = 2 n + m numbers of a state: n coordinates, their rates, m internal states.
 
-    Angular components before linear ones; columns are by the numbers of the state before, then by the n_a commands.
+    Columns are by the numbers of the state before, then by the n_a commands; angular components before linear ones.
     """
 
     next: State
@@ -52,27 +52,23 @@ class Derivatives(NamedTuple):
     tendon_length: Array  # (n_a, p) [m]
 
 
-class Period(NamedTuple):
-    """A period as the integrator took it. Copies take the same steps, since an order that follows their own errors would jump."""
+def ends(model: Model, start: Motion, taken: Array, inputs: Array) -> list[Array]:
+    """States (copies, s), tip poses, tendon lengths and tip twists after a period, inf where it fails. Raises LinAlgError.
 
-    start: Motion
-    inputs: Array  # (s + n_a,) numbers of the state where it began, and commands
-    taken: Array  # (steps, 2) length [s] and columns of every step
-
-
-def ends(model: Model, period: Period, inputs: Array) -> list[Array]:
-    """States (copies, s), tip poses, tendon lengths and tip twists after a period, inf where it fails. Raises LinAlgError."""
+    inputs (copies, s + n_a): numbers of the state where it begins, and commands; taken (steps, 2): length [s] and columns of every step,
+    the same for all copies, since an order that follows their own errors would jump.
+    """
     arm, n, count = model.arm, model.coordinate_count, len(inputs)
-    batch = make_batch(arm, model.grid.places(np.zeros(0), np.zeros(0)), period.start, 0.0, count)
+    batch = make_batch(arm, model.grid.places(np.zeros(0), np.zeros(0)), start, 0.0, count)
     rows, read, failed = batch.rows, batch.reading, np.zeros(count, dtype=bool)
-    rows.q[:], rows.q_dot[:], rows.state[:], commands = np.split(inputs, [n, 2 * n, 2 * n + period.start.state.size], axis=1)
+    rows.q[:], rows.q_dot[:], rows.state[:], commands = np.split(inputs, [n, 2 * n, 2 * n + start.state.size], axis=1)
     for row, q in enumerate(rows.q if rows.state.size else ()):  # a memory remembers the strain before a step
         with contextlib.suppress(StrainLimitError):
             rows.xi[row] = model.packed_strain(q)
-    method, control = step_method(model)._replace(strain_tolerance=STRAIN), step_control(model, period.taken[:, 0].sum() or 1.0)
+    method, control = step_method(model)._replace(strain_tolerance=STRAIN), step_control(model, taken[:, 0].sum() or 1.0)
     control = control._replace(adaptive=False, tolerance=SPARE * control.tolerance)
     scratch, tape = make_scratch(arm, method.columns), make_tape(arm, 0, 0)
-    for begins, (length, columns) in zip([True, *[False] * len(period.taken)], period.taken, strict=False):
+    for begins, (length, columns) in zip([True, *[False] * len(taken)], taken, strict=False):
         scheme = Scheme(method._replace(columns=int(columns), least=int(columns)), control, begins)
         step_rows(batch, scheme, np.flatnonzero(~failed), commands[:, None].copy(), np.full((count, 1), length), scratch, tape)
         failed |= batch.outcome.status != OK
@@ -83,11 +79,11 @@ def ends(model: Model, period: Period, inputs: Array) -> list[Array]:
 
 
 @np.errstate(invalid="ignore")
-def linearized(model: Model, period: Period, following: State) -> Linearization:
-    """Linearization of a period that leads to a state. Raises LinAlgError."""
-    here, state, (unit, command_unit, factor) = period.inputs, period.start.state, _units(model)
-    step = SHARE * factor * np.concatenate([unit, np.maximum(np.abs(state), LEAST_STATE), command_unit])
-    found, slopes = ends(model, period, np.vstack([here, here + np.diag(step), here - np.diag(step)])), []
+def linearized(model: Model, start: Motion, here: Array, taken: Array, following: State) -> Linearization:
+    """Linearization of a period that leads from inputs to a state by the steps taken. Raises LinAlgError."""
+    unit, command_unit, factor = _units(model)
+    step = SHARE * factor * np.concatenate([unit, np.maximum(np.abs(start.state), LEAST_STATE), command_unit])
+    found, slopes = ends(model, start, taken, np.vstack([here, here + np.diag(step), here - np.diag(step)])), []
     for value in found:
         right, left = value[1 : step.size + 1] - value[0], value[0] - value[step.size + 1 :]
         jumps = [(abs(a) > JUMP * abs(b)) & ((b != 0.0) | np.isinf(a)) for a, b in ((right, left), (left, right))]  # not from rest: a kink
@@ -116,18 +112,17 @@ def static_derivatives(model: Model, keys: Iterable[str], tension: ArrayLike) ->
     slopes = [np.zeros((*own.shape, 0)) for own in here]
     for parameter in scene_parameters(model.scene, keys):
         step = NUMBER_SHARE * _units(model)[2] * (1.0 if parameter.is_factor else parameter.size) or ZERO
-        values = [(weight / step, rest(other, here[0])) for weight, other in _beside(model, parameter, step)]
+        for weights in SIDES:
+            try:
+                others = [model.with_numbers(parameter.changes(parameter.value + k * step)) for k in weights]
+                break
+            except ConfigurationError:  # beyond a bound
+                if weights is SIDES[-1]:
+                    raise
+        values = [(weight / step, rest(other, here[0])) for weight, other in zip(weights.values(), others, strict=True)]
         columns = (sum(weight * value[i] for weight, value in values) for i in range(3))
         slopes = [np.concatenate([own, np.asarray(column)[..., None]], axis=-1) for own, column in zip(slopes, columns, strict=True)]
     return Derivatives(slopes[0], _twists(here[1], slopes[1]), slopes[2])
-
-
-def _beside(model: Model, parameter: Parameter, step: float) -> list[tuple[float, Model]]:
-    """Weights, and models whose parameter is that many steps off. Raises ConfigurationError."""
-    for weights in SIDES[:-1]:
-        with contextlib.suppress(ConfigurationError):  # beyond a bound
-            return [(weight, model.with_numbers(parameter.changes(parameter.value + k * step))) for k, weight in weights.items()]
-    return [(weight, model.with_numbers(parameter.changes(parameter.value + k * step))) for k, weight in SIDES[-1].items()]
 
 
 def _twists(pose: Array, slopes: Array) -> Array:

@@ -1,7 +1,4 @@
-"""Static balance of an arm under a part of its load: unbalanced force, stiffness, stability, at given coordinates.
-
-Tensions and effects grow together with `part`, from the unloaded arm at 0 to the full load at 1.
-"""
+"""Static balance of an arm under a part of its load, 0 to 1: unbalanced force, stiffness, stability, at given coordinates."""
 
 import math
 from functools import cached_property
@@ -16,12 +13,10 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.strain_limits import limit_at
 from soft_tendon_env.tools.types import Array
 
-ASYMMETRIC = 1e-4
-"""Relative size of S - S^T above which the loads have no potential; the differences that S comes from leave 1e-6 at most."""
+ASYMMETRIC = 1e-4  # relative size of S - S^T above which loads have no potential; differences that S comes from leave 1e-6 at most
 NEUTRAL = 1e-5
-"""Eigenvalue of S, of the norm of S in the metric of the unloaded arm, that counts as 0, and growth of a motion in a radian.
-
-A column that has buckled rests to any side: nothing resists a turn about its axis. Differences leave less than 1e-6."""
+"""Eigenvalue of S, of the norm of S in the metric of the unloaded arm, that counts as 0, as where a column that has buckled rests to any
+side, and growth of a motion in a radian. Differences leave less than 1e-6."""
 
 
 class At(NamedTuple):
@@ -54,15 +49,13 @@ class Stability(NamedTuple):
 
 
 class Balance:
-    """The balance of one model under one load: f(q, part) = part (B u + F) - K and its derivatives; what stood in the way last.
+    """The balance of one model under one load, f(q, part) = part (B u + F) - K, and its derivatives; None, and `obstacle`: there are none.
 
-    What is computed at coordinates depends on them alone. Where there is nothing to compute, None is returned and `obstacle` says why.
+    work: of the model, that nobody else uses meanwhile; its own if None.
     """
 
     def __init__(self, model: Model, tension: Array, work: Workspace | None = None) -> None:
-        """work: of the model, that nobody else uses meanwhile; its own if None."""
-        self.model, self.tension, self.size = model, tension, model.coordinate_count
-        self.energy = model.bending_energy
+        self.model, self.tension, self.size, self.energy = model, tension, model.coordinate_count, model.bending_energy
         self.work = make_workspace(model.arm) if work is None else work
         self.linearisations, self.obstacle = 0, ""
 
@@ -74,7 +67,7 @@ class Balance:
     def linearised(self, q: Array, part: float) -> Linearised | None:
         """The balance at q (n,) and its derivatives."""
         self.linearisations += 1
-        unit = np.sqrt(self.energy / np.diag(self.model.metric))
+        unit = self.model.coordinate_scale()
         computed = self._computed(q, part, True, np.diag(unit))
         compliance = None if computed is None else self._inverse(stiffness := computed[1].slopes / unit)
         if computed is None or compliance is None:
@@ -90,7 +83,7 @@ class Balance:
             inverse = np.full_like(stiffness, np.nan)
         if np.isfinite(inverse).all() and np.abs(np.diag(self.model.metric) * np.diag(inverse)).max() < 0.1 / NEUTRAL:
             return np.asarray(inverse)
-        S = self.model.metric_unit.T @ stiffness @ self.model.metric_unit
+        S = self._by_metric(stiffness)
         if np.isfinite(S).all() and self._is_symmetric(S):
             values, vectors = np.linalg.eigh(0.5 * (S + S.T))
             kept = np.abs(values) > NEUTRAL * np.linalg.norm(S)
@@ -98,6 +91,9 @@ class Balance:
             return np.asarray(modes / values[kept] @ modes.T)
         self.obstacle = "the stiffness is singular: the arm gives way without further load"
         return None
+
+    def _by_metric(self, matrix: Array) -> Array:
+        return np.asarray(self.model.metric_unit.T @ matrix @ self.model.metric_unit)
 
     def _is_symmetric(self, S: Array) -> bool:
         strain = self.model.arm.strain  # G grows without bound where the arm buckles, and differences of forces lose their symmetry
@@ -135,7 +131,7 @@ class Balance:
         return At(q, part, out.force, out.G, residual), out
 
     def product(self, a: Array, b: Array) -> float:
-        """The inner product that belongs to `angle`, a^T G b of the unloaded arm [rad^2]; infinite or NaN for absurd coordinates."""
+        """The inner product of `angle`, a^T G b of the unloaded arm [rad^2]; infinite or NaN for absurd coordinates."""
         with np.errstate(over="ignore", invalid="ignore"):
             return float(a @ self.model.metric @ b) / self.energy
 
@@ -152,9 +148,7 @@ class Balance:
 
     def stability(self, here: Linearised) -> Stability:
         """Stability of an equilibrium: the energy has a minimum there, or, for loads without a potential, motions from it die out."""
-        if here.at.part == 0.0 and not here.at.q.any() and self.model.arm.strain.has_potential:  # S is the metric itself
-            return Stability(True, 1.0, self.model.metric_unit * math.sqrt(self.energy), True, False)
-        S = self.model.metric_unit.T @ here.stiffness @ self.model.metric_unit
+        S = self._by_metric(here.stiffness)
         has_potential = self._is_symmetric(S)
         values, vectors = np.linalg.eigh(0.5 * (S + S.T)) if has_potential else np.linalg.eig(S)
         order = np.argsort(values.real)
@@ -164,13 +158,12 @@ class Balance:
 
     def _flutters(self, here: Linearised) -> bool:
         """Whether M q_ddot + D q_dot + S q = 0 has oscillations that grow."""
-        size, unit = self.size, self.model.metric_unit
+        size = self.size
         terms = self.model.terms(here.at.q, np.zeros(size), here.at.part * self.tension)
-        M, D, S = unit.T @ terms.mass @ unit, unit.T @ terms.damping @ unit, unit.T @ here.stiffness @ unit
+        M, D, S = map(self._by_metric, (terms.mass, terms.damping, here.stiffness))
         try:
             acceleration = np.linalg.solve(M, np.hstack([-S, -D]))
         except np.linalg.LinAlgError:  # a quadrature that is too coarse, of which build_model warns
             return False
         rates = np.linalg.eigvals(np.vstack([np.hstack([np.zeros((size, size)), np.eye(size)]), acceleration]))
-        oscillating = rates[np.abs(rates.imag) > NEUTRAL * np.abs(rates)]
-        return bool((oscillating.real > NEUTRAL * np.abs(oscillating)).any())
+        return bool((np.minimum(np.abs(rates.imag), rates.real) > NEUTRAL * np.abs(rates)).any())

@@ -1,8 +1,8 @@
 """Discretisation of the rod: intervals, quadrature points and nodes, and the arrays of section and tendons there."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,19 +21,14 @@ LARGEST_PANEL = 7  # closed Newton-Cotes rules have positive weights up to this 
 
 @dataclass(frozen=True)
 class Grid:
-    """Quadrature grid: intervals of the rod, padded with empty ones at the tip to whole packs.
+    """Quadrature grid: intervals of the rod, padded with empty ones at the tip to whole packs."""
 
-    start, length (intervals,) [m]; points (intervals, 2) [m]; real (intervals,) False where padded; shapes: what is kept of the last arm
-    on it, see `at_points`.
-    """
-
-    start: Array
-    length: Array
-    points: Array
-    real: np.ndarray
+    start: Array  # (intervals,) [m]
+    length: Array  # (intervals,) [m]
+    points: Array  # (intervals, 2) [m]
+    real: np.ndarray  # (intervals,) False where padded
     breakpoints: Array
     per_piece: int
-    shapes: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @property
     def packs(self) -> int:
@@ -44,11 +39,6 @@ class Grid:
         """Weight of every point [m], (intervals, 2)."""
         return np.repeat(0.5 * self.length[:, None], 2, axis=1)
 
-    @property
-    def point_count(self) -> int:
-        """Quadrature points of the rod, two per interval."""
-        return 2 * int(self.real.sum())
-
     def unpacked(self, field: Array) -> Array:
         """Strains (.., points, 6) at the points from base to tip, of fields (.., m) in the kernels' flat layout, see mechanics.types."""
         strain = self.at_points(field, 6)[..., self.real, :, :]
@@ -56,10 +46,9 @@ class Grid:
 
     def packed(self, strain: Array) -> Array:
         """The inverse of `unpacked`; empty intervals get the strain of the last point."""
-        lead = strain.shape[:-2]
-        by_interval = strain.reshape(*lead, -1, 2, 6)
-        empty = np.repeat(np.repeat(strain[..., None, -1:, :], 2, axis=-2), self.real.size - by_interval.shape[-3], axis=-3)
-        return point_field(np.concatenate([by_interval, empty], axis=-3)).reshape(*lead, -1)
+        lead, count = strain.shape[:-2], strain.shape[-2]
+        filled = strain[..., np.minimum(np.arange(2 * self.real.size), count - 1), :]
+        return point_field(filled.reshape(*lead, -1, 2, 6)).reshape(*lead, -1)
 
     def at_points(self, field: Array, components: int) -> Array:
         """Fields (.., m) in the kernels' flat layout as (.., intervals, 2, components), empty intervals among them."""
@@ -86,24 +75,17 @@ def make_grid(scene: Scene, count: int) -> Grid:
     lengths = np.repeat(np.diff(borders) / count, count)
     points = starts[:, None] + lengths[:, None] * GAUSS
     padding = -starts.size % LANES
-    return Grid(
-        start=np.append(starts, np.full(padding, borders[-1])),
-        length=np.append(lengths, np.zeros(padding)),
-        points=np.vstack([points, np.repeat(points[-1:, 1:], 2 * padding, axis=1).reshape(padding, 2)]),
-        real=np.arange(starts.size + padding) < starts.size,
-        breakpoints=borders,
-        per_piece=count,
-    )
+    start, length = np.append(starts, np.full(padding, borders[-1])), np.append(lengths, np.zeros(padding))
+    points = np.vstack([points, np.full((padding, 2), points[-1, 1])])
+    return Grid(start, length, points, np.arange(start.size) < starts.size, borders, count)
 
 
 def newton_cotes(intervals: int) -> Array:
     """Closed Newton-Cotes weights on the nodes 0..intervals of a unit interval, composed of panels with positive weights."""
     panels = -(-intervals // LARGEST_PANEL)
-    sizes = np.full(panels, intervals // panels) + (np.arange(panels) < intervals % panels)
     weights, first = np.zeros(intervals + 1), 0
-    for size in sizes:
-        nodes = np.linspace(-1.0, 1.0, size + 1)
-        powers = np.arange(size + 1)
+    for size in np.full(panels, intervals // panels) + (np.arange(panels) < intervals % panels):
+        nodes, powers = np.linspace(-1.0, 1.0, size + 1), np.arange(size + 1)
         moments = (1.0 - (-1.0) ** (powers + 1)) / (powers + 1)
         weights[first : first + size + 1] += np.linalg.solve(nodes ** powers[:, None], moments) * 0.5 * size / intervals
         first += size
@@ -140,17 +122,8 @@ class AtPoints(NamedTuple):
 
 
 def at_points(scene: Scene, grid: Grid) -> AtPoints:
-    """Section and shape at the points of a grid, which keeps the shape for the next scene that differs in other numbers alone."""
+    """Section and shape at the points of a grid; lengths and turns of tendons to second order in the intervals."""
     elasticity, damping, _ = (m.reshape(-1, 2, 6) for m in screw_matrices(scene, grid.points.ravel()))
-    key = scene.tendons, [(own.length, own.radius, own.curvature) for own in scene.segments]
-    kept = grid.shapes.get("last")
-    if kept is None or kept[0] != key:
-        kept = grid.shapes["last"] = key, _shape(scene, grid)
-    return AtPoints(elasticity, damping, *kept[1])
-
-
-def _shape(scene: Scene, grid: Grid) -> tuple[Array, Array, Tendons, Array, Array]:
-    """The shape; lengths of tendons and angles by which they turn to second order in the intervals."""
     k = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, grid.points)]
     geometry = tendon_geometry(scene, grid)
     _, chord = chords(geometry, k, STRAIGHT)
@@ -161,7 +134,9 @@ def _shape(scene: Scene, grid: Grid) -> tuple[Array, Array, Tendons, Array, Arra
     rate, distance = np.cross(k[grid.real].reshape(-1, 3), t), np.diff(grid.points[grid.real].ravel())[:, None]
     turn = np.diff(t, axis=1) + 0.5 * distance * (rate[:, 1:] + rate[:, :-1])
     turned = (np.linalg.norm(turn, axis=-1) * there[:, 1:] * there[:, :-1]).sum(axis=1)
-    return k, geometry, make_tendons(grid, geometry), length, np.asarray(turned)
+    first, last = np.array([pack_range((own[..., 4] > 0.0).any(axis=1) & grid.real) for own in geometry], dtype=np.int64).T.copy()
+    tendons = Tendons(size=len(geometry), geometry=point_field(geometry), first=first, last=last)
+    return AtPoints(elasticity, damping, k, geometry, tendons, length, np.asarray(turned))
 
 
 def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], here: AtPoints, seen: Discretisation) -> Rod:
@@ -242,13 +217,6 @@ def chords(geometry: Array, k: Array, p: Array) -> tuple[Array, Array]:
     d, d_prime = np.zeros((2, *geometry.shape[:-1], 3))
     d[..., 1:], d_prime[..., 1:] = geometry[..., 0:2], geometry[..., 2:4]
     return d, np.cross(k, d) + p + d_prime
-
-
-def make_tendons(grid: Grid, geometry: Array) -> Tendons:
-    """Arrays of the tendons' geometry, see `tendon_geometry`."""
-    ranges = [pack_range((tendon[..., 4] > 0.0).any(axis=1) & grid.real) for tendon in geometry]
-    first, last = np.array(ranges, dtype=np.int64).T.copy()
-    return Tendons(size=len(geometry), geometry=point_field(geometry), first=first, last=last)
 
 
 def pack_range(intervals: np.ndarray) -> tuple[int, int]:

@@ -1,8 +1,7 @@
 """Inverse statics: tensions within limits whose equilibrium has a wanted tip pose or position.
 
-Bounded nonlinear least squares over the tensions u: the scaled tip error e(u) and, far below it, the effort, |e|^2 + mu^2 |u|^2. mu
-falls from one solution to the next: the search begins at the least effort and spends more only as the error asks for it. The derivative
-is exact, J_tip dq/du with dq/du = S^-1 B of the equilibrium (implicit function theorem).
+Bounded nonlinear least squares over the tensions u: the scaled tip error e(u) and, far below it, the effort, |e|^2 + mu^2 |u|^2, for one
+falling mu after the other. The derivative is exact, J_tip dq/du with dq/du = S^-1 B of the equilibrium (implicit function theorem).
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from numpy.typing import ArrayLike
 from soft_tendon_env.mechanics.algebra.lie import coefficients, rotation_log
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.statics import ChordSolver, Equilibrium, static_equilibrium
-from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type, dimensions, shown_numbers
+from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type
 from soft_tendon_env.tools.types import Array
 
 EFFORTS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
@@ -47,7 +46,7 @@ def tension_for_tip_pose(
     model: Model,
     pose: ArrayLike,
     *,
-    limits: tuple[ArrayLike, ArrayLike] | None = None,
+    limits: tuple[float, float] | None = None,
     start: ArrayLike | None = None,
     tolerance: float | None = None,
 ) -> InverseEquilibrium:
@@ -55,7 +54,7 @@ def tension_for_tip_pose(
 
     What cannot be reached is approached as nearly as possible, with a `reason`. A radian counts as half the rod's length.
 
-    limits: (least, greatest) [N], each a number or (n_a,); the scene's tension_limits if None.
+    limits: (least, greatest) [N] of every tendon; the scene's tension_limits if None.
     start: tensions (n_a,) near the solution, when following a path: one local search from there instead of several from afar.
     tolerance: position error [m] up to which the pose counts as reached, 1e-4 of the rod's length if None.
 
@@ -66,46 +65,41 @@ def tension_for_tip_pose(
     R = pose[:3, :3]
     if np.abs(R.T @ R - np.eye(3)).max() > RIGID or np.linalg.det(R) < 0 or np.abs(pose[3] - [0, 0, 0, 1]).max() > RIGID:
         raise ValueError("pose should be a rigid transform [[R, r], [0, 0, 0, 1]] with a rotation R")
-    return _nearest(model, pose, ANGLE_WEIGHT * model.length, limits, start, tolerance)
+    return _TipSearch(model, pose, ANGLE_WEIGHT * model.length, limits, tolerance).nearest(start)
 
 
-def tension_for_tip_position(model: Model, position: ArrayLike, **options: Any) -> InverseEquilibrium:
+def tension_for_tip_position(
+    model: Model, position: ArrayLike, *, limits: Any = None, start: ArrayLike | None = None, tolerance: float | None = None
+) -> InverseEquilibrium:
     """Inverse statics for a tip position (3,) [m] alone, whatever the tip's orientation; options: those of `tension_for_tip_pose`."""
     checked_type("model", model, Model, "see build_model")
     pose = np.eye(4)
     pose[:3, 3] = checked_array("position", position, (3,))
-    return _nearest(model, pose, 0.0, **options)
-
-
-def _nearest(
-    model: Model, pose: Array, angle_weight: float, limits: Any = None, start: Any = None, tolerance: float | None = None
-) -> InverseEquilibrium:
-    """Solution for a pose, with arguments checked."""
-    shape, near = (model.tendon_count,), POSITION_TOLERANCE * model.length
-    sides = model.discretisation.tension_limits.T if limits is None else limits
-    if not isinstance(sides, tuple | list | np.ndarray) or len(sides) != 2:
-        raise ValueError("limits should be (least, greatest) [N], each a number or an array with one entry per tendon")
-    given = (np.full(shape, side) if dimensions(side) == 0 else side for side in sides)
-    least, greatest = (checked_array(f"limits[{i}]", side, shape) for i, side in enumerate(given))
-    if (least >= greatest).any():
-        raise ValueError(f"limits should be least < greatest, but they are {shown_numbers(least)} and {shown_numbers(greatest)}")
-    near = near if tolerance is None else checked_number("tolerance", tolerance, 0.0, "a number of at least 0")
-    search = _TipSearch(model, pose, angle_weight, near, least, greatest)
-    return search.nearest(None if start is None else checked_array("start", start, shape))
+    return _TipSearch(model, pose, 0.0, limits, tolerance).nearest(start)
 
 
 class _TipSearch:
     """The search for one tip pose."""
 
-    def __init__(self, model: Model, pose: Array, angle_weight: float, tolerance: float, least: Array, greatest: Array) -> None:
-        self.model, self.pose, self.angle_weight, self.tolerance = model, pose, angle_weight, tolerance
-        self.least, self.greatest, self.slack = least, greatest, np.clip(0.0, least, greatest)
+    def __init__(self, model: Model, pose: Array, angle_weight: float, limits: Any, tolerance: float | None) -> None:
+        near = POSITION_TOLERANCE * model.length if tolerance is None else tolerance
+        self.model, self.pose, self.angle_weight = model, pose, angle_weight
+        self.tolerance = checked_number("tolerance", near, 0.0, "a number of at least 0")
+        self.least, self.greatest = model.discretisation.tension_limits.T
+        if limits is not None:
+            self.least, self.greatest = np.outer(checked_array("limits", limits, (2,)), np.ones(model.tendon_count))
+        if (self.least >= self.greatest).any():
+            raise ValueError(f"limits should be least < greatest, not {limits}")
+        self.slack = np.clip(0.0, self.least, self.greatest)
         self._last: tuple[Array, Equilibrium] | None = None
 
-    def nearest(self, start: Array | None) -> InverseEquilibrium:
+    def nearest(self, start: ArrayLike | None) -> InverseEquilibrium:
         """The first solution that reaches the pose, or the nearest of all: from `start`, or from slack and then anywhere."""
-        anywhere = np.random.default_rng(0).uniform(self.least, self.greatest, (RANDOM_STARTS, self.slack.size))
-        starts = [start] if start is not None else [self.slack, *(0.5 * (self.slack + anywhere))]
+        if start is None:
+            anywhere = np.random.default_rng(0).uniform(self.least, self.greatest, (RANDOM_STARTS, self.slack.size))
+            starts = [self.slack, *(0.5 * (self.slack + anywhere))]
+        else:
+            starts = [checked_array("start", start, self.slack.shape)]
         found: list[InverseEquilibrium] = []
         for u in starts:
             efforts = EFFORTS if u is self.slack else EFFORTS[NEAR:]
@@ -126,15 +120,17 @@ class _TipSearch:
             length = self.model.length
             unit = length / (float(np.linalg.norm(self.derivative(u), 2)) or length)  # [N], moves the tip by about the rod's length
             bounds = self.least / unit, self.greatest / unit
-
-            def error(x: Array, mu: float) -> Array:
-                return np.concatenate([self.error(x * unit) / length, mu * x])
-
-            def slope(x: Array, mu: float) -> Array:
-                return np.concatenate([self.derivative(x * unit) * unit / length, mu * np.eye(x.size)])
-
             for mu in efforts:
-                u = unit * least_squares(error, u / unit, slope, bounds, args=(mu,), **OPTIONS).x
+                u = (
+                    unit
+                    * least_squares(
+                        lambda x, mu=mu: np.concatenate([self.error(x * unit) / length, mu * x]),
+                        u / unit,
+                        lambda x, mu=mu: np.concatenate([self.derivative(x * unit) * unit / length, mu * np.eye(x.size)]),
+                        bounds,
+                        **OPTIONS,
+                    ).x
+                )
         return np.clip(u, self.least, self.greatest)
 
     def equilibrium(self, u: Array) -> Equilibrium:
@@ -151,10 +147,8 @@ class _TipSearch:
     def error(self, u: Array) -> Array:
         """(weighted rotation vector in the tip frame, position) from the tip to the wanted pose (6,) [m]; NaN without equilibrium."""
         found = self.equilibrium(u)
-        if not found.converged:
-            return np.full(6, np.nan)
         turn, away = self.off(found.tip_pose)
-        return np.concatenate([self.angle_weight * turn, away])
+        return np.concatenate([self.angle_weight * turn, away]) if found.converged else np.full(6, np.nan)
 
     def derivative(self, u: Array) -> Array:
         """d error / du (6, n_a): minus the inverse left Jacobian of SO(3) on the body's turn, minus R on its shift."""
@@ -167,12 +161,10 @@ class _TipSearch:
         return -np.concatenate([self.angle_weight * inverse_jacobian @ motion[:3], tip[:3, :3] @ motion[3:]])
 
     def found(self, u: Array) -> InverseEquilibrium:
-        """Solution that the tensions are, with the errors of its tip and, where that is too far, tendons at their limits."""
-        at, margin = self.equilibrium(u), 1e-4 * (self.greatest - self.least)
+        """Solution that the tensions are, with the errors of its tip and a reason where that is too far."""
+        at = self.equilibrium(u)
         turn, away = map(float, map(np.linalg.norm, self.off(at.tip_pose)))
         turn = turn if self.angle_weight > 0 else 0.0
         reachable = at.converged and max(away, self.angle_weight * turn) <= self.tolerance
-        held = np.flatnonzero((u - self.least < margin) | (self.greatest - u < margin)).tolist()
-        limits = f", with tendons {', '.join(map(str, held))} at their limits" if held else ""
-        reason = "" if reachable else at.reason or f"the nearest tip found is {away:.3g} m and {turn:.3g} rad away{limits}"
+        reason = "" if reachable else at.reason or f"the nearest tip found is {away:.3g} m and {turn:.3g} rad away"
         return InverseEquilibrium(u, at.q, at.tip_pose, away, turn, reachable, reason)

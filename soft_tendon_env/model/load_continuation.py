@@ -1,8 +1,7 @@
 """Equilibrium path of a slowly loaded arm: numerical continuation of B u - K + F = 0 from the unloaded arm to its full load.
 
-Predictor and corrector (Allgower and Georg, Introduction to Numerical Continuation Methods, 1990), with steps in the load that are
-short enough to show that they stayed on the path: the cubic through both ends, with the tangents there, is an equilibrium in its
-middle too, to a small angle, and the arm is stable at both ends and in the middle. What a step skips is then no other branch.
+Predictor and corrector (Allgower and Georg, Introduction to Numerical Continuation Methods, 1990), with steps that show that they stayed on
+the path: the cubic through both ends is an equilibrium in its middle too, to a small angle, and the arm is stable at all three.
 """
 
 from typing import NamedTuple
@@ -21,8 +20,7 @@ SHORTEST, BEYOND, LEAST_LOAD = 2e-5, 1e-2, 1e-7
 """Step, as a share of the load that was reached: a limit is told to this accuracy; how far past the end of its path an arm settles; and the
 load below which no step is tried."""
 MOST_LINEARISATIONS, MOST_CORRECTIONS, MOST_SETTLINGS = 5000, 25, 20
-SLOW, FEW = 0.05, 8
-"""Contraction of Newton's method with an old stiffness above which it is computed anew; coordinates up to which that costs little."""
+SLOW, FEW = 0.05, 8  # contraction of Newton's method above which its stiffness is computed anew; coordinates up to which that costs little
 NEAR, SOFT, SOFTEST = 0.05, 0.3, 1e-2
 """[rad] from an equilibrium up to which a stiffness stands for its own, where the least eigenvalue, 1 for the unloaded arm, is above SOFT;
 and that below which steps need be no shorter."""
@@ -30,13 +28,9 @@ WATCHED = 3  # softest modes whose stiffness is watched in the middle of a step
 PUSH, FLOW_STEP, SHORTEST_FLOW = 1e-3, 0.1, 1e-9
 """[rad] out of an equilibrium that is not stable, and of a step of an arm that settles; step of its time, in that in which damping lets a
 stiffness like the unloaded arm's relax."""
-BENDS_AWAY = "the equilibria bend away from steps of any size"
-LOST = {
-    "limit point": "the arm snaps to another shape (limit point: no equilibrium is near)",
-    "bifurcation": "the arm is no longer stable (bifurcation: it buckles)",
-    "flutter": "the arm is no longer stable (flutter: oscillations grow)",
-}
-"""How an arm loses its stability as the load grows."""
+SNAPS = "the arm snaps to another shape (limit point: no equilibrium is near)"
+BUCKLES = "the arm is no longer stable (bifurcation: it buckles)"
+FLUTTERS = "the arm is no longer stable (flutter: oscillations grow)"
 
 
 class Point(NamedTuple):
@@ -56,10 +50,7 @@ class End(NamedTuple):
 
 
 class LoadPath:
-    """The path of one arm under one load. `end` follows it; `settled` finds where an arm goes whose path ends.
-
-    most: linearisations of the balance after which both give up.
-    """
+    """The path of one arm under one load; most: linearisations of the balance after which it is given up."""
 
     def __init__(self, balance: Balance, most: int = MOST_LINEARISATIONS) -> None:
         self.balance, self.most = balance, most
@@ -94,7 +85,8 @@ class LoadPath:
             if step < max(SHORTEST * point.at.part, LEAST_LOAD):
                 return End(point, self._reason(point))
             if self.balance.linearisations > self.most:
-                return End(point, f"{_beyond(point)}: the path is too winding, {self.most} iterations did not do")
+                self.balance.obstacle = f"the path is too winding, {self.most} iterations did not do"
+                return End(point, self._reason(point))
         return End(point, "")
 
     def step(self, point: Point, aim: float) -> Point | None:
@@ -107,11 +99,10 @@ class LoadPath:
         soft = max(min(1.0, point.stability.least / SOFT, ahead.stability.least / SOFT), SOFTEST)  # branches lie close where it is soft
         middle = 0.5 * (point.at.q + ahead.at.q) + 0.125 * h * (point.tangent - ahead.tangent)
         is_near = self.balance.angle(ahead.at.q - predicted) <= soft * CORRECTION
-        stray = self._stray(middle, point, ahead) if is_near else np.inf
-        if stray is None:
+        if (stray := self._stray(middle, point, ahead) if is_near else np.inf) is None:
             return None
         if not stray <= soft * STRAY:
-            self.balance.obstacle = BENDS_AWAY
+            self.balance.obstacle = "the equilibria bend away from steps of any size"
             return None
         return ahead if self.balance.is_continuous(point.at.q, ahead.at.q) else None
 
@@ -142,8 +133,7 @@ class LoadPath:
     def settled(self, end: End) -> Point | None:
         """Rest of an arm under the load just beyond the end of its path, to which it moves slowly: damping alone resists.
 
-        The flow G q_dot = f, Kelvin-Voigt damping in proportion to the stiffness, by linearly implicit Euler steps of at most
-        FLOW_STEP. It begins with a small push along the softest mode; either side of a symmetric buckle would do.
+        The flow G q_dot = f by linearly implicit Euler steps of at most FLOW_STEP, from a small push along the softest mode.
         """
         from scipy.linalg import cho_factor, cho_solve  # here: it takes longer to import than all else that most scenes need
 
@@ -201,17 +191,13 @@ class LoadPath:
 
     def _holds(self, stability: Stability) -> bool:
         if not stability.stable:
-            self.balance.obstacle = LOST["flutter" if stability.flutters else "bifurcation"]
+            self.balance.obstacle = FLUTTERS if stability.flutters else BUCKLES
         return stability.stable
 
     def _reason(self, point: Point) -> str:
         """Why the path goes no further than this point."""
         obstacle, stability = self.balance.obstacle, point.stability
-        if stability.least < SOFT and not obstacle.startswith("no strain") and obstacle != LOST["flutter"]:
+        if stability.least < SOFT and not obstacle.startswith("no strain") and obstacle != FLUTTERS:
             softest = abs(self.balance.product(stability.modes[:, 0], point.tangent))
-            obstacle = LOST["limit point" if softest > 0.5 * self.balance.angle(point.tangent) else "bifurcation"]
-        return f"{_beyond(point)}: {obstacle}"
-
-
-def _beyond(point: Point) -> str:
-    return f"beyond {100 * point.at.part:.4g} % of the load"
+            obstacle = SNAPS if softest > 0.5 * self.balance.angle(point.tangent) else BUCKLES
+        return f"beyond {100 * point.at.part:.4g} % of the load: {obstacle}"

@@ -28,20 +28,17 @@ from soft_tendon_env.tools.checks import checked_array, checked_count, checked_n
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
-TOLERANCE = 1e-12
-"""Relative size of the last Newton correction at which a strain counts as found: round-off."""
-SINGULAR = 1e-14
-"""Least eigenvalue of a matrix, scaled to a unit diagonal, up to which it counts as singular."""
+TOLERANCE = 1e-12  # relative size of the last Newton correction at which a strain counts as found: round-off
+SINGULAR = 1e-14  # least eigenvalue of a matrix, scaled to a unit diagonal, up to which it counts as singular
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
     """Reduced-order Cosserat-rod model of a tendon-driven arm, made by `build_model` from a scene; it never changes.
 
-    Coordinates q (n,): with the statics-based strain the tensions [N] that the strain answers to (combinations of them where
-    tendons are redundant), then the passive coordinates; with an explicit basis the amplitudes of its fields.
-    Every method raises ValueError or TypeError for arrays of wrong shape, type or with NaN or infinity, `StrainLimitError` where no strain
-    balances the coordinates, and OverflowError for absurd rates.
+    Coordinates q (n,): with the statics-based strain the tensions [N] that the strain answers to (combinations of them where tendons are
+    redundant), then the passive coordinates; with an explicit basis the amplitudes of its fields. Methods raise ValueError or TypeError for
+    bad arrays, `StrainLimitError` where no strain balances the coordinates, and OverflowError for absurd rates.
     """
 
     scene: Scene
@@ -54,8 +51,7 @@ class Model:
     def with_scene(self, scene: Scene) -> Model:
         """Model of a scene with other numbers or effects, on the same grid.
 
-        Quadrature, combinations of tensions and passive fields stay, so that coordinates are those of the same tensions and wrenches, and
-        what the model computes is a smooth function of the numbers. Raises TypeError or ConfigurationError.
+        Quadrature, combinations of tensions and passive fields stay: what it computes is smooth in the numbers. Raises ConfigurationError.
         """
         made = Model(scene, self.grid, make_arm(scene, self.grid, self.arm.strain))
         sizes = [(type(own.strain), own.effects.count, own.effects.state.size) for own in (self.arm, made.arm)]
@@ -76,12 +72,11 @@ class Model:
         if type(other.arm.strain) is not type(self.arm.strain):
             return "whether there are loads inside of the strain"
         (own, ours), (their, theirs) = (([*model.acting], model.arm.effects) for model in (self, other))
-        if any(a != b for a, b in zip(own, their, strict=False)) or len(their) < len(own):
+        if their[: len(own)] != own:
             return f"which effects act, from {', '.join(own) or 'none'} to {', '.join(their) or 'none'}"
-        if not np.array_equal(ours.first_state, theirs.first_state[: len(own) + 1]) or theirs.state.size > ours.state.size:
-            return "the number of internal states of the effects"
         sizes = [[np.shape(field) for struct in table.structs[: len(own)] for field in struct] for table in (ours, theirs)]
-        return "" if sizes[0] == sizes[1] else "the places of an effect along the arm"
+        is_alike = sizes[0] == sizes[1] and np.array_equal(ours.first_state, theirs.first_state[: len(own) + 1])
+        return "" if is_alike and theirs.state.size <= ours.state.size else "the number of internal states, or of places, of an effect"
 
     @property
     def coordinate_count(self) -> int:
@@ -98,17 +93,14 @@ class Model:
     ) -> Terms:
         """Terms of the equation of motion (23) at q, q_dot (n,). `tension` (n_a,) matters to `stiffness` of explicit bases only.
 
-        time [s], on which effects may depend, as disturbances and a moving base do; effects (m,): their internal states, see State, by
-        default those at rest at q.
+        time [s], on which disturbances and a moving base depend; effects (m,): internal states, see State, by default those at rest at q.
         """
-        now = checked_number("time", time, -np.inf, "a finite number")
         with self.workspace() as work:
-            return self._evaluated(tension, q, q_dot, work, now, effects)
+            return self._evaluated(tension, q, q_dot, work, checked_number("time", time, -np.inf, "a finite number"), effects)
 
     def tip_pose(self, q: ArrayLike) -> Array:
         """Pose of the tip in the world frame, (4, 4): forward kinematics."""
-        with self.workspace() as work:
-            self._configure(self._coordinates("q", q), work)
+        with self.configured(q) as work:
             return _poses(work.pose.reshape(-1, 12, LANES)[-1:, :, -1])[0]
 
     def backbone(self, q: ArrayLike, points: int = 50) -> Array:
@@ -119,8 +111,7 @@ class Model:
         """Backbone at the given arc lengths (m,) [m]: poses of the sections, (m, 4, 4)."""
         places = self.arc_lengths("arc_length", arc_length)
         poses = np.tile(np.eye(4), (places.size, 1, 1))
-        with self.workspace() as work:
-            self._configure(self._coordinates("q", q), work)
+        with self.configured(q) as work:
             poses_inside(self.grid.length, *self.grid.locate(places), work, poses)
         return poses
 
@@ -129,8 +120,7 @@ class Model:
         places, q = self.arc_lengths("arc_length", arc_length), self._coordinates("q", q)
         found = np.empty((1 + q.size, places.size, 6))
         interval, distance = self.grid.locate(places)
-        with self.workspace() as work:
-            self._configure(q, work)
+        with self.configured(q) as work:
             strain_from_guess(self.arm, q, TOLERANCE, work)
             strain_columns(self.arm, np.zeros(self.tendon_count), q, np.zeros_like(q), work)
             for field, out in zip([work.xi, *work.Phi.reshape(q.size, -1)], found, strict=True):
@@ -153,19 +143,9 @@ class Model:
         return float(self.grid.breakpoints[-1])
 
     @cached_property
-    def state_names(self) -> tuple[str, ...]:
-        """Names of the effects with internal states or with commands of their own, and how many states, "actuators:20"; and what else says
-        what these mean."""
-        effects = zip(self.acting.items(), np.diff(self.arm.effects.first_state).tolist(), strict=True)
-        names = tuple(f"{name}:{size}" for (name, own), size in effects if size or own.command_unit != "N")
-        memory = self.scene.effects.viscoelastic_memory
-        return names if memory is None else (*names, f"relaxation times {[own.relaxation_time for own in memory.branches]} s")
-
-    @cached_property
     def metric(self) -> Array:
         """G (n, n) of the unloaded arm, its symmetric part: the metric in which coordinates are compared."""
-        rest = np.zeros(self.coordinate_count)
-        G = self.terms(rest, rest).stiffness
+        G = self.terms(rest := np.zeros(self.coordinate_count), rest).stiffness
         return np.asarray(0.5 * (G + G.T))
 
     @cached_property
@@ -185,23 +165,18 @@ class Model:
 
     def packed_strain(self, q: ArrayLike) -> Array:
         """The strain at the points in the kernels' flat layout (points * 6,), see mechanics.types."""
-        with self.workspace() as work:
-            self._configure(self._coordinates("q", q), work)
+        with self.configured(q) as work:
             return work.xi.copy()
 
     def tendon_lengths(self, q: ArrayLike) -> Array:
         """Lengths of the tendons along the strained rod (n_a,) [m]; the work of constant tensions is -u times their change."""
         lengths = np.empty(self.tendon_count)
-        with self.workspace() as work:
-            self._configure(self._coordinates("q", q), work)
+        with self.configured(q) as work:
             tendon_lengths(self.arm.rod, self.arm.tendons, work, lengths)
         return lengths
 
     def energy(self, q: ArrayLike, q_dot: ArrayLike, effects: ArrayLike | None = None) -> Energy:
-        """Kinetic, elastic and load energy. Raises ValueError if an effect has no potential.
-
-        effects (m,): the effects' internal states, see State; by default those at rest at q.
-        """
+        """Kinetic, elastic and load energy; effects (m,): see `terms`. Raises ValueError if an effect has no potential."""
         rod, grid, rate = self.arm.rod, self.grid, self._coordinates("q_dot", q_dot)
         with self.workspace() as work:
             mass = self._evaluated(None, q, rate, work).mass
@@ -219,8 +194,7 @@ class Model:
         return self.scene.effects.command_unit
 
     def command(self, tension: ArrayLike, q: ArrayLike) -> Array:
-        """The command (n_a,) that holds tensions (n_a,) [N] at rest at q (n,): the tensions themselves [N], or with elastic tendons the
-        displacements [m] of their actuators."""
+        """The command (n_a,), tensions [N] or displacements [m], that holds tensions (n_a,) [N] at rest at q (n,)."""
         u, path = checked_array("tension", tension, (self.tendon_count,)), self.arm.effects.transmission
         return np.asarray(u / path.stiffness + path.length - self.tendon_lengths(q)) if path.elastic else u
 
@@ -259,23 +233,27 @@ class Model:
         finally:
             self._idle.append(work)
 
-    def _configure(self, q: Array, work: Workspace) -> None:
-        """Strains and poses at q (n,). Raises StrainLimitError."""
-        self._check_strain(q, work, *configure(self.arm, q, TOLERANCE, work))
-        if not np.isfinite(work.pose).all():
-            raise _too_large(q)
+    @contextmanager
+    def configured(self, q: ArrayLike) -> Iterator[Workspace]:
+        """A workspace with strains and poses at q (n,). Raises StrainLimitError."""
+        q = self._coordinates("q", q)
+        with self.workspace() as work:
+            block, reached = configure(self.arm, q, TOLERANCE, work)
+            self._check(q, work, block, reached, bool(np.isfinite(work.pose).all()))
+            yield work
 
-    def _check_strain(self, q: Array, work: Workspace, block: int, reached: float) -> None:
-        """Raises StrainLimitError where the strain could not be found at a block, of -1 for none."""
+    def _check(self, q: Array, work: Workspace, block: int, reached: float, placed: bool) -> None:
+        """Raises StrainLimitError where the strain could not be found at a block, of -1 for none, or the rod could not be placed."""
         if block >= 0:
             nearest = limit_at(self.arm, self.grid, block, q, work.xi, reached)
             what = "coordinates and loads" if isinstance(self.arm.strain, Loaded) else "coordinates"
             raise StrainLimitError(f"no strain balances these {what} beyond {100 * reached:.3g} % of them: {nearest}")
+        if not placed:
+            raise StrainLimitError(f"the coordinates are too large to place the rod, up to {np.abs(q).max():.3g}")
 
     def _evaluated(
         self, u: ArrayLike | None, q: ArrayLike, q_dot: ArrayLike, work: Workspace, time: float = 0.0, effects: ArrayLike | None = None
     ) -> Terms:
-        """Terms of (23), new arrays, at what is checked. Raises ValueError, TypeError, StrainLimitError, OverflowError."""
         q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
         tension = np.zeros(self.tendon_count) if u is None else checked_array("tension", u, (self.tendon_count,))
         if effects is not None:
@@ -283,9 +261,7 @@ class Model:
         work.clock[0] = time
         out, rests = empty_terms(self.coordinate_count, self.tendon_count), effects is None and work.state.size > 0
         block, reached, placed = equation_of_motion(self.arm, tension, q, q_dot, rests, TOLERANCE, work, out)
-        self._check_strain(q, work, block, reached)
-        if placed == TOO_LARGE:
-            raise _too_large(q)
+        self._check(q, work, block, reached, placed != TOO_LARGE)
         if placed == TOO_FAST:
             raise OverflowError(f"the rates q_dot are too large to compute with, up to {np.abs(q_dot).max():.3g}")
         strain = self.arm.strain
@@ -321,7 +297,3 @@ def _poses(rows: Array) -> Array:
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = rows[:, :9].reshape(-1, 3, 3), rows[:, 9:]
     return poses
-
-
-def _too_large(q: Array) -> StrainLimitError:
-    return StrainLimitError(f"the coordinates are too large to place the rod, up to {np.abs(q).max():.3g}")

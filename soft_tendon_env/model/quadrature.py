@@ -1,8 +1,7 @@
 """Quadrature error of a scene, and the number of intervals that it needs: the tip at rest, measured against a finer quadrature.
 
-Routing, radius, reference curvature, strain fields and loads vary along the rod, and intervals longer than these variations miss them.
-How long is too long is not read off the scene but measured: tensions within their limits hold the arm on two quadratures, and what
-its tip moves by from the one to the other is the error of the coarser one (of fourth order, so that of the finer one is far smaller).
+Tensions within their limits hold the arm on two quadratures, and what its tip moves by from the one to the other is the error of the
+coarser one (of fourth order, so that of the finer one is far smaller).
 """
 
 import functools
@@ -29,8 +28,7 @@ MASS_TOLERANCE, LEAST_INERTIA, NO_INERTIA = 0.02, 0.1, 1e-9
 """Largest relative error of the rod's mass; least part of its inertia that a combination of coordinates must keep, as fields of high order
 need as many nodes; and the share of the largest up to which a combination has none on any quadrature."""
 PER_WAVE = 4.0  # intervals of the finer quadrature for the shortest wavelength of the geometry
-CORNERS, SETTLED = 32, 6
-"""Sets of several tendons at their limits that are tried, and how many of the worst tensions equilibria are solved under."""
+CORNERS, SETTLED = 32, 6  # sets of tendons at their limits that are tried; of the worst tensions equilibria are solved under
 HOPELESS = 96  # intervals from which on the search ends where twice as many do not even halve the error
 FARTHEST, MOST_HALVINGS = 2.0, 40  # lengths from the base beyond which no tip is; halvings of tensions that no strain balances
 MOST_LINEARISATIONS = 100  # on the path to an equilibrium
@@ -79,8 +77,7 @@ def model_on_needed(scene: Scene) -> Model:
 
 
 class QuadratureTest:
-    """A scene on several quadratures, and the tensions that they are compared at. Obstacles are left out: an arm that just touches one on
-    the one quadrature and just misses it on the other is as far off with any number of intervals."""
+    """A scene on several quadratures, and the tensions that they are compared at; obstacles are left out."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene.model_copy(update={"effects": scene.effects.everywhere()})
@@ -94,7 +91,6 @@ class QuadratureTest:
         sides[0] = 1  # all at their greatest
         together = [self.limits[np.arange(count), side] for side in sides]
         self.tensions = list({tension.tobytes(): tension for tension in [*together, *alone, self.slack]}.values())
-        self.rests = dict[tuple[int, bytes], Array]()  # coordinates at rest on the last quadrature
         radii = [segment.radius for segment in scene.segments if isinstance(segment.radius, RadiusProfile)]
         shortest = min(shape.wavelength() for shape in (*(tendon.routing for tendon in scene.tendons), *radii))
         per_piece = math.ceil(PER_WAVE * np.diff(breakpoints(scene)).max() / shortest)
@@ -133,7 +129,13 @@ class QuadratureTest:
                     problem = f"{off}, under tensions {shown_numbers(tension)} N{' and loads' if coarse.arm.effects.load else ''}"
             except StrainLimitError:  # without tensions the loads inside of its strain buckle the arm
                 return refused
-            mass = mass_error(coarse, fine)
+
+        def moment(places: Array) -> Array:
+            """First moment of the rod's mass about the base, per length."""
+            return places[:, None] * screw_matrices(self.scene, places)[2][:, 3:4]
+
+        exact = moment(fine.grid.points.ravel())[:, 0] @ fine.grid.weights.ravel()
+        mass = abs(float(over_nodes(coarse.grid, moment).sum() / exact) - 1.0)
         excess, problem = max(
             (error / self.scene.quadrature.tolerance, problem),
             (mass / MASS_TOLERANCE, f"the moment of the rod's mass is off by {100 * mass:.2g} %"),
@@ -151,21 +153,10 @@ class QuadratureTest:
             return shares[0]
         full, q, settled = self.limits[:, 1], np.zeros(coarse.coordinate_count), list[tuple[float, Array]]()
         for tension in [self.slack, full, 0.5 * (self.slack + full)] * loaded + [tension for _, tension in shares[:SETTLED]]:
-            key = q.size, tension.tobytes()
-            share, self.rests[key] = _share_at_rest(coarse, fine, tension, self.rests.get(key, q + responses[0] @ tension))
+            share, rest = _share_at_rest(coarse, fine, tension, q + responses[0] @ tension)
             settled.append((share, tension))
-            q = self.rests[key] if tension is self.slack else q  # the answer to the loads
+            q = rest if tension is self.slack else q  # the answer to the loads
         return max(settled, key=lambda found: found[0])
-
-
-def mass_error(coarse: Model, fine: Model) -> float:
-    """Relative error of the first moment of the rod's mass about the base."""
-
-    def moment(places: Array) -> Array:
-        return places[:, None] * screw_matrices(coarse.scene, places)[2][:, 3:4]
-
-    exact = moment(fine.grid.points.ravel())[:, 0] @ fine.grid.weights.ravel()
-    return abs(float(over_nodes(coarse.grid, moment).sum() / exact) - 1.0)
 
 
 def inertia_kept(coarse: Model, fine: Model) -> float:
@@ -201,8 +192,8 @@ def _unloaded_share(coarse: Model, fine: Model, responses: list[Array], tension:
 
 
 def _share_at_rest(coarse: Model, fine: Model, tension: Array, guess: Array) -> tuple[float, Array]:
-    """Distance of the tips on two quadratures at rest under tensions and loads, as a share of the length, and coordinates (n,) there. Where
-    the arm holds only a part of them, the distance in the shape into which it falls over, with a margin; 0 where that has no strain."""
+    """Distance of the tips on two quadratures at rest under tensions and loads, as a share of the length, and coordinates (n,) there; where
+    the arm holds only a part of them, in the shape into which it falls over, with a margin."""
     with coarse.workspace() as work, fine.workspace() as fine_work:
         path, finer = LoadPath(Balance(coarse, tension, work), MOST_LINEARISATIONS), LoadPath(Balance(fine, tension, fine_work))
         found = path.equilibrium(guess, 1.0) if guess.any() else None

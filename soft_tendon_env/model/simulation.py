@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -11,11 +10,11 @@ from numpy.typing import ArrayLike
 
 from soft_tendon_env.mechanics.motion import advance, status
 from soft_tendon_env.mechanics.motion.advance import Control, Record
+from soft_tendon_env.mechanics.motion.period_map import linearised_rollout, make_plan
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.mechanics.terms.external_forces import rest_states
-from soft_tendon_env.model.derivatives import Linearization, Period, linearized
+from soft_tendon_env.model.derivatives import Linearization, linearized
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.rollout import Rollout, checked_plan, roll_out
 from soft_tendon_env.model.state import SHORTEST, State, checked_motion, state_of
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.step_control import Command, cause_of, command_table, linear_rate, step_control, step_method
@@ -24,7 +23,6 @@ from soft_tendon_env.model.tension_limits import warn_beyond_limits
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type, shown_numbers
 from soft_tendon_env.tools.types import Array
 
-SAMPLES_AT_ONCE = 100
 STEPS_LOGGED = 4096  # of a period that is linearised
 MOST_STEPS = 2 * 10**6  # of one call, whose commands and samples are kept
 
@@ -44,14 +42,6 @@ class SimulationDiverged(RuntimeError):
 class NoEquilibriumError(ValueError):
     """Raised where an arm is to begin at rest, and comes to rest nowhere under its loads and tensions."""
 
-    def __init__(self, name: str, tension: Array, reason: str) -> None:
-        super().__init__(name, tension, reason)  # what it is pickled as
-        self.name, self.tension, self.reason = name, tension, reason
-
-    def __str__(self) -> str:
-        text = f"{self.name!r} is at rest nowhere under its loads and tensions {shown_numbers(self.tension)} N: {self.reason}"
-        return f"{text}. Give an initial state: that of Simulation(model) is the stress-free shape"
-
 
 class StepReport(NamedTuple):
     """Statistics of one call of `Simulation.step`: accepted and rejected integrator steps, the estimated error, and what it all cost."""
@@ -59,7 +49,7 @@ class StepReport(NamedTuple):
     steps: int  # accepted
     rejected: int  # steps that failed and were tried again at a smaller size
     error: float  # [m], sum of the estimated errors of the steps, as root mean square displacement of the rod
-    evaluations: int  # of the equation of motion, those of rejected steps with them: nearly all of the time that a call takes
+    evaluations: int  # of the equation of motion, those of rejected steps with them
 
 
 class Trajectory(NamedTuple):
@@ -78,8 +68,25 @@ class Trajectory(NamedTuple):
 
     @property
     def tension(self) -> Array:
-        """The commands, by the name that they have where they are tensions [N]."""
+        """The commands, where they are tensions [N]."""
         return self.command
+
+
+class Rollout(NamedTuple):
+    """Simulated motion over N periods and its linearisation: n coordinates, n_a tendons, m internal states of effects, k forces.
+
+    The derivatives are those of a linearly implicit method with the matrices of the period's beginning, see
+    docs/appendix/derivatives_measured.md: 2 to 15 percent of the largest entry off on most arms, all of it at an impact.
+    """
+
+    q: Array  # (N + 1, n) where every period begins, and where the last one ends, as the next four
+    q_dot: Array  # (N + 1, n)
+    effects: Array  # (N + 1, m)
+    tip_pose: Array  # (N + 1, 4, 4)
+    tip_jacobian: Array  # (N + 1, 6, n) body Jacobian
+    by_state: Array  # (N, 2 n, 2 n) of (q, q_dot) at the end of a period by those at its beginning
+    by_tension: Array  # (N, 2 n, n_a) by tensions [N] added throughout it
+    by_force: Array  # (N, 2 n, k) by generalised forces added throughout it
 
 
 class Simulation:
@@ -93,9 +100,6 @@ class Simulation:
         self.reset()
         if state is not None:
             self.state = state
-
-    def __repr__(self) -> str:
-        return f"Simulation({self.model!r} at {self._motion.clock[0]:g} s)"
 
     def reset(
         self,
@@ -111,10 +115,8 @@ class Simulation:
         effects (m,): the effects' internal states, see State; by default those of an arm that tensions (n_a,) [N], by default zero, have
         held at q since long before.
         """
-        n = self.model.coordinate_count
-        clock = np.array([checked_number("time", time, -np.inf, "a finite number")])
-        start = np.zeros(n) if q is None else checked_array("q", q, (n,))
-        rate = np.zeros(n) if q_dot is None else checked_array("q_dot", q_dot, (n,))
+        still, clock = np.zeros(self.model.coordinate_count), np.array([checked_number("time", time, -np.inf, "a finite number")])
+        start, rate = (checked_array(name, still if own is None else own, still.shape) for name, own in (("q", q), ("q_dot", q_dot)))
         held = self.model.command(np.zeros(self.model.tendon_count) if tension is None else tension, start)
         strain, work = self.model.packed_strain(start), self._scratch.work
         if effects is None and work.state.size:
@@ -127,15 +129,16 @@ class Simulation:
     def reset_at_rest(self, tension: ArrayLike | None = None, *, time: float = 0.0) -> State:
         """Resets to the static equilibrium under tensions (n_a,) [N], by default zero, and the loads at time 0; returns the state.
 
-        time: what the state's time is set to [s]. Where the branch of stable equilibria ends the arm is let go to where it settles, see
-        `static_equilibrium`; the stress-free shape where nothing acts. Raises ValueError, TypeError, NoEquilibriumError.
+        time: what the state's time is set to [s]. Where the branch of stable equilibria ends the arm is let go to where it settles.
+        Raises ValueError, TypeError, NoEquilibriumError.
         """
         u = np.zeros(self.model.tendon_count) if tension is None else checked_array("tension", tension, (self.model.tendon_count,))
         if not u.any() and not self.model.arm.effects.load:
             return self.reset(time=time)
         found = static_equilibrium(self.model, u, settle=True)
         if not found.converged:
-            raise NoEquilibriumError(self.model.scene.name, u, found.reason)
+            text = f"{self.model.scene.name!r} is at rest nowhere under its loads and tensions {shown_numbers(u)} N: {found.reason}"
+            raise NoEquilibriumError(f"{text}. Give an initial state: that of Simulation(model) is the stress-free shape")
         return self.reset(found.q, time=time, tension=u)
 
     @property
@@ -155,8 +158,7 @@ class Simulation:
     def step(self, command: ArrayLike, duration: float) -> StepReport:
         """Integrates over `duration` [s] in equal steps of at most the scene's, under a constant command (n_a,), see `Model.command_unit`.
 
-        Beyond `tension_limits` it is taken as it is, with a TensionLimitWarning. Raises ValueError or TypeError before anything changes,
-        `SimulationDiverged` with the state before the failing step.
+        Beyond `tension_limits` it is taken as it is, with a TensionLimitWarning. Raises ValueError, TypeError, `SimulationDiverged`.
         """
         u = checked_array("command", command, (self.model.tendon_count,))
         duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
@@ -172,9 +174,8 @@ class Simulation:
 
         Central differences with the integrator's steps held: a coordinate is moved by 1e-4 of its unit, `Model.coordinate_scale`, a rate
         by three times that a second, a command by 1e-4 of its limit, an internal state by 1e-4 of itself; among obstacles by a hundredth of
-        these. The error is below 1e-6 of the largest entry of a block where the motion is smooth. At a kink, as where a tendon
-        goes slack, both sides are mixed; where one side jumps or fails, the other one counts. What a delayed command that repeats the last
-        one changes later is missing. Raises what `step` raises, LinAlgError where both sides fail.
+        these. The error is below 1e-6 of the largest entry of a block where the motion is smooth. At a kink both sides are mixed; where one
+        side jumps or fails, the other one counts. Raises what `step` raises, LinAlgError where both sides fail.
         """
         start, step = self._motion.copy(), self._step
         try:
@@ -182,7 +183,7 @@ class Simulation:
                 raise ValueError(f"duration should be of at most {STEPS_LOGGED} integrator steps, not {steps}")
             inputs = np.concatenate([start.q, start.q_dot, start.state, np.asarray(command, dtype=np.float64)])
             taken = self._scratch.taken[:steps].copy() if steps else np.array([[0.0, self._method.columns]])
-            return linearized(self.model, Period(start, inputs, taken), self.state)
+            return linearized(self.model, start, inputs, taken, self.state)
         finally:
             self._take(start.copy(), step)
 
@@ -190,22 +191,28 @@ class Simulation:
         """Simulated motion over N periods from the present state, with its linearisation; leaves the simulation where it was.
 
         commands (N, n_a), each held for `duration` [s], or (N, p, n_a) of p parts of a period with durations (p,) [s]. forces (n, k):
-        generalised forces by which to differentiate besides. steps: implicit steps of a period that the linearisation takes, by default as
-        many as resolve the slowest vibration.
-
-        Raises ValueError, TypeError, `SimulationDiverged` where the motion ends, LinAlgError where there is no linearisation.
+        generalised forces by which to differentiate besides. steps: of a period that the linearisation takes, by default as many as resolve
+        the slowest vibration. Raises ValueError, TypeError, `SimulationDiverged`, LinAlgError where there is no linearisation.
         """
-        plan = checked_plan(self.model, commands, duration, forces)
+        n, n_a = self.model.coordinate_count, self.model.tendon_count
+        parts = np.atleast_1d(checked_array("duration", duration, (None,) * np.ndim(duration)))
+        played = checked_array("commands", commands, (None, n_a) if np.ndim(duration) == 0 else (None, parts.size, n_a))
+        others = np.empty((n, 0)) if forces is None else checked_array("forces", forces, (n, None))
+        checked_number("duration", float(parts.min(initial=0.0)), 0.0, "a number of seconds, at least 0")
+        checked_number("duration", float(parts.sum()), SHORTEST, "a positive number of seconds")
+        plan = make_plan(self.model.arm, checked_count("commands", len(played), 1), parts.size, others)
+        plan.command[:], plan.duration[:] = played.reshape(plan.command.shape), parts
         warn_beyond_limits(self._limits, plan.command, self.model.command_unit)
         period, motion = float(plan.duration.sum()), self._motion.copy()
         steps = math.ceil(period * linear_rate(self.model)) if steps is None else checked_count("steps", steps, 1)
         control = step_control(self.model, period)
-        code, row, found = roll_out(self.model.arm, advance.Scheme(self._method, control), motion, steps, self._scratch, plan)
+        code, row = linearised_rollout(self.model.arm, advance.Scheme(self._method, control), motion, steps, self._scratch, plan)
         if code != status.OK:
             raise self._diverged(code, motion, plan.command[min(row, len(plan.command) - 1), 0], control)
         if not np.isfinite(plan.jacobian).all():
             raise np.linalg.LinAlgError("there is no linearisation of this motion: the matrix of an implicit step is singular")
-        return found
+        by = np.split(plan.jacobian, [2 * n, 2 * n + n_a], axis=2)
+        return Rollout(plan.q, plan.q_dot, plan.state, plan.tip_pose, plan.tip_jacobian, *by)
 
     @property
     def tip_pose(self) -> Array:
@@ -223,32 +230,21 @@ class Simulation:
         raise self._diverged(done.status, self._motion, commands[done.row], control)
 
     def _diverged(self, code: int, motion: Motion, command: Array, control: Control) -> SimulationDiverged:
-        """The error of a status; `motion` is the last good one."""
         cause = cause_of(code, self.model, control)
         if code == status.NO_STRAIN:
             cause += f"; in the last good state {nearest_limit(self.model.arm, self.model.grid, motion.q, motion.xi)}"
         return SimulationDiverged(state_of(self.model, motion, self._step), cause, command, self.model.command_unit)
 
 
-def simulate(
-    model: Model,
-    command: Command,
-    duration: float,
-    sample_period: float,
-    initial: State | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> Trajectory:
+def simulate(model: Model, command: Command, duration: float, sample_period: float, initial: State | None = None) -> Trajectory:
     """Simulates `duration` [s] and samples the motion every `sample_period` [s].
 
-    command: tensions [N], or what the scene's effects take in their place, see `Model.command_unit`: an array (n_a,) held throughout, a
-    table (duration / sample_period, n_a) of which each row is held over one sample period, or a function of time [s] that is sampled at
-    the middle of each integrator step and held over it (second order, and jumps at the borders of steps stay exact). Beyond
-    `tension_limits` commands are taken as they are, with a TensionLimitWarning.
-    initial: the state to start from, by default at rest without tension under the loads at time 0, see `Simulation.reset_at_rest`;
-    `Simulation(model).state` is the stress-free shape. progress: called with the simulated time [s] now and then.
+    command, see `Model.command_unit`: an array (n_a,) held throughout, a table (duration / sample_period, n_a) of which each row is held
+    over one sample period, or a function of time [s] that is sampled at the middle of each integrator step and held over it (second
+    order, and jumps at the borders of steps stay exact). Beyond `tension_limits` it is taken as it is, with a TensionLimitWarning.
+    initial: the state to start from, by default at rest without tension; `Simulation(model).state` is the stress-free shape.
 
-    Raises ValueError or TypeError for bad input before anything is computed, NoEquilibriumError where no initial state is given and the
-    arm rests nowhere, `SimulationDiverged`.
+    Raises ValueError or TypeError before anything is computed, NoEquilibriumError where the arm rests nowhere, `SimulationDiverged`.
     """
     simulation = Simulation(model, initial)
     period = checked_number("sample_period", sample_period, SHORTEST, "a positive number of seconds")
@@ -261,19 +257,13 @@ def simulate(
     commands = command_table(model, command, simulation.state.time, samples, round(period / control.step), control.step)
     warn_beyond_limits(simulation._limits, commands, model.command_unit)
     start = simulation.reset_at_rest() if initial is None else simulation.state
-    record = Record(*(np.zeros((samples + 1, *shape)) for shape in ((start.q.size,), (start.q.size,), (4, 4))))
-    record.tip_pose[:] = np.eye(4)
-    record.q[0], record.q_dot[0], record.tip_pose[0] = start.q, start.q_dot, simulation.tip_pose
-    reports = []
-    for first in range(0, samples, SAMPLES_AT_ONCE):
-        rows = slice(first, min(first + SAMPLES_AT_ONCE, samples))
-        part = Record(*(values[rows.start + 1 : rows.stop + 1] for values in record))
-        reports.append(simulation._run(commands[rows].reshape(-1, model.tendon_count), control, part))
-        if progress is not None:
-            progress(rows.stop * period)
-    totals = (sum(values) for values in zip(StepReport(0, 0, 0.0, 0), *reports, strict=True))
+    record = Record(*(np.repeat(own[None], samples + 1, axis=0) for own in (start.q, start.q_dot, simulation.tip_pose)))
+    report = StepReport(0, 0, 0.0, 0)
+    if samples:
+        report = simulation._run(commands.reshape(-1, model.tendon_count), control, Record(*(values[1:] for values in record)))
     times = start.time + period * np.arange(samples + 1, dtype=np.float64)
-    return Trajectory(times, *record, commands, simulation.state, *totals)
+    steps, rejected, error, evaluations = report
+    return Trajectory(times, *record, commands, simulation.state, steps, rejected, error, evaluations)
 
 
 def _check_length(duration: float, control: Control) -> None:

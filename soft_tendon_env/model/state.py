@@ -15,8 +15,7 @@ from soft_tendon_env.tools.checks import checked_array, checked_number, checked_
 from soft_tendon_env.tools.files import read_arrays
 from soft_tendon_env.tools.types import Array
 
-SAME_STRAIN = 1e-6
-"""Relative difference up to which a state's strain counts as that of its coordinates."""
+SAME_STRAIN = 1e-6  # relative difference up to which a state's strain counts as that of its coordinates
 SHORTEST = 1e-12  # [s], what may count as a time step
 STATE = "state that State.save wrote"
 
@@ -25,26 +24,19 @@ STATE = "state that State.save wrote"
 class State:
     """State of a simulation, everything that the next step depends on: a saved state continues bit for bit.
 
-    time [s]; q, q_dot (n,) coordinates and rates; strain (points, 6) at the quadrature points, from which the next solution starts;
-    step [s] the size to try next, where steps follow a tolerance: those of fixed size begin with the scene's; effects (m,) the internal
-    states of the scene's effects, one after the other; names: which effects these are of, see `Model.state_names`.
+    Internal states of other effects, as many as the scene's, are not told apart from these.
     """
 
-    time: float
-    q: Array
-    q_dot: Array
-    strain: Array
-    step: float
-    effects: Array = field(default_factory=lambda: np.zeros(0))
-    names: tuple[str, ...] = ()
-
-    def __repr__(self) -> str:
-        return f"State(at {self.time:g} s, {self.q.size} coordinates, {self.effects.size} internal states)"
+    time: float  # [s]
+    q: Array  # (n,) coordinates
+    q_dot: Array  # (n,) rates
+    strain: Array  # (points, 6) at the quadrature points, from which the next solution starts
+    step: float  # [s], the size to try next, where steps follow a tolerance
+    effects: Array = field(default_factory=lambda: np.zeros(0))  # (m,) internal states of the scene's effects, one after the other
 
     def save(self, path: str | Path) -> None:
         """Saves the state to an .npz file."""
         with open(path, "wb") as file:
-            # names first: a damaged length in an archive hides what comes behind it, which then is missing
             np.savez(file, **{own.name: getattr(self, own.name) for own in reversed(fields(self))})
 
     @classmethod
@@ -52,8 +44,7 @@ class State:
         """Loads a state that `save` wrote. Raises TypeError, OSError or ValueError."""
         saved = read_arrays(path, [own.name for own in fields(cls)], STATE)
         try:
-            time, step = float(saved.pop("time")), float(saved.pop("step"))
-            return cls(time=time, step=step, names=tuple(map(str, saved.pop("names"))), **saved)
+            return cls(time=float(saved.pop("time")), step=float(saved.pop("step")), **saved)
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path} holds no {STATE}: {error}") from error
 
@@ -62,10 +53,7 @@ def checked_motion(model: Model, state: State) -> tuple[Motion, float]:
     """Motion of a state, in arrays of its own, and the step [s] to try next. Raises TypeError, ValueError where it is not of the model."""
     checked_type("state", state, State, "see Simulation.state")
     q, q_dot = (checked_array(f"state.{name}", getattr(state, name), (model.coordinate_count,)) for name in ("q", "q_dot"))
-    strain = checked_array("state.strain", state.strain, (model.grid.point_count, 6))
-    if tuple(state.names) != model.state_names:
-        own, given = (" + ".join(names) or "no effects with states" for names in (model.state_names, state.names))
-        raise ValueError(f"state.names should be those of the model's states, {own}; this state is of {given}")
+    strain = checked_array("state.strain", state.strain, (2 * int(model.grid.real.sum()), 6))
     effects = checked_array("state.effects", state.effects, model.arm.effects.state.shape)
     clock = np.array([checked_number("state.time", state.time, -np.inf, "a finite number")])
     motion = Motion(q, q_dot, model.grid.packed(strain), effects, clock)
@@ -81,4 +69,4 @@ def checked_motion(model: Model, state: State) -> tuple[Motion, float]:
 def state_of(model: Model, motion: Motion, step: float) -> State:
     """State of a motion, its arrays copied, with the step [s] to try next."""
     strain, effects = model.grid.unpacked(motion.xi), motion.state.copy()
-    return State(float(motion.clock[0]), motion.q.copy(), motion.q_dot.copy(), strain, step, effects, model.state_names)
+    return State(float(motion.clock[0]), motion.q.copy(), motion.q_dot.copy(), strain, step, effects)

@@ -1,7 +1,6 @@
 """Static equilibria: solve B u - K + F = 0 of (23) for the coordinates q at given tensions u, for every strain parametrisation.
 
-A loaded arm may have many equilibria. The one found is where a slowly loaded arm goes: the end of the path that begins at the
-unloaded arm and along which tensions and effects grow together, see load_continuation.
+Of many equilibria the one found is where a slowly loaded arm goes, see load_continuation.
 """
 
 from __future__ import annotations
@@ -25,12 +24,9 @@ from soft_tendon_env.tools.checks import checked_array, checked_type
 from soft_tendon_env.tools.types import Array
 
 MOST_COMMANDED = 50
-SAME_TENSION = 1e-11
-"""Relative difference of two tensions that counts as none, or of the rod's length where a spring of a tendon is that much longer."""
-CONTRACTION = 0.5
-"""Contraction from a correction to the next above which Newton's method with the stiffness of another equilibrium is given up."""
-SEEN = 1e-4
-"""Share of the rod's length: how far redundant tendons may leave the tip off without a warning."""
+SAME_TENSION = 1e-11  # relative difference of two tensions, or of the rod's length as a spring of a tendon is longer, that counts as none
+CONTRACTION = 0.5  # from a correction to the next, above which Newton's method with the stiffness of another equilibrium is given up
+SEEN = 1e-4  # share of the rod's length: how far redundant tendons may leave the tip off without a warning
 
 
 class RedundancyWarning(UserWarning):
@@ -42,10 +38,9 @@ class Equilibrium(NamedTuple):
 
     Where `converged` is false, q is the last equilibrium on the path from the unloaded arm to the full load, and `reason` says why the
     path goes no further. `residual` is the angle [rad] by which the unbalanced force would bend a rod as stiff as this one:
-    sqrt(f^T G^-1 f / (E_1 + q^T G q)), with E_1 from a rod bent by one radian. `stable`: the energy has a minimum (a flat one, where a
-    symmetric arm has buckled to any side) or, for loads without a potential, motions M q_ddot + D q_dot + S q = 0 do not grow.
-    `tip_error`: redundant tendons share coordinates, and what the tensions do besides, to the bent arm alone, is left out of the strain:
-    the distance from tip_pose to the tip with all of the tensions in the strain, where the arm rests if no effects act outside of it.
+    sqrt(f^T G^-1 f / (E_1 + q^T G q)), with E_1 from a rod bent by one radian. `stable`: the energy has a minimum, maybe a flat one, or,
+    for loads without a potential, motions M q_ddot + D q_dot + S q = 0 do not grow. `tip_error`: redundant tendons share coordinates, and
+    what the tensions do besides is left out of the strain: the distance from tip_pose to the tip with all of them in the strain.
     """
 
     q: Array  # (n,)
@@ -66,8 +61,8 @@ def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None
     to its end; loads inside of the strain are there from its beginning. Where it ends before the full load (at a limit point, a
     bifurcation, at flutter, at the strain limit) the result is not `converged`, and tells the load reached and the reason.
 
-    guess: coordinates (n,) to start Newton's method from at the full load, in place of the branch: the equilibrium next to them is
-        found, stable or not, whether the branch leads there or not. Where there is none the branch is followed.
+    guess: coordinates (n,) to start Newton's method from at the full load: the equilibrium next to them is found, stable or not. Where
+        there is none the branch is followed.
     settle: where the branch ends let the arm go, with damping and without inertia, to where it comes to rest, and load it further.
 
     Beyond `tension_limits` tensions are taken as they are, with a TensionLimitWarning. Raises ValueError or TypeError for arrays of wrong
@@ -129,8 +124,8 @@ def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium
     """Static equilibrium under a command (n_a,), and the tensions (n_a,) [N] that hold it: with elastic tendons the command are their
     actuators' displacements [m], of which tensions depend on the shape, otherwise the tensions themselves.
 
-    Newton's method on the tensions from an arm without any, every linear step of it within what tendons and actuators can hold. Where it
-    finds none, `converged` is false. Raises as `static_equilibrium`.
+    Newton's method on the tensions, every linear step of it within what tendons and actuators can hold. Where it finds none, `converged`
+    is false. Raises as `static_equilibrium`.
     """
     checked_type("model", model, Model, "see build_model")
     given, path, n_a = checked_array("command", command, (model.tendon_count,)), model.arm.effects.transmission, model.tendon_count
@@ -157,7 +152,7 @@ def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium
 
 
 class ChordSolver:
-    """Static equilibria near one that is known, by Newton's method with its stiffness (chord iteration): to follow tensions that change.
+    """Static equilibria near one that is known, by Newton's method with its stiffness (chord iteration).
 
     answer (n, n_a): dq/du = S^-1 B there; terms: of the equation of motion, there. Raises StrainLimitError where there is no strain.
     """
@@ -165,16 +160,16 @@ class ChordSolver:
     def __init__(self, model: Model, q: Array, tension: Array) -> None:
         self.model, self.q, self.tension, self._known = model, q, tension, rests_at_tensions(model)
         self.terms = model.terms(q, np.zeros_like(q), tension)
-        self._compliance = np.linalg.pinv(self.terms.stiffness) if self._known else self._inverse_stiffness()
+        if self._known:
+            self._compliance = np.linalg.pinv(self.terms.stiffness)
+        else:
+            with model.workspace() as work:
+                balance = Balance(model, tension, work)
+                here = balance.linearised(q, 1.0)
+            if here is None:
+                raise StrainLimitError(balance.obstacle)
+            self._compliance = here.compliance
         self.answer: Array = self._compliance @ self.terms.actuation
-
-    def _inverse_stiffness(self) -> Array:
-        with self.model.workspace() as work:
-            balance = Balance(self.model, self.tension, work)
-            here = balance.linearised(self.q, 1.0)
-        if here is None:
-            raise StrainLimitError(balance.obstacle)
-        return here.compliance
 
     @property
     def tip_jacobian(self) -> Array:
@@ -182,10 +177,7 @@ class ChordSolver:
         return np.asarray(self.terms.tip_jacobian @ self.answer)
 
     def at(self, tension: Array) -> tuple[Array, Array] | None:
-        """Coordinates (n,) and tip pose (4, 4) of the equilibrium under other tensions (n_a,); None where there is none.
-
-        Where Newton's method with the old stiffness does not converge, that of `static_equilibrium` is found.
-        """
+        """Coordinates (n,) and tip pose (4, 4) of the equilibrium under other tensions (n_a,); None where there is none."""
         q = self.model.rest_coordinates(tension) if self._known else self.q + self.answer @ (tension - self.tension)
         with self.model.workspace() as work:
             balance, size = Balance(self.model, tension, work), np.inf

@@ -16,23 +16,17 @@ from soft_tendon_env.scene.scene import extrapolation_columns
 from soft_tendon_env.tools.checks import checked_array, dimensions
 from soft_tendon_env.tools.types import Array
 
-UNSTABLE = 0.05
-"""Estimated error of one step, as displacement over the rod's length, that a step of fixed size may have."""
-STRAIN_SHARE, LOOSEST_STRAIN = 2.0, 3e-6
-"""Tolerance of the strain's Newton within a step, as a share of the step's over the rod's length, and the most: columns are as far off as
-that, the strain by the square. With more, two ways of computing one motion, as a latency of an environment and a delay of its scene, come
-apart by more than a millionth of the position error."""
+UNSTABLE = 0.05  # estimated error, as displacement over the rod's length, that a step of fixed size may have
+STRAIN_SHARE, LOOSEST_STRAIN = 2.0, 3e-6  # tolerance of the strain's Newton, as a share of the step's over the rod's length, and the most
 BESIDE_MIDDLE, UNRESOLVED = 0.5 / np.sqrt(3.0), 0.05
-"""Place in a step, as a share of it from its middle, where a command that is a function of time is looked at besides: a Gauss point, which
-no period that fits into steps hits; and the share of its range that it may change there otherwise than from step to step."""
-RESOLVED = 0.3
-"""Phase [rad] of the slowest vibration that one step of a linearised motion may cover."""
-
+"""Place in a step from its middle where a command that is a function of time is looked at besides, a Gauss point, which no period that fits
+into steps hits; and the share of its range that it may change there otherwise than from step to step."""
+RESOLVED = 0.3  # [rad], phase of the slowest vibration that one step of a linearised motion may cover
 Command = ArrayLike | Callable[[float], ArrayLike]
 
 
 def cause_of(code: int, model: Model, control: Control) -> str:
-    """The message of a status. With error control, that of an estimate says which tolerance could not be met."""
+    """The message of a status, which says the tolerance that could not be met."""
     if code != status.INACCURATE or not control.adaptive:
         return status.MESSAGES[code]
     settings = f"steps of {control.smallest:.2g} s, {model.scene.integrator.max_halvings} halvings"
@@ -88,11 +82,8 @@ def command_table(model: Model, command: Command, start: float, samples: int, pe
         inside = _sampled(command, middles + BESIDE_MIDDLE * step, model.tendon_count) - held
         missed = np.minimum(np.abs(inside), np.abs(inside - BESIDE_MIDDLE * np.gradient(held, axis=0))).max(axis=1)
         if missed.max() > UNRESOLVED * np.ptp(held, axis=0).max():
-            where = f"at {middles[np.argmax(missed)]:.6g} s by {missed.max():.3g} {model.command_unit} more than from step to step"
-            text = (
-                f"command(t) changes within integrator steps of {step:g} s, over which it is held, {where}: use a shorter integrator.step"
-            )
-            warnings.warn(f"{text}; jumps belong to borders of steps", CommandWarning, stacklevel=3)
+            text = f"command(t) changes within integrator steps of {step:g} s, over which it is held, at {middles[np.argmax(missed)]:.6g} s"
+            warnings.warn(f"{text}: use a shorter integrator.step; jumps belong to borders of steps", CommandWarning, stacklevel=3)
     return held.reshape(shape)
 
 

@@ -6,8 +6,7 @@ from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded
 from soft_tendon_env.model.grid import Grid
 from soft_tendon_env.tools.types import Array
 
-NO_CHORD = 1e-30
-"""A chord |t_c| shorter than this counts as this, not to divide by zero."""
+NO_CHORD = 1e-30  # of |t_c|, not to divide by zero
 
 
 class StrainLimitError(ArithmeticError):
@@ -15,16 +14,13 @@ class StrainLimitError(ArithmeticError):
 
 
 def limit_at(arm: Arm, grid: Grid, block: int, q: Array, xi: Array, reached: float) -> str:
-    """Message about what ended a search for the strain at a block, see mechanics: the loads inside of it, or `nearest_limit`."""
+    """Message about what ended a search for the strain at a block, see mechanics."""
     buckles = "the arm buckles under the loads inside of its strain (strain.include_loads)"
     return buckles if block == 2 * grid.packs else nearest_limit(arm, grid, q, xi, reached)
 
 
 def nearest_limit(arm: Arm, grid: Grid, q: Array, xi: Array, reached: float = 1.0) -> str:
-    """Message that names the tendon and the place along the rod nearest to the limit of what the section can balance.
-
-    xi is the strain field where this part of q (n,) was `reached`; where nothing was, all of q tells which tendon it is.
-    """
+    """Message that names the tendon and place nearest to the limit of what the section can balance; xi: where a part of q was reached."""
     rod, strain, tendons = arm.rod, arm.strain, arm.tendons
     if isinstance(strain, Explicit):
         return "an explicit strain has no such limit"

@@ -9,8 +9,7 @@ import numpy as np
 
 from soft_tendon_env.tools.types import Array
 
-ROUND_OFF = 1e-9
-"""Share of its range by which a command may be beyond it."""
+ROUND_OFF = 1e-9  # share of its range by which a command may be beyond it
 _erring = ContextVar("_erring", default=False)
 
 
@@ -29,17 +28,15 @@ def erring_actuators() -> Iterator[None]:
 
 
 def warn_beyond_limits(limits: Sequence[Sequence[float]], asked: Array, unit: str = "N") -> None:
-    """Warns where commands (.., n_a) are beyond their limits (n_a, 2), of the first tendon; in words that do not change from call to call,
-    so that Python says them once."""
-    if asked.ndim == 1:
-        low = high = asked.tolist()
-    else:
-        rows = asked.reshape(-1, len(limits))
-        low, high = rows.min(axis=0, initial=np.inf).tolist(), rows.max(axis=0, initial=-np.inf).tolist()
+    """Warns where commands (.., n_a) are beyond their limits (n_a, 2), of the first tendon, in words that do not change."""
+    rows = asked.reshape(-1, len(limits))
+    low, high = (asked.tolist(),) * 2 if asked.ndim == 1 else (rows.min(axis=0, initial=np.inf), rows.max(axis=0, initial=-np.inf))
     for i, (least, greatest) in enumerate(limits):
-        if not (low[i] < least or high[i] > greatest):
-            continue
-        if max(least - low[i], high[i] - greatest) > ROUND_OFF * (greatest - least) and not _erring.get():
+        if (
+            (low[i] < least or high[i] > greatest)
+            and max(least - low[i], high[i] - greatest) > ROUND_OFF * (greatest - least)
+            and not _erring.get()
+        ):
             text = f"tendons[{i}] goes beyond its tension_limits, {least:g} to {greatest:g} {unit}: computed as asked"
             warnings.warn(f"{text}, where actuators and environments stop at the limit", TensionLimitWarning, stacklevel=3)
             return

@@ -2,7 +2,6 @@
 
 import os
 from pathlib import Path
-from typing import Any
 
 import tomli_w
 
@@ -26,24 +25,18 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
     """
     if not isinstance(name_or_path, str | os.PathLike):
         raise TypeError(f"name_or_path should be the name of a shipped scene or the path of a TOML file, not {type(name_or_path).__name__}")
-    path = Path(name_or_path)
+    name, path = os.fspath(name_or_path), Path(name_or_path)
     if path.suffix != ".toml":
-        name = os.fspath(name_or_path)
         if name not in scene_names():
             text = f"is neither the path of a .toml file nor a scene that ships: {not_among(name, scene_names())}"
             raise ConfigurationError([Problem((), text)], repr(name))
         path = SHIPPED / f"{name}.toml"
     values = read_toml(path)
-    _resolve_files(values, path.parent)
-    return Scene.parse(values, str(path))
-
-
-def _resolve_files(values: dict[str, Any], folder: Path) -> None:
-    """Make the path of a file that a scene names absolute: it is relative to the folder of the scene's own."""
-    strain = values.get("strain", {})
+    strain = values.get("strain")
     table = strain.get("passive") if isinstance(strain, dict) else None
-    if isinstance(table, dict) and isinstance(table.get("file"), str):
-        table["file"] = str((folder / table["file"]).absolute())
+    if isinstance(table, dict) and isinstance(table.get("file"), str):  # relative to the scene's own
+        table["file"] = str((path.parent / table["file"]).absolute())
+    return Scene.parse(values, str(path))
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:

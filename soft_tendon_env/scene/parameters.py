@@ -1,5 +1,4 @@
-"""Parameters of a scene: its numbers by dotted keys with wildcards, as identification fits them and derivatives vary them; and ranges of
-them, of values, factors or offsets, as domain randomisation draws them."""
+"""Parameters of a scene: its numbers by dotted keys with wildcards, and ranges of them as domain randomisation draws them."""
 
 import contextlib
 import re
@@ -19,9 +18,8 @@ FIXED = {
     r"tendons\.\d+\.tension_limits\.\d": "it bounds the commands, and nothing changes with it in between",
 }
 """Patterns of keys whose numbers are no parameters, and why."""
-KINDS = ("factor", "offset")
-"""Kinds of ranges that are relative to the scene's number."""
-NUMBER = "a number, or (least, greatest)"
+KINDS = ("factor", "offset")  # of ranges, relative to the scene's number
+NUMBER = "a number, or (least, greatest): the least should come first"
 
 
 class Parameter(NamedTuple):
@@ -68,20 +66,15 @@ def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...
     `"tendons.3.routing.offset.0"`, `"effects.gravity.acceleration.2"`.
 
     Any number of `[[segments]]`, `[[tendons]]` and `[effects]` can be one, but for lengths of segments and ends and limits of
-    tendons. An effect that does nothing unless it is told to, as a tip load, need not be in the scene. Raises TypeError for what is no
-    text, ConfigurationError for keys of anything else, with those that there are.
+    tendons. An effect that does nothing unless it is told to, as a tip load, need not be in the scene. Raises ConfigurationError for keys
+    of anything else, with those that there are.
     """
-    if isinstance(names, str) or not isinstance(names, Iterable):
-        raise TypeError(f"keys should be several dotted keys, such as ['segments.*.young_modulus'], not {shown(names)}")
     entries = _entries(scene)
     return tuple(_parameter(name, entries) for name in names)
 
 
 def scene_with_numbers(scene: Scene, changes: Mapping[str, float]) -> Scene:
-    """The scene with other numbers by dotted keys, among them those of effects that it lacks, see `scene_parameters`.
-
-    Raises ConfigurationError.
-    """
+    """The scene with other numbers by dotted keys, also of effects that it lacks, see `scene_parameters`. Raises ConfigurationError."""
     named = {key.split(".")[1] for key in changes if key.startswith("effects.")} - scene.effects.chosen().keys()
     return scene.replace({**{f"effects.{name}": own for name, own in _idle_effects(named).items()}, **changes})
 
@@ -96,10 +89,9 @@ def dotted_ranges(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def ranges_of(scene: Scene, wanted: Mapping[str, Any]) -> tuple[Range, ...]:
-    """Ranges by dotted keys of a scene, checked against it; of a vector a list with one for each entry.
+    """Ranges by dotted keys of a scene, of a vector a list with one for each entry.
 
-    Raises ConfigurationError for keys that are no numbers of the scene, with those that there are, for what is no range, and for a number
-    that two of them draw.
+    Raises ConfigurationError for keys that are no numbers of the scene, for what is no range, and for a number that two of them draw.
     """
     entries, found, drawn = _entries(scene), list[Range](), dict[str, str]()
     for name, value in wanted.items():
@@ -122,7 +114,6 @@ def ranges_of(scene: Scene, wanted: Mapping[str, Any]) -> tuple[Range, ...]:
 
 
 def _entries(scene: Scene) -> dict[str, Any]:
-    """Entries of the arm's tables by dotted keys, with those of effects that do nothing by default."""
     table = scene_to_dict(scene, {*TABLES})
     return dict(_leaves({**table, "effects": {**_idle_effects(EFFECTS), **table["effects"]}}))
 
@@ -138,7 +129,6 @@ def _idle_effects(names: Iterable[str]) -> dict[str, Any]:
 
 
 def _leaves(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted keys and values of nested plain tables and arrays."""
     if not isinstance(node, dict | list):
         yield key.removeprefix("."), node
         return
@@ -153,29 +143,21 @@ def _matching(name: str, entries: Mapping[str, Any]) -> list[str]:
 
 
 def _misfit(key: str, value: Any) -> str:
-    """Reason why an entry is no parameter; empty where it is one."""
+    """Reason why an entry is no parameter."""
     fixed = next((reason for pattern, reason in FIXED.items() if re.fullmatch(pattern, key)), "")
     return fixed or ("" if isinstance(value, float) else f"{shown(value)} is no number, or a whole one")
 
 
 def _parameter(name: str, entries: Mapping[str, Any]) -> Parameter:
-    if not isinstance(name, str):
-        raise TypeError(f"a parameter should be a dotted key such as 'segments.*.young_modulus', not {shown(name)}")
     keys = _matching(name, entries)
     if not keys and name in entries:
         _fail(name, f"is no parameter: {_misfit(name, entries[name])}")
     if not keys:
         valid = {re.sub(r"\.\d+(?=\.|$)", ".*", key) for key, value in entries.items() if not _misfit(key, value)}
         _fail(name, f"is no number of the scene: {not_among(name, valid)}")
-    arrays = {_array_of(key) for key in keys}
-    size = max(abs(value) for key, value in entries.items() if isinstance(value, float) and _array_of(key) in arrays)
+    arrays = {re.sub(r"\.\d+$", "", key) for key in keys}  # of a number of its own the key itself
+    size = max(abs(value) for key, value in entries.items() if isinstance(value, float) and re.sub(r"\.\d+$", "", key) in arrays)
     return Parameter(name, tuple(keys), tuple(entries[key] for key in keys), size)
-
-
-def _array_of(key: str) -> str:
-    """Key of the array that a number stands in, of a number of its own the key itself."""
-    head, _, last = key.rpartition(".")
-    return head if last.isdecimal() else key
 
 
 def _is_relative(value: Any) -> bool:
@@ -185,10 +167,9 @@ def _is_relative(value: Any) -> bool:
 def _interval(key: str, value: Any) -> tuple[float, float]:
     """Least and greatest of a number or a pair. Raises ConfigurationError."""
     pair = value if isinstance(value, list | tuple) else (value, value)
-    if len(pair) != 2 or not all(isinstance(end, int | float) and not isinstance(end, bool) and np.isfinite(end) for end in pair):
+    is_real = [isinstance(end, int | float) and not isinstance(end, bool) and np.isfinite(end) for end in pair]
+    if is_real != [True, True] or pair[0] > pair[1]:
         _fail(key, f"has {shown(value)}: it should be {NUMBER}")
-    if pair[0] > pair[1]:
-        _fail(key, f"has {shown(value)}: the least should come first")
     return float(pair[0]), float(pair[1])
 
 

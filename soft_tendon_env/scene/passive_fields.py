@@ -1,8 +1,7 @@
 """Passive fields from snapshots (proper orthogonal decomposition): their file, and which of those there are fit a scene.
 
 The fields are wrenches along the rod that its tendons cannot make, most important first; accuracy/proper_orthogonal_fields.py makes them.
-A file says which arm and which tensions and loads they were made for. They are a basis: for another material or load they stay valid, and
-lose accuracy, which is warned of.
+They are a basis: for another material or load than a file says they stay valid, and lose accuracy, which is warned of.
 """
 
 import functools
@@ -22,17 +21,15 @@ from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.scene.file import SHIPPED
 from soft_tendon_env.scene.scene import Scene, breakpoints, tendon_ends
 from soft_tendon_env.scene.strain import SNAPSHOT_ORDER, STRAINS, ExplicitStrain, Snapshots
-from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.files import read_json, replacing
 from soft_tendon_env.tools.types import Array
 from soft_tendon_env.tools.user_cache import data_folders
 
-ALIKE = 2.0
-"""Factor up to which the material may differ from that which fields were made for."""
-MATERIAL = ("young_modulus", "density", "damping")
-"""Properties of a segment that are none of its geometry."""
+ALIKE = 2.0  # factor up to which the material may differ from that which fields were made for
+MATERIAL = ("young_modulus", "density", "damping")  # properties of a segment that are none of its geometry
 SUFFIX = ".fields.json"
-DIGITS = 9  # of the coefficients
+ARRAYS = ("tension_limits", "borders", "singular_values", "coefficients")
 
 
 class FieldsWarning(UserWarning):
@@ -41,19 +38,15 @@ class FieldsWarning(UserWarning):
 
 @dataclass(frozen=True, eq=False)
 class PassiveFields:
-    """Wrench fields along a rod, piecewise Legendre polynomials, the leading ones of a proper orthogonal decomposition.
-
-    The coefficients are moments [N m] and forces [N] of unit energy: int F^T Sigma^-1 F dX = 1. The errors are the largest tip distances
-    [m] from full physics on motions that the fields were not made from.
-    """
+    """Wrench fields along a rod, piecewise Legendre polynomials, the leading ones of a proper orthogonal decomposition."""
 
     arm: Mapping[str, Any]  # tables of segments and tendons that they were made for, see `arm_of`
     tension_limits: Array  # (n_a, 2) [N], within which tensions were drawn
     borders: Array  # (pieces + 1,) arc lengths [m] between the polynomials
-    coefficients: Array  # (fields, pieces, 6, orders)
+    coefficients: Array  # (fields, pieces, 6, orders) moments [N m] and forces [N] of unit energy: int F^T Sigma^-1 F dX = 1
     effects: Effects  # the loads, none or those up to whose size they were drawn, see Effects.sample_smaller
     singular_values: Array  # (fields,), as shares of the first
-    errors: Mapping[str, tuple[float, ...]]  # by kind of motion, for each of the numbers of fields in "fields"
+    errors: Mapping[str, tuple[float, ...]]  # [m] largest of the tip, by kind of motion, for each of the numbers of fields in "fields"
 
     @functools.cached_property
     def digest(self) -> str:
@@ -62,10 +55,8 @@ class PassiveFields:
 
     def needed(self, tolerance: float, motions: Iterable[str]) -> int | None:
         """The fewest fields whose errors on these motions are within the tolerance [m]; None: not even all are, or that is not known."""
-        if not self.errors:
-            return None
-        worst = np.max([self.errors[motion] for motion in motions], axis=0)
-        return next((int(count) for count, error in zip(self.errors["fields"], worst, strict=True) if error <= tolerance), None)
+        worst = np.max([self.errors.get(motion, ()) for motion in motions], axis=0)
+        return next((int(count) for count, error in zip(self.errors.get("fields", ()), worst, strict=True) if error <= tolerance), None)
 
     def at(self, points: Array, count: int | None = None) -> Array:
         """The leading fields, all by default, at arc lengths (...) [m]: (count, ..., 6)."""
@@ -79,7 +70,11 @@ class PassiveFields:
 
     def fits(self, scene: Scene) -> bool:
         """Whether they are of an arm of this geometry."""
-        return _geometry(self.arm) == _geometry(arm_of(scene))
+        own, others = (
+            [{name: None if name in MATERIAL else value for name, value in segment.items()} for segment in arm["segments"]]
+            for arm in (self.arm, arm_of(scene))
+        )
+        return {**self.arm, "segments": own} == {**arm_of(scene), "segments": others}
 
     def misfit(self, scene: Scene) -> str:
         """Difference between the scene and that which they were made for, in words; empty where they fit."""
@@ -87,42 +82,28 @@ class PassiveFields:
             for name, own in ((name, self.arm["segments"][i][name]) for name in MATERIAL):
                 if not own / ALIKE <= getattr(segment, name) <= own * ALIKE:
                     return f"{name} of {own:g} in segment {i}, not {getattr(segment, name):g}"
-        for i, (tendon, (low, high)) in enumerate(zip(scene.tendons, self.tension_limits, strict=True)):
-            (least, greatest), more = tendon.tension_limits, (ALIKE - 1.0) * (high - low)
-            if least < low - more or greatest > high + more:
-                return f"{low:g} to {high:g} N at tendon {i}, not {least:g} to {greatest:g} N"
+        (low, high), limits = self.tension_limits.T, np.array([tendon.tension_limits for tendon in scene.tendons]).T
+        more = (ALIKE - 1.0) * (high - low)
+        if (limits[0] < low - more).any() or (limits[1] > high + more).any():
+            return f"tensions of {low.min():g} to {high.max():g} N, not {limits.min():g} to {limits.max():g} N"
         if not self.effects.includes(scene.effects):
             made, wanted = (effects.model_dump(mode="json", exclude_none=True) for effects in (self.effects, scene.effects))
-            return f"{shown(made) if made else 'no loads'}, not {shown(wanted)}"
+            return f"{made or 'no loads'}, not {wanted}"
         return ""
 
     def save(self, path: Path) -> None:
         """Saves them as JSON. The file appears whole or not at all. Raises OSError."""
-        table = {
-            "arm": self.arm,
-            "tension_limits": self.tension_limits.tolist(),
-            "effects": self.effects.model_dump(mode="json", exclude_none=True),
-            "borders": self.borders.tolist(),
-            "singular_values": [float(f"{value:.4g}") for value in self.singular_values],
-            "errors": {name: [float(f"{value:.4g}") for value in values] for name, values in self.errors.items()},
-            "coefficients": self.coefficients.tolist(),
-        }
+        arrays = {name: getattr(self, name).tolist() for name in ARRAYS}
+        table = {"arm": self.arm, "effects": self.effects.model_dump(mode="json", exclude_none=True), "errors": self.errors, **arrays}
         with replacing(path) as temporary:
             temporary.write_text("{\n" + ",\n".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in table.items()) + "\n}\n")
-
-
-def rounded(coefficients: Array) -> Array:
-    """Coefficients to DIGITS significant digits of the largest of each field."""
-    largest = np.abs(coefficients).max(axis=(1, 2, 3), keepdims=True)
-    unit = 10.0 ** (np.floor(np.log10(np.where(largest > 0.0, largest, 1.0))) + 1 - DIGITS)
-    return np.array([float(f"{value:.{DIGITS}g}") for value in (np.round(coefficients / unit) * unit).ravel()]).reshape(coefficients.shape)
 
 
 def read_fields(path: Path) -> PassiveFields:
     """Fields that `PassiveFields.save` wrote. Raises ValueError, FileNotFoundError."""
     table = read_json(path)
     try:
-        arrays = {name: np.array(table[name], dtype=float) for name in ("tension_limits", "borders", "coefficients", "singular_values")}
+        arrays = {name: np.array(table[name], dtype=float) for name in ARRAYS}
         errors = {name: tuple(values) for name, values in table["errors"].items()}
         fields = PassiveFields(arm=table["arm"], effects=Effects(**table["effects"]), errors=errors, **arrays)
         shape = (fields.singular_values.size, fields.borders.size - 1, 6, SNAPSHOT_ORDER + 1)
@@ -146,51 +127,34 @@ def arm_of(scene: Scene) -> dict[str, Any]:
     return {"segments": segments, "tendons": tendons, "strains": strains, "borders": breakpoints(scene).tolist()}
 
 
-def _geometry(arm: Mapping[str, Any]) -> dict[str, Any]:
-    """Tables of `arm_of` without the material."""
-    segments = [{name: value for name, value in segment.items() if name not in MATERIAL} for segment in arm["segments"]]
-    return {**arm, "segments": segments}
-
-
 def find_fields(scene: Scene, digest: str | None = None) -> PassiveFields | None:
-    """Passive fields of the scene's arm, among those that ship and those in the user's cache; None where there are none.
-
-    Those that were made for the scene's loads go before those made for more, and these before the others. With a digest: those alone.
-    """
+    """Passive fields of the scene's arm that ship or are in the user's cache, those made for its loads first; digest: those alone."""
     paths = [path for folder in (*data_folders("fields"), SHIPPED) for path in sorted(folder.glob(f"*{SUFFIX}"))]
     everything = [_read_once(path, path.stat().st_mtime_ns) for path in paths]
     known = [fields for fields in everything if digest in (None, fields.digest) and fields.fits(scene)]
-
-    def excess(fields: PassiveFields) -> tuple[bool, bool, int]:
-        return bool(fields.misfit(scene)), not scene.effects.includes(fields.effects), len(fields.effects.chosen())
-
-    return min(known, key=excess, default=None)
+    excess = [(bool(own.misfit(scene)), not scene.effects.includes(own.effects), len(own.effects.chosen())) for own in known]
+    return known[excess.index(min(excess))] if known else None
 
 
 def fields_of(scene: Scene) -> PassiveFields:
-    """The passive fields that a scene with `Snapshots` names. Raises ConfigurationError where there are none or they do not fit; warns
-    (FieldsWarning) where they were made for another material or load."""
+    """The passive fields that a scene with `Snapshots` names. Raises ConfigurationError; warns where they were made for other loads."""
     assert not isinstance(scene.strain, ExplicitStrain) and isinstance(scene.strain.passive, Snapshots)
-    table = scene.strain.passive
+    table, key, problem = scene.strain.passive, "file", ""
     try:
         found = find_fields(scene, table.digest) if table.file is None else _read_once(Path(table.file), os.stat(table.file).st_mtime_ns)
     except (OSError, ValueError) as error:
-        raise _refusal(f"is {table.file!r}: {error}", "file") from error
+        found, problem = None, f"is {table.file!r}: {error}"
     if found is None:
-        which = "" if table.digest is None else f" with the digest {table.digest}"
-        raise _refusal(f"names passive fields{which}, and there are none of this arm: `soft-tendon fields SCENE` makes them")
-    if table.digest not in (None, found.digest):
-        raise _refusal(f"is {table.digest!r}, but {table.file} has {found.digest!r}", "digest")
-    if not found.fits(scene):
-        raise _refusal(f"is {table.file!r}: it is of an arm of other segments, tendons, strains or borders", "file")
-    if table.fields > len(found.coefficients):
-        raise _refusal(f"is {table.fields}: there are {len(found.coefficients)} of this arm", "fields")
+        problem = problem or "names passive fields that this arm has not: `soft-tendon fields SCENE` makes them"
+    elif table.digest not in (None, found.digest):
+        key, problem = "digest", f"is {table.digest!r}, but {table.file} has {found.digest!r}"
+    elif not found.fits(scene):
+        problem = f"is {table.file!r}: it is of an arm of other segments, tendons, strains or borders"
+    elif table.fields > len(found.coefficients):
+        key, problem = "fields", f"is {table.fields}: there are {len(found.coefficients)} of this arm"
+    if found is None or problem:
+        raise ConfigurationError([Problem(("strain", "passive", key), problem)])
     if misfit := found.misfit(scene):
         text = f"the passive fields of {scene.name!r} were made for {misfit}: `soft-tendon fields` makes those of this scene"
         warnings.warn(text, FieldsWarning, stacklevel=2)
     return found
-
-
-def _refusal(text: str, *key: str) -> ConfigurationError:
-    """The error of a key of the scene's table `strain.passive`."""
-    return ConfigurationError([Problem(("strain", "passive", *key), text)])

@@ -23,20 +23,25 @@ def one_per_arc_length(values: tuple[float, ...], info: ValidationInfo) -> tuple
     return values
 
 
-class RadiusProfile(Configuration):
+class AlongRod(Configuration):
+    """Base of what varies along the rod: radius profiles of a segment and routings of a tendon."""
+
+    def misfit(self, place: Any) -> str | None:
+        """Error message for what does not fit a segment's length, or a tendon's (first, last) arc lengths [m]; None if it fits."""
+        return None
+
+    def wavelength(self) -> float:
+        """Shortest wavelength [m], which quadrature has to resolve; infinite for a line, twice the least distance of a table."""
+        table = getattr(self, "arc_length", ())
+        return 2 * float(np.diff(table).min()) if table else float("inf")
+
+
+class RadiusProfile(AlongRod):
     """Base of the radius profiles: a radius that varies along its segment."""
 
     @abstractmethod
     def radius_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
         """Radius [m] and its derivative d radius/dX [-] at `arc_length` [m] from the segment's start, both of its shape."""
-
-    def misfit(self, segment_length: float) -> str | None:
-        """Error message for a profile that does not fit a segment of this length [m]; None if it fits."""
-        return None
-
-    def wavelength(self) -> float:
-        """Shortest wavelength [m] of the profile, which quadrature has to resolve; infinite for a line."""
-        return float("inf")
 
 
 class LinearRadius(RadiusProfile):
@@ -81,17 +86,10 @@ class RadiusTable(RadiusProfile):
             return f"should end at the segment's length, {segment_length:g}, but its arc_length ends at {self.arc_length[-1]:g}"
         return None
 
-    def wavelength(self) -> float:
-        return 2 * float(np.diff(self.arc_length).min())
-
-
-def _kind(value: Any) -> str | None:
-    return value.get("type") if isinstance(value, Mapping) else getattr(value, "type", "number")
-
 
 Radius = Annotated[
     Annotated[Length, Tag("number")] | Annotated[LinearRadius, Tag("linear")] | Annotated[RadiusTable, Tag("table")],
-    Discriminator(_kind),
+    Discriminator(lambda value: value.get("type") if isinstance(value, Mapping) else getattr(value, "type", "number")),
 ]
 
 

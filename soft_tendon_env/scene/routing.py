@@ -1,6 +1,5 @@
 """Tendon routings: offset d = (0, y, z) of a tendon from the rod's axis in the section's frame, and its derivative d' = dd/dX.
 
-Offset and slope come from the same function, so that they cannot disagree (a taper's slope is part of d').
 To add a routing, write its class here and name it in `Routing`.
 """
 
@@ -10,15 +9,14 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from soft_tendon_env.scene.radius import one_per_arc_length
-from soft_tendon_env.tools.configuration import Configuration
+from soft_tendon_env.scene.radius import AlongRod, one_per_arc_length
 from soft_tendon_env.tools.types import SHORTEST, Array, Length, NotNegative, Number
 
 Offset = tuple[Number, Number]
 Ends = tuple[float, float]
 
 
-class TendonRouting(Configuration):
+class TendonRouting(AlongRod):
     """Base of the tendon routings. Arc lengths are measured from the rod's base; y, z span the section."""
 
     @abstractmethod
@@ -27,14 +25,6 @@ class TendonRouting(Configuration):
 
         radius, radius_slope: (m,) the rod's radius [m] and d radius/dX [-] there; ends: the tendon's first and last arc length [m].
         """
-
-    def misfit(self, ends: Ends) -> str | None:
-        """Error message for a routing that does not fit a tendon with these ends [m]; None if it fits."""
-        return None
-
-    def wavelength(self) -> float:
-        """Shortest wavelength [m] of the routing along the axis, which quadrature has to resolve; infinite for a line."""
-        return float("inf")
 
 
 class StraightRouting(TendonRouting):
@@ -49,30 +39,15 @@ class StraightRouting(TendonRouting):
 
 
 class ConvergingRouting(TendonRouting):
-    """Converging tendon, along a line through `start_offset` (y, z) [m] at arc length `start` and `end_offset` at `end` [m].
-
-    `start` and `end` default to the tendon's own ends.
-    """
+    """Converging tendon, along a line from `start_offset` (y, z) [m] at its start to `end_offset` at its end."""
 
     type: Literal["converging"] = "converging"
     start_offset: Offset
     end_offset: Offset
-    start: Number | None = None
-    end: Number | None = None
 
     def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
-        start, end = self._anchors(ends)
-        slope = (np.array(self.end_offset) - self.start_offset) / (end - start)
-        return self.start_offset + np.outer(arc_length - start, slope), np.tile(slope, (len(arc_length), 1))
-
-    def misfit(self, ends: Ends) -> str | None:
-        start, end = self._anchors(ends)
-        if end - start >= SHORTEST:
-            return None
-        return f"should have start < end, but they are {start:g} and {end:g}, with at least {SHORTEST:g} m between them"
-
-    def _anchors(self, ends: Ends) -> Ends:
-        return (ends[0] if self.start is None else self.start, ends[1] if self.end is None else self.end)
+        slope = (np.array(self.end_offset) - self.start_offset) / (ends[1] - ends[0])
+        return self.start_offset + np.outer(arc_length - ends[0], slope), np.tile(slope, (len(arc_length), 1))
 
 
 class SurfaceRouting(TendonRouting):
@@ -144,9 +119,6 @@ class TableRouting(TendonRouting):
         if first - slack <= ends[0] and ends[1] <= last + slack:
             return None
         return f"should cover the tendon, {ends[0]:g} to {ends[1]:g}, but its arc_length runs from {first:g} to {last:g}"
-
-    def wavelength(self) -> float:
-        return 2 * float(np.diff(self.arc_length).min())
 
 
 Routing = Annotated[StraightRouting | ConvergingRouting | SurfaceRouting | HelixRouting | TableRouting, Field(discriminator="type")]

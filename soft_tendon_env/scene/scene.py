@@ -1,7 +1,6 @@
 """Scene: configuration of an arm, with its rod, tendons, strain parametrisation, quadrature, integrator and effects.
 
-SI units throughout. Only sources are stored; what follows from them is computed by the functions at the end of this file.
-Every class raises `ConfigurationError` for unknown keys, wrong types and wrong ranges.
+SI units throughout. Every class raises `ConfigurationError` for unknown keys, wrong types and wrong ranges.
 """
 
 import re
@@ -20,8 +19,7 @@ from soft_tendon_env.scene.strain import ExplicitStrain, StaticsBased
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, override
 from soft_tendon_env.tools.types import Array, Length, NotNegative, Positive, TimeStep, Triple
 
-GREATEST_TENSION = 1e9
-"""Largest tension limit [N]."""
+GREATEST_TENSION = 1e9  # [N], of limits
 
 
 def _is_range(limits: tuple[float, float]) -> tuple[float, float]:
@@ -31,21 +29,12 @@ def _is_range(limits: tuple[float, float]) -> tuple[float, float]:
 
 
 TensionLimits = Annotated[tuple[float, float], AfterValidator(_is_range)]
-
-LEAST_TOLERANCE = 1e-11
-"""Least error of a step, in parts of the rod's length, that may be asked for: ten times what the integrator's strains are good to."""
-SAME_PLACE = 1e-9
-"""Arc lengths closer than this fraction of the rod's length are one place."""
-SHORTEST = 4 * SAME_PLACE
-"""Share of the rod's length that a tendon covers at least: both of its ends may be at the place of another, with points between them."""
-
-MOST_INTERVALS = 512
-"""Most quadrature intervals per piece of the rod."""
-MOST_COLUMNS = 6
-"""Most columns of extrapolation: 16 evaluations a step."""
-
-TIP_TOLERANCE = 2.5e-3
-"""Largest displacement of the tip by quadrature, as a share of the rod's length, that counts as small unless a scene says otherwise."""
+LEAST_TOLERANCE = 1e-11  # share of the rod's length, error of a step that may be asked for: ten times what strains are good to
+SAME_PLACE = 1e-9  # share of the rod's length: arc lengths closer than this are one place
+SHORTEST = 4 * SAME_PLACE  # share of the rod's length that a tendon covers at least
+MOST_INTERVALS = 512  # quadrature intervals per piece of the rod
+MOST_COLUMNS = 6  # of extrapolation: 16 evaluations a step
+TIP_TOLERANCE = 2.5e-3  # share of the rod's length, displacement of the tip by quadrature that counts as small
 
 
 class Segment(Configuration):
@@ -104,11 +93,9 @@ class Integrator(Configuration):
     that fails is halved up to `max_halvings` times.
 
     With a `tolerance` [m] the order follows the error, and then the step: each step of up to `step` takes 2 columns, or as many more, up
-    to `columns`, as bring its estimated error, as root mean square displacement of the rod, below the tolerance; where the most columns do
-    not, it is tried again with a shorter one.
+    to `columns`, as bring its estimated error, as root mean square displacement of the rod, below the tolerance, or a shorter step.
 
-    `quasi_static` leaves inertia out: damping and elasticity alone balance tensions and loads, as where motions are slow beside the arm's
-    vibrations.
+    `quasi_static` leaves inertia out: damping and elasticity alone balance tensions and loads.
     """
 
     step: TimeStep = 0.02
@@ -160,8 +147,7 @@ class Scene(Configuration):
 
 
 def scene_to_dict(scene: Scene, tables: set[str] | None = None) -> dict[str, Any]:
-    """Scene, or these tables of it, as plain tables, lists, numbers and strings; absent (None) entries are left out. Fit for JSON and
-    TOML."""
+    """Scene, or these tables of it, as plain tables fit for JSON and TOML; absent (None) entries are left out."""
     return scene.model_dump(mode="json", exclude_none=True, include=tables)
 
 
@@ -186,10 +172,7 @@ def tendon_ends(scene: Scene, tendon: Tendon) -> Ends:
 
 
 def breakpoints(scene: Scene) -> Array:
-    """Sorted unique arc lengths [m], from 0 to the rod's length, between which everything is smooth.
-
-    Base, tip, the ends of tendons, the borders of segments and those of the strain; the same place counts once.
-    """
+    """Sorted unique arc lengths [m] between which everything is smooth: base, tip, ends of tendons, borders of segments and strain."""
     length = rod_length(scene)
     ends = [end for tendon in scene.tendons for end in tendon_ends(scene, tendon)]
     places = [0.0]
@@ -219,9 +202,8 @@ def tendon_offset(scene: Scene, tendon: Tendon, arc_length: ArrayLike) -> tuple[
 def extrapolation_columns(scene: Scene) -> int:
     """Number of columns (order) of the extrapolated integrator, with a tolerance the most: the scene's, or what its damping allows.
 
-    On undamped oscillations 2 columns are stable, and more grow by up to 0.95 % a step (stability function). Kelvin-Voigt damping
-    outweighs that from a ratio of 0.0029 at omega h = 0.64 on. Where every segment has 0.01 there, 3 columns are chosen, or up to 6 with a
-    tolerance; elsewhere 2.
+    On undamped oscillations 2 columns are stable, and more grow by up to 0.95 % a step (stability function). A damping ratio of 0.0029 at
+    omega h = 0.64 outweighs that. Where every segment has 0.01 there, 3 columns are chosen, or up to 6 with a tolerance; elsewhere 2.
     """
     if scene.integrator.columns is not None:
         return scene.integrator.columns

@@ -1,6 +1,5 @@
 """Strain parametrisations of the rod: statics-based (implicit) and explicit polynomial bases, and which of the six strains exist."""
 
-from collections.abc import Iterable
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator
@@ -11,17 +10,12 @@ from soft_tendon_env.tools.types import Positive
 
 Strain = Literal["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
 
-MOST_SNAPSHOT_FIELDS = 24
-"""Most fields that are made from snapshots: beyond, they hardly add anything."""
-SNAPSHOT_ORDER = 10
-"""Legendre order, on each piece of the rod, of the polynomials that fields from snapshots are kept as."""
-
-STRAINS: tuple[Strain, ...] = ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")
-"""The six strains in the order of xi = (k, p)."""
+MOST_SNAPSHOT_FIELDS = 24  # beyond, fields hardly add anything
+SNAPSHOT_ORDER = 10  # Legendre order, on each piece of the rod, of the polynomials that fields from snapshots are kept as
+STRAINS: tuple[Strain, ...] = ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")  # in the order of xi = (k, p)
 
 
-def _check_each_once(strains: Iterable[Strain]) -> tuple[Strain, ...]:
-    strains = tuple(strains)
+def _check_each_once(strains: tuple[Strain, ...]) -> tuple[Strain, ...]:
     if repeated := sorted({strain for strain in strains if strains.count(strain) > 1}):
         raise ValueError(f"should name each strain once, but repeats {', '.join(repeated)}")
     return strains
@@ -109,8 +103,7 @@ class StaticsBased(Configuration):
 class ExplicitStrain(Configuration):
     """Explicit strain parametrisation xi = xi* + Phi q, a sum of `modes`; strains that no mode names are rigid.
 
-    Order 0 per piece is piecewise constant strain (PCS); with bending alone, piecewise constant curvature (PCC). `borders` are arc
-    lengths [m] that cut the rod into further pieces.
+    Order 0 per piece is piecewise constant strain (PCS). `borders` are arc lengths [m] that cut the rod into further pieces.
     """
 
     type: Literal["explicit"] = "explicit"
@@ -131,5 +124,5 @@ class ExplicitStrain(Configuration):
     @classmethod
     def _independent(cls, modes: tuple[Modes, ...]) -> tuple[Modes, ...]:
         # a strain's constant over the rod is the sum of its constants over the pieces: two groups always overlap
-        _check_each_once(strain for group in modes for strain in group.strains)
+        _check_each_once(tuple(strain for group in modes for strain in group.strains))
         return modes

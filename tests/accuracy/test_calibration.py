@@ -67,13 +67,10 @@ def test_the_cheapest_within_the_tolerance_is_chosen():
         recommended(ARM, found, 1e-5)
 
 
-@pytest.mark.cases("tolerance", [3e-3, FINE])
-def test_the_setting_holds_on_motions_that_it_was_not_calibrated_on(tolerance):
-    scene = calibrated(ARM, tolerance)
-    inputs = short(ARM, range(100, 108))
-    reference = reference_motions(ARM, inputs, 0.02 * tolerance)
-    errors = measure(build_model(scene), Setting("", {}, 0, 0.0), inputs, reference).tip_errors
-    assert max(errors) <= tolerance and scene.segments == ARM.segments and scene.name == ARM.name
+def test_the_setting_holds_on_motions_that_it_was_not_calibrated_on():
+    scene, inputs = calibrated(ARM, FINE), short(ARM, range(100, 108))
+    errors = measure(build_model(scene), Setting("", {}, 0, 0.0), inputs, reference_motions(ARM, inputs, 0.02 * FINE)).tip_errors
+    assert max(errors) <= FINE and scene.segments == ARM.segments and scene.name == ARM.name
 
 
 def test_it_is_the_same_when_made_anew(cache, monkeypatch):
@@ -93,7 +90,6 @@ def test_it_is_the_same_when_made_anew(cache, monkeypatch):
     "change",
     [
         {"segments.0.density": 1100.0},
-        {"tendons.0.tension_limits": [0.0, 9.0]},
         {"effects.gravity.acceleration": [0.0, 0.0, -9.81]},
         {"strain": {"type": "statics_based", "strains": ["bend_y", "bend_z"]}},
     ],
@@ -105,12 +101,6 @@ def test_another_arm_or_load_is_another_calibration(change):
     assert calibration_digest(other, inputs, None) == calibration_digest(ARM, inputs, None) != calibration_digest(ARM, inputs[1:], None)
 
 
-@pytest.mark.cases("tolerance", [0.0, np.nan, "1mm", None])
-def test_tolerances_are_positive_lengths(tolerance):
-    with pytest.raises((TypeError, ValueError), match="tolerance should be a positive length in metres"):
-        calibrated(ARM, tolerance)
-
-
 def test_fields_of_the_arms_own_are_made_once_and_kept(cache, monkeypatch):
     monkeypatch.undo()
     monkeypatch.setattr(user_cache, "cache_parents", lambda: [cache.parents[1]])
@@ -120,11 +110,6 @@ def test_fields_of_the_arms_own_are_made_once_and_kept(cache, monkeypatch):
     limits = np.array([tendon.tension_limits for tendon in arm.tendons])
     fields = PassiveFields(arm_of(arm), limits, breakpoints(arm), coefficients, arm.effects, np.ones(2), {})
     made = []
-
-    def make(scene):
-        made.append(scene)
-        return fields
-
-    monkeypatch.setattr(module, "make_passive_fields", make)
+    monkeypatch.setattr(module, "make_passive_fields", lambda scene: made.append(scene) or fields)
     assert module.own_fields(arm) is None
     assert module.made_fields(arm).digest == module.made_fields(arm).digest == fields.digest and made == [arm]

@@ -8,7 +8,6 @@ from soft_tendon_env.accuracy.fidelity import PRESETS, FidelityWarning, at_fidel
 from soft_tendon_env.accuracy.reference import distance, reference_motions, tips
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.scene.file import load_scene, scene_names
-from soft_tendon_env.scene.passive_fields import FieldsWarning
 from soft_tendon_env.scene.scene import rod_length
 
 
@@ -36,14 +35,6 @@ def test_what_a_scene_leaves_open_is_standard_and_what_it_says_stays():
         for name in ("strain", "quadrature", "integrator"):
             assert getattr(kept, name) == getattr(own if name == part else standard, name)
         assert at_fidelity(own, "scene") == own and at_fidelity(own, "standard") == standard
-
-
-def test_rigid_strains_and_borders_stay():
-    scene = load_scene("three_tendon").replace({"strain.strains": ["bend_y", "bend_z"], "strain.borders": [0.1]})
-    with pytest.warns(FieldsWarning, match="no passive fields of its own"):
-        made = at_fidelity(scene, "standard")
-    assert made.strain.strains == ("bend_y", "bend_z") and made.strain.borders == (0.1,)
-    assert made.strain.passive[0].strains == ("bend_y", "bend_z")
 
 
 @pytest.mark.cases("name", ("paper", "four_tendon", "helical"))

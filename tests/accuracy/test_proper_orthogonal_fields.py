@@ -8,8 +8,7 @@ import pytest
 
 from soft_tendon_env.accuracy import proper_orthogonal_fields
 from soft_tendon_env.accuracy.proper_orthogonal_fields import make_passive_fields
-from soft_tendon_env.accuracy.reference import distance, reference_motions, tips
-from soft_tendon_env.accuracy.test_inputs import USUAL, motion_tensions
+from soft_tendon_env.accuracy.test_inputs import USUAL
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.model.simulation import simulate
 from soft_tendon_env.model.tension_limits import TensionLimitWarning
@@ -63,18 +62,3 @@ def test_abrupt_loads_make_no_phantom_tensions(name):
             q = simulate(model, tension, 1.0, step).q
         phantom = max(np.abs(model.arm.strain.law.tensions(own)).max() for own in q)
         assert phantom < 1.6 * tension.max(), (step, factor, pulled)
-
-
-@pytest.mark.cases("name, count, largest", [("three_tendon", 6, 3e-4), ("four_tendon", 6, 3e-4), ("paper", 9, 1.5e-3)])
-def test_shipped_fields_keep_the_tip_near_full_physics(name, count, largest):
-    """On a motion that they were not made from: closer than Legendre moments of about as many coordinates."""
-    scene = load_scene(name)
-    tensions = motion_tensions(scene, "redrawn", 7, 1.0)
-    (exact,) = reference_motions(scene, [tensions], 0.1 * largest).tips
-    moments = [{"strains": ["torsion", "bend_y", "bend_z"], "order": 2, "span": "rod"}]
-    legendre = scene.replace({"strain": {"type": "statics_based", "passive": moments}})
-    errors = []
-    for own in (with_fields(scene, count), legendre):
-        model = model_on(own.replace({"integrator": {"step": 0.005, "columns": 4}}), 12)
-        errors.append(distance(tips(model, tensions), exact))
-    assert errors[0] < largest and errors[0] < 0.5 * errors[1]

@@ -32,32 +32,14 @@ def passive_fields(strain, grid):
     return strain.passive.reshape(-1, grid.packs, 2, 6, LANES).transpose(0, 1, 4, 2, 3).reshape(-1, *grid.points.shape, 6)
 
 
-# tensions ---------------------------------------------------------------------------------------------------------------
-
-
-def redundant_gram(rng=None):
-    """Four tendons at 90 degrees: a moment each and the same thrust; with round-off from another machine, if wanted."""
-    columns = np.array([[1.0, 0, -1], [0, 1, -1], [-1, 0, -1], [0, -1, -1]]) * [0.3, 0.3, 2.0]
-    gram = columns @ columns.T
-    if rng is not None:
-        noise = 1e-14 * rng.normal(size=gram.shape)
-        gram = gram + noise + noise.T
-    return columns, gram
-
-
 def test_redundant_tendons_get_as_many_coordinates_as_they_strain():
-    columns, gram = redundant_gram()
-    mixing = independent_tensions(gram, 1e-4)
+    """Four tendons at 90 degrees: a moment each and the same thrust."""
+    columns = np.array([[1.0, 0, -1], [0, 1, -1], [-1, 0, -1], [0, -1, -1]]) * [0.3, 0.3, 2.0]
+    mixing = independent_tensions(columns @ columns.T, 1e-4)
     assert mixing.shape == (4, 3)
     np.testing.assert_allclose(mixing.T @ mixing, np.eye(3), atol=1e-14)
     np.testing.assert_allclose(mixing.T @ [1, -1, 1, -1], 0.0, atol=1e-13)  # the combination that strains nothing
     np.testing.assert_allclose(columns.T @ mixing @ mixing.T, columns.T, atol=1e-13)  # nothing else is lost
-
-
-# actuation fields -------------------------------------------------------------------------------------------------------
-
-
-# passive fields ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ("paper_16dof", "paper_19dof", "paper_22dof"))
@@ -80,9 +62,6 @@ def test_passive_fields_that_the_tendons_span_are_dropped():
     assert strain.size == 4
     field = passive_fields(strain, grid)[0][grid.real]
     assert field[..., 0].all() and np.abs(field[..., 1:]).max() < 1e-10 * np.abs(field[..., 0]).max()
-
-
-# Legendre fields --------------------------------------------------------------------------------------------------------
 
 
 def test_mode_fields_are_legendre_polynomials_on_their_span():

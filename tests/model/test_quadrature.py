@@ -9,7 +9,7 @@ from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.quadrature import QuadratureTest, QuadratureWarning, quadrature_estimate
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.scene import MOST_INTERVALS, TIP_TOLERANCE, rod_length
+from soft_tendon_env.scene.scene import MOST_INTERVALS, TIP_TOLERANCE
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 LOADS = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.01}
@@ -17,12 +17,11 @@ ANGULAR = ["torsion", "bend_y", "bend_z"]
 ALONG = np.linspace(0.0, 0.3, 31)
 
 
-def helices(turns, scene="three_tendon", radius=0.008):
+def helices(turns):
     """Three tendons around the axis."""
-    loaded = load_scene(scene)
-    rate = 2 * np.pi * turns / rod_length(loaded)
-    routings = ({"type": "helix", "radius": radius, "angular_rate": rate, "phase": 120.0 * i} for i in range(3))
-    return loaded.replace({f"tendons.{i}.routing": routing for i, routing in enumerate(routings)})
+    rate = 2 * np.pi * turns / 0.3
+    routings = ({"type": "helix", "radius": 0.008, "angular_rate": rate, "phase": 120.0 * i} for i in range(3))
+    return three_tendon(**{f"tendons__{i}__routing": routing for i, routing in enumerate(routings)})
 
 
 def three_tendon(**changes):
@@ -44,7 +43,7 @@ def corners(scene, count=40):
     """Tendons slack or at their limits: each alone, all, and at random."""
     greatest = np.array([tendon.tension_limits[1] for tendon in scene.tendons])
     chosen = np.random.default_rng(1).random((count, greatest.size)) < 0.5
-    return greatest * np.vstack([np.eye(greatest.size), np.ones(greatest.size), chosen])
+    return greatest * np.unique(np.vstack([np.eye(greatest.size), np.ones(greatest.size), chosen]), axis=0)
 
 
 def true_error(scene, intervals, fine=64):
@@ -73,14 +72,13 @@ def modes(order):
 
 KINDS = {
     "helical": load_scene("helical"),
-    "paper": load_scene("paper"),
     "loaded": helices(2).replace(LOADS),
     "passive": helices(2).replace({"strain.passive": modes(2), **LOADS}),
     "explicit": helices(2).replace({"strain": {"type": "explicit", "modes": modes(4)}}),
 }
 
 
-@pytest.mark.cases("intervals", [4, 6, 8])
+@pytest.mark.cases("intervals", [4, 8])
 @pytest.mark.cases("scene", [pytest.param(scene, id=name) for name, scene in KINDS.items()])
 def test_the_estimate_is_the_largest_error_and_a_margin(scene, intervals):
     estimate, true = quadrature_estimate(scene, intervals).error, true_error(scene, intervals)
@@ -88,9 +86,7 @@ def test_the_estimate_is_the_largest_error_and_a_margin(scene, intervals):
 
 
 FAST = {
-    "3 turns": helices(3),
     "13 turns": helices(13),  # as many as the finer quadrature for 6 intervals would have: both would see straight tendons
-    "30 turns": helices(30, radius=0.004),
     "wiggle": wiggle(6),
     "narrow notch": radius_table(0.008, 0.004),  # between the points of a few intervals
     "curved": three_tendon(segments__0__curvature=[0.0, 60.0, 0.0], **{key.replace(".", "__"): value for key, value in LOADS.items()}),
@@ -115,32 +111,15 @@ def test_the_mass_of_a_disc_is_not_missed():
     assert abs(mass / exact - 1.0) < 0.02
 
 
-def told(scene):
-    """What build_model warns of."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        build_model(scene)
-    return [(warning.category, str(warning.message), warning.filename) for warning in caught]
-
-
 def test_too_few_intervals_are_told_with_tensions_error_and_what_would_do():
     scene = helices(3).replace({"quadrature.intervals": 6, "tendons.1.tension_limits": [0.0, 8.0]})
-    ((category, message, filename),) = told(scene)
+    with pytest.warns(QuadratureWarning) as caught:
+        build_model(scene)
     enough, estimate = QuadratureTest(scene).search(6).intervals, quadrature_estimate(scene)
-    assert category is QuadratureWarning and issubclass(category, UserWarning) and filename == __file__
     off = f"the tip is off by about {100 * estimate.error:.2g} % of the length, {300 * estimate.error:.2g} mm"
-    assert f"with 6 intervals per piece {off}, under tensions [0, 8, 0] N; {enough} would do" in message
-    assert not told(scene.replace({"quadrature.intervals": enough})) and not told(scene.replace({"quadrature.intervals": 60}))
-
-
-def test_loads_and_fields_are_named_too():
-    hanging = three_tendon(quadrature__intervals=1, **{key.replace(".", "__"): value for key, value in LOADS.items()})
-    slack = hanging.replace({f"tendons.{i}.tension_limits": [0.0, 0.05] for i in range(3)})
-    assert "mm, under tensions [0.05, 0, 0.05] N and loads" in quadrature_estimate(slack).problem
-    explicit = three_tendon(quadrature__intervals=6, strain={"type": "explicit", "modes": modes(8)})
-    assert "of its inertia" in quadrature_estimate(explicit).problem
-    implicit = three_tendon(quadrature__intervals=5, strain__passive=modes(12))
-    assert "do not tell all 40 coordinates apart" in quadrature_estimate(implicit).problem
+    assert f"with 6 intervals per piece {off}, under tensions [0, 8, 0] N; {enough} would do" in str(caught[0].message)
+    with warnings.catch_warnings(action="error", category=QuadratureWarning):
+        build_model(scene.replace({"quadrature.intervals": enough}))
 
 
 @pytest.mark.cases(

@@ -31,9 +31,7 @@ def set_state(simulation, **changes):
 @pytest.mark.cases(
     "call, message",
     [
-        (lambda s: s.model.terms(OK, BAD), "q_dot should be finite"),
         (lambda s: s.model.terms(OK, OK, BAD), "tension should be finite"),
-        (lambda s: s.model.rest_coordinates(BAD), "tension should be finite"),
         (lambda s: static_equilibrium(s.model, BAD), "tension should be finite"),
         (lambda s: s.reset(BAD), "q should be finite"),
         (lambda s: s.step(BAD, 0.01), "command should be finite"),
@@ -43,15 +41,12 @@ def set_state(simulation, **changes):
         (lambda s: set_state(s, strain=BAD), "state.strain should have shape"),
         (lambda s: set_state(s, q=s.state.q + 1.0), "state.strain"),  # the strain is that of other coordinates
         (lambda s: set_state(s, step=0.0), "state.step"),
-        (lambda s: ste.simulate(s.model, OK, 1e12, 0.1), "duration should be at most"),
         (lambda s: ste.simulate(s.model, OK, 0.35, 0.1, s.state), "duration should be a multiple"),
         (lambda s: ste.simulate(s.model, OK, 1.0, -0.1, s.state), "sample_period"),
         (lambda s: ste.simulate(s.model, np.zeros((9, 10)), 1.0, 0.1), "command should have shape (10, 10)"),
         (lambda s: ste.simulate(s.model, lambda t: OK if t < 0.55 else BAD, 1.0, 0.1), "command(0.55)[0]"),
-        (lambda s: ste.simulate(s.model, lambda t: None, 1.0, 0.1, s.state), "command(0.06)"),
         (lambda s: ste.simulate(s.model, OK, 1.0, 0.1, initial=3), "state should be a State"),
         (lambda s: ste.Simulation(s.model.scene), "model should be a Model"),
-        (lambda s: ste.build_model("paper"), "scene should be a Scene"),
         (lambda s: ste.build_model(s.model.scene, fidelity="exact"), "fidelity"),
         (lambda s: ste.load_scene(3), "name_or_path should be the name of a shipped scene or the path of a TOML file, not"),
         (lambda s: ste.save_scene(3, "never.toml"), "scene should be a Scene"),
@@ -67,7 +62,6 @@ def test_bad_input_is_named_and_changes_nothing(moving, call, message):
 
 
 MEMORY = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.05}]}
-SLOWER = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.5}]}
 BEND_Y, BEND_Z = ({"type": "explicit", "modes": [{"strains": [own], "order": 1, "span": "rod"}]} for own in ("bend_y", "bend_z"))
 
 
@@ -77,9 +71,7 @@ BEND_Y, BEND_Z = ({"type": "explicit", "modes": [{"strains": [own], "order": 1, 
         ({"quadrature.intervals": 4}, {"quadrature.intervals": 6}, "state.strain"),
         ({"strain.passive": [{"strains": ["bend_y"], "order": 3, "span": "rod"}]}, {}, "state.q "),
         ({"strain": BEND_Y}, {"strain": BEND_Z}, "state.strain"),
-        (MEMORY, {}, "this state is of viscoelastic_memory:96"),
-        ({}, MEMORY, "this state is of no effects with states"),
-        (MEMORY, SLOWER, "relaxation times [0.5] s; this state is of viscoelastic_memory:96 + relaxation times [0.05] s"),
+        (MEMORY, {}, "state.effects should have shape (0,), not (96,)"),
     ],
 )
 def test_states_of_another_arm_are_refused(build, tmp_path, theirs, own, message):

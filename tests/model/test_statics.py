@@ -18,48 +18,23 @@ def model_of(name, **changes):
     return build_model(load_scene(name).replace({key.replace("__", "."): value for key, value in changes.items()}))
 
 
-def one_tendon(model, tension, index=0):
-    u = np.zeros(model.tendon_count)
-    u[index] = tension
-    return u
-
-
-def unbalanced(model, q, u):
-    terms = model.terms(q, np.zeros_like(q), u)
-    return terms.actuation @ u - terms.elastic_force + terms.external_force, terms.elastic_force
-
-
 @pytest.mark.cases("name", sorted({*scene_names()} - {"paper_among_obstacles"}))  # where friction holds, many states are at rest
 def test_every_scene_balances_the_forces(name):
     model = model_of(name)
     greatest = np.array([tendon.tension_limits[1] for tendon in model.scene.tendons])
     for u in np.random.default_rng(0).uniform(0.0, 0.5 * greatest, (3, greatest.size)):
         found = static_equilibrium(model, u)
-        force, elastic = unbalanced(model, found.q, u)
+        terms = model.terms(found.q, np.zeros_like(found.q), u)
         assert found.converged and found.residual <= RESIDUAL and found.reason == ""
-        assert np.abs(force).max() < 1e-8 * np.abs(elastic).max()
+        force = terms.actuation @ u - terms.elastic_force + terms.external_force
+        assert np.abs(force).max() < 1e-8 * np.abs(terms.elastic_force).max()
         np.testing.assert_array_equal(found.tip_pose, model.tip_pose(found.q))
 
 
-WEIGHT = {"effects__gravity__acceleration": [0.0, 0.0, -9.81]}
-WRENCH = {"effects__tip_load__force": [0.02, 0.05, -0.1], "effects__tip_load__moment": [0.01, 0.0, 0.02]}
-
-
-@pytest.mark.parametrize(
-    ("name", "loads"), [("paper", WEIGHT), ("paper_16dof", WEIGHT), ("paper_22dof", WEIGHT | WRENCH), ("paper_48dof", WEIGHT)]
-)
-def test_effects_and_tensions_together(name, loads):
-    model, u = model_of(name, **loads), np.linspace(0.0, 6.0, 10)
-    found = static_equilibrium(model, u)
-    force, elastic = unbalanced(model, found.q, u)
-    assert found.converged and found.iterations <= 8
-    assert np.abs(force).max() < 1e-8 * np.abs(elastic).max()
-
-
-@pytest.mark.parametrize(("tension", "reached"), [(400.0, 255.8), (1e4, 255.8), (-400.0, 319.7)])
+@pytest.mark.parametrize(("tension", "reached"), [(1e4, 255.8), (-400.0, 319.7)])
 def test_beyond_the_strain_limit_it_says_so_and_keeps_the_last_equilibrium(tension, reached):
     model = model_of("paper")
-    found = static_equilibrium(model, one_tendon(model, tension))
+    found = static_equilibrium(model, tension * np.eye(10)[0])
     assert not found.converged and found.residual > 1e-3
     assert "tendon 0 at arc length 0.98" in found.reason and f"{np.sign(tension) * reached:.4g} N" in found.reason
     assert abs(found.q[0]) == pytest.approx(reached, abs=1.1e-3 * abs(tension))

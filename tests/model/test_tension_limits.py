@@ -2,7 +2,6 @@
 
 import warnings
 
-import numpy as np
 import pytest
 
 import soft_tendon_env as ste
@@ -11,15 +10,10 @@ from soft_tendon_env.model.tension_limits import TensionLimitWarning, erring_act
 LATE = {"effects.tendon_elasticity": {"stiffness": 2000.0, "displacement_limits": [0.0, 0.02]}}
 WAYS = {
     "simulate": lambda model, u: ste.simulate(model, u, 0.04, 0.02, ste.Simulation(model).state),
-    "simulate a function": lambda model, u: ste.simulate(model, lambda t: np.array(u), 0.04, 0.02, ste.Simulation(model).state),
     "step": lambda model, u: ste.Simulation(model).step(u, 0.02),
     "rollout": lambda model, u: ste.Simulation(model).rollout([u], 0.02),
     "linearize": lambda model, u: ste.Simulation(model).linearize(u, 0.02),
     "commanded_equilibrium": ste.commanded_equilibrium,
-}
-STATICS = {
-    "static_equilibrium": ste.static_equilibrium,
-    "reset_at_rest": lambda model, u: ste.Simulation(model).reset_at_rest(u),
 }
 
 
@@ -30,9 +24,9 @@ def said(way, model, command):
     return [str(own.message) for own in caught if own.category is TensionLimitWarning]
 
 
-@pytest.mark.parametrize("name", [*WAYS, *STATICS])
+@pytest.mark.parametrize("name", WAYS)
 def test_what_goes_beyond_is_said_once(build, name):
-    way, model = {**WAYS, **STATICS}[name], build("three_tendon")
+    way, model = WAYS[name], build("three_tendon")
     assert said(way, model, [5.0 * (1.0 + 1e-12), 0.0, 2.0]) == []
     for command in ([0.0, 5.2, 0.0], [0.0, -0.1, 6.0]):
         (text,) = said(way, model, command)

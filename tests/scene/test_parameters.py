@@ -34,14 +34,9 @@ def test_values_that_are_alike_are_one_number_and_others_share_a_factor(scene):
 @pytest.mark.cases(
     "name, message",
     [
-        (
-            "segments.0.yong_modulus",
-            "segments.0.yong_modulus is no number of the scene: did you mean 'segments.*.young_modulus'?.*valid: .*tendons",
-        ),
+        ("segments.0.yong_modulus", "segments.0.yong_modulus is no number of the scene: did you mean 'segments.*.young_modulus'?.*valid:"),
         ("effects.fluid.density", "effects.fluid.density is no number of the scene.*valid: .*effects.gravity"),
-        ("segments.7.density", "segments.7.density is no number of the scene"),
         ("integrator.step", "integrator.step is no number of the scene"),
-        ("segments.*.length", "is no number of the scene"),
         ("segments.0.length", "segments.0.length is no parameter: it decides where the quadrature points lie"),
         ("tendons.0.tension_limits.1", "tendons.0.tension_limits.1 is no parameter: it bounds the commands"),
         ("tendons.0.routing.type", "tendons.0.routing.type is no parameter: 'straight' is no number"),

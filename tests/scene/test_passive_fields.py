@@ -53,7 +53,7 @@ def test_a_file_beside_a_scene_is_named_relative_to_it(shipped, tmp_path, monkey
     "passive, message",
     [
         ({"fields": 3, "file": "missing.json"}, "strain.passive.file is 'missing.json'"),
-        ({"fields": 3, "digest": "0123456789abcdef"}, "names passive fields with the digest 0123456789abcdef, and there are none"),
+        ({"fields": 3, "digest": "0123456789abcdef"}, "names passive fields that this arm has not"),
         ({"fields": 25}, "strain.passive.fields is 25"),
         ({"fields": 3, "files": "x"}, "strain.passive.files is an unknown key"),
     ],
@@ -68,14 +68,8 @@ def test_mistakes_name_their_key(passive, message):
     [
         (lambda table: {}, r"strain\.passive\.file is .*odd\.fields\.json"),
         (lambda table: {**table, "coefficients": table["coefficients"][:2]}, "its coefficients should be finite and of shape"),
-        (
-            lambda table: {**table, "arm": {**table["arm"], "strains": ["bend_y"]}},
-            "of an arm of other segments",
-        ),
-        (
-            lambda table: {**table, **{name: table[name][:2] for name in ("coefficients", "singular_values")}},
-            "strain.passive.fields is 3: there are 2 of this arm",
-        ),
+        (lambda table: {**table, "arm": {**table["arm"], "strains": ["bend_y"]}}, "of an arm of other segments"),
+        (lambda table: {**table, **{name: table[name][:2] for name in ("coefficients", "singular_values")}}, "there are 2 of this arm"),
     ],
 )
 def test_changed_files_are_refused(shipped, tmp_path, change, message):
@@ -98,7 +92,7 @@ def test_a_digest_pins_the_fields(shipped, tmp_path):
     "changes, words",
     [
         ({"segments.0.young_modulus": 4e6}, "young_modulus of"),
-        ({"tendons.2.tension_limits": [-50.0, 10.0]}, "N at tendon 2, not -50 to 10 N"),
+        ({"tendons.2.tension_limits": [-50.0, 10.0]}, "N, not -50 to 10 N"),
         ({"effects.tip_load.force": [0.0, 0.0, -50.0]}, "'force'"),
     ],
 )
@@ -118,18 +112,3 @@ def test_what_they_were_made_for_is_not(changes):
 def test_loaded_scenes_get_fields_made_under_loads(shipped):
     loaded = find_fields(ARM.replace(GRAVITY))
     assert shipped.effects == Effects() and loaded.effects.gravity is not None and loaded.digest != shipped.digest
-
-
-@pytest.mark.cases(
-    "name, table",
-    [
-        ("gravity", {"acceleration": [0.0, 3.0, -9.0]}),
-        ("tip_load", {"force": [1.0, 0.0, 0.0], "mass": 0.2, "inertia": [1.0, 0.0, 2.0]}),
-    ],
-)
-def test_varied_effects_are_covered_by_their_own(name, table):
-    own = Effects(**{name: table})
-    random = np.random.default_rng(0)
-    for varied in (own.sample_smaller(random) for _ in range(50)):
-        assert own.includes(varied) and not varied.includes(own)
-    assert own.includes(own) and own.includes(Effects()) and not Effects().includes(own)

@@ -8,15 +8,7 @@ from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.radius import LinearRadius
 from soft_tendon_env.scene.routing import StraightRouting
-from soft_tendon_env.scene.scene import (
-    Scene,
-    Segment,
-    Tendon,
-    breakpoints,
-    extrapolation_columns,
-    rod_length,
-    scene_to_dict,
-)
+from soft_tendon_env.scene.scene import Scene, Segment, Tendon, breakpoints, extrapolation_columns, rod_length, scene_to_dict
 from soft_tendon_env.scene.strain import StaticsBased
 from soft_tendon_env.tools.configuration import ConfigurationError
 
@@ -35,20 +27,14 @@ def scene():
     return Scene(name="test", segments=[segment(), taper], tendons=[tendon(), tendon(start=0.1, end=0.35)])
 
 
-# strictness: what is refused, and how it is said
-
 REFUSED = [
-    # an override, the message
     ({"segments.0.length": "0.2"}, "segments[0].length is '0.2': it should be a valid number"),
     ({"segments.0.length": float("nan")}, "segments[0].length is nan: it should be a finite number"),
-    ({"segments.0.length": 0.0}, "segments[0].length is 0.0: it should be greater than 0"),
     ({"segments.0.radius": {"type": "table", "arc_length": [0.0, 0.1], "radius": [0.01, 0.01]}}, "should end at the segment's length, 0.2"),
     ({"segments.0.curvature": [0.0, 1.0]}, "segments[0].curvature[2] is missing: it is required"),
-    ({"segments": []}, "segments is []: it should have at least 1 item, not 0"),
     ({"tendons.1.routing.type": "helx"}, "tendons[1].routing.type is 'helx': did you mean 'helix'? valid: converging, helix, straight"),
     ({"tendons.1.end": 0.05}, "tendons[1].end is 0.05: it should be greater than start, 0.1"),
     ({"tendons.0.end": 0.6}, "tendons[0].end is 0.6: it should be at most the rod's length, 0.5"),
-    ({"tendons.0.start": 0.5}, "tendons[0].start is 0.5: it should be less than the rod's length, 0.5"),
     ({"tendons.0.tension_limits": [5, 5]}, "tendons[0].tension_limits is [5, 5]: it should be (least, greatest)"),
     ({"tendons.0.end": 1e-10}, "tendons[0] runs from 0.0 to 1e-10: it should cover more than 4e-09 of the rod's length, 0.5"),
     ({"strain.borders": [0.6]}, "strain.borders[0] is 0.6: it should be less than the rod's length, 0.5"),
@@ -58,7 +44,6 @@ REFUSED = [
         {"strain.strains": ["bend_y"], "strain.passive": [{"strains": ["stretch"], "order": 0, "span": "rod"}]},
         "should name strains that the rod has, bend_y; not stretch",
     ),
-    ({"quadrature.intervals": 6.0}, "quadrature.intervals is 6.0: it should be a valid integer"),
     ({"quadratur.intervals": 6}, "quadratur is an unknown key (given {'intervals': 6}): did you mean 'quadrature'? valid: description"),
     ({"integrator": {"columns": 1, "tolerance": 1e-4}}, "integrator.tolerance is 0.0001: it needs the error estimate of at least 2"),
     ({"segments.2.length": 1.0}, "segments.2.length cannot be set: '2' is no position in segments; valid: 0 to 1"),
@@ -83,9 +68,6 @@ def test_all_mistakes_are_told_at_once():
         assert key in told
     assert "tendons[0].stat is an unknown key (given 0): did you mean 'start'? valid: end, routing, start, tension_limits" in told
     assert "at least 1 item" not in told
-
-
-# overrides
 
 
 def test_replace_sets_dotted_keys_and_leaves_the_original(scene):
@@ -122,9 +104,6 @@ def test_an_effect_from_outside_is_a_table_of_scenes(forgotten):
         build_model(scene)
 
 
-# what follows from a scene
-
-
 def test_breakpoints_are_every_end_and_border_once(scene):
     np.testing.assert_allclose(breakpoints(scene), [0, 0.1, 0.2, 0.35, 0.5], rtol=1e-15)
     close = scene.replace({"strain": StaticsBased(borders=[0.42, 0.2 + 1e-12, 0.35 - 1e-12]), "tendons.0.end": 0.5 - 1e-12})
@@ -137,10 +116,8 @@ def test_breakpoints_are_every_end_and_border_once(scene):
     [
         ({}, 3),
         ({"segments.0.damping": 0.0}, 2),
-        ({"segments.0.damping": 1.0}, 2),
         ({"segments.0.damping": 0.0, "integrator.columns": 4}, 4),
         ({"integrator.tolerance": 1e-4}, 6),
-        ({"integrator.tolerance": 1e-4, "integrator.columns": 5}, 5),
         ({"integrator.tolerance": 1e-4, "segments.0.damping": 1.0}, 2),
     ],
 )
