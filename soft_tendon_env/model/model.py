@@ -143,6 +143,15 @@ class Model:
         return float(self.grid.breakpoints[-1])
 
     @cached_property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the effects with internal states or with commands of their own, and how many states, "actuators:20"; and what else says
+        what these mean."""
+        effects = zip(self.acting.items(), np.diff(self.arm.effects.first_state).tolist(), strict=True)
+        names = tuple(f"{name}:{size}" for (name, own), size in effects if size or own.command_unit != "N")
+        memory = self.scene.effects.viscoelastic_memory
+        return names if memory is None else (*names, f"relaxation times {[own.relaxation_time for own in memory.branches]} s")
+
+    @cached_property
     def metric(self) -> Array:
         """G (n, n) of the unloaded arm, its symmetric part: the metric in which coordinates are compared."""
         G = self.terms(rest := np.zeros(self.coordinate_count), rest).stiffness

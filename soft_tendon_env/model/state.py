@@ -22,10 +22,7 @@ STATE = "state that State.save wrote"
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """State of a simulation, everything that the next step depends on: a saved state continues bit for bit.
-
-    Internal states of other effects, as many as the scene's, are not told apart from these.
-    """
+    """State of a simulation, everything that the next step depends on: a saved state continues bit for bit."""
 
     time: float  # [s]
     q: Array  # (n,) coordinates
@@ -33,6 +30,10 @@ class State:
     strain: Array  # (points, 6) at the quadrature points, from which the next solution starts
     step: float  # [s], the size to try next, where steps follow a tolerance
     effects: Array = field(default_factory=lambda: np.zeros(0))  # (m,) internal states of the scene's effects, one after the other
+    names: tuple[str, ...] = ()  # of these effects, see `Model.state_names`
+
+    def __repr__(self) -> str:
+        return f"State(at {self.time:g} s, {self.q.size} coordinates, {self.effects.size} internal states)"
 
     def save(self, path: str | Path) -> None:
         """Saves the state to an .npz file."""
@@ -44,7 +45,8 @@ class State:
         """Loads a state that `save` wrote. Raises TypeError, OSError or ValueError."""
         saved = read_arrays(path, [own.name for own in fields(cls)], STATE)
         try:
-            return cls(time=float(saved.pop("time")), step=float(saved.pop("step")), **saved)
+            time, step, names = float(saved.pop("time")), float(saved.pop("step")), tuple(map(str, saved.pop("names")))
+            return cls(time=time, step=step, names=names, **saved)
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path} holds no {STATE}: {error}") from error
 
@@ -54,6 +56,9 @@ def checked_motion(model: Model, state: State) -> tuple[Motion, float]:
     checked_type("state", state, State, "see Simulation.state")
     q, q_dot = (checked_array(f"state.{name}", getattr(state, name), (model.coordinate_count,)) for name in ("q", "q_dot"))
     strain = checked_array("state.strain", state.strain, (2 * int(model.grid.real.sum()), 6))
+    if tuple(state.names) != model.state_names:
+        own, given = (" + ".join(names) or "no effects with states" for names in (model.state_names, state.names))
+        raise ValueError(f"state.names should be those of the model's states, {own}; this state is of {given}")
     effects = checked_array("state.effects", state.effects, model.arm.effects.state.shape)
     clock = np.array([checked_number("state.time", state.time, -np.inf, "a finite number")])
     motion = Motion(q, q_dot, model.grid.packed(strain), effects, clock)
@@ -69,4 +74,4 @@ def checked_motion(model: Model, state: State) -> tuple[Motion, float]:
 def state_of(model: Model, motion: Motion, step: float) -> State:
     """State of a motion, its arrays copied, with the step [s] to try next."""
     strain, effects = model.grid.unpacked(motion.xi), motion.state.copy()
-    return State(float(motion.clock[0]), motion.q.copy(), motion.q_dot.copy(), strain, step, effects)
+    return State(float(motion.clock[0]), motion.q.copy(), motion.q_dot.copy(), strain, step, effects, model.state_names)

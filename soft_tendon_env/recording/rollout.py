@@ -70,10 +70,11 @@ class RolloutBuffer:
     def rollout(self, title: str = "") -> Rollout:
         """The samples since the last `clear`, of which there is at least one."""
         model, records = self._episodes.model, self._scalars
-        columns: list[Any] = [np.array(column) for column in zip(*self._samples, strict=True)]
+        strain, *columns = (np.array(column) for column in zip(*self._samples, strict=True))
         scalars = {name: np.array([record[name] for record in records]) for name in records[0]}
-        columns[0] = model.grid.unpacked(columns[0])
-        return Rollout(model, self._episodes.period, *columns, scalars, title, self._effects)
+        sampled: dict[str, Any] = dict(zip(("tension", "tip_pose", "target_pose", "target_backbone", "action"), columns, strict=True))
+        strain = model.grid.unpacked(strain)
+        return Rollout(model, self._episodes.period, strain, scalars=scalars, title=title, effects=self._effects, **sampled)
 
 
 def collect(env: gym.Env[Any, Any], policy: Callable[[Any], ArrayLike], seed: int | None = None) -> Rollout:

@@ -62,6 +62,7 @@ def test_bad_input_is_named_and_changes_nothing(moving, call, message):
 
 
 MEMORY = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.05}]}
+SLOWER = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.5}]}
 BEND_Y, BEND_Z = ({"type": "explicit", "modes": [{"strains": [own], "order": 1, "span": "rod"}]} for own in ("bend_y", "bend_z"))
 
 
@@ -71,7 +72,9 @@ BEND_Y, BEND_Z = ({"type": "explicit", "modes": [{"strains": [own], "order": 1, 
         ({"quadrature.intervals": 4}, {"quadrature.intervals": 6}, "state.strain"),
         ({"strain.passive": [{"strains": ["bend_y"], "order": 3, "span": "rod"}]}, {}, "state.q "),
         ({"strain": BEND_Y}, {"strain": BEND_Z}, "state.strain"),
-        (MEMORY, {}, "state.effects should have shape (0,), not (96,)"),
+        (MEMORY, {}, "this state is of viscoelastic_memory:96"),
+        ({}, MEMORY, "this state is of no effects with states"),
+        (MEMORY, SLOWER, "relaxation times [0.5] s; this state is of viscoelastic_memory:96 + relaxation times [0.05] s"),
     ],
 )
 def test_states_of_another_arm_are_refused(build, tmp_path, theirs, own, message):
