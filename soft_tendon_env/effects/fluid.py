@@ -1,21 +1,16 @@
 """Immersion in a still or uniformly streaming fluid: drag, added mass and buoyancy of every slice of the rod.
 
 Per length, with the slice's velocity v = (v_x, v_n) relative to the fluid in its own frame (x along the rod), the local radius r and the
-fluid's density rho (Morison's equation; J. R. Morison et al., Petroleum Transactions 189, 1950, of slender bodies at any incidence):
+fluid's density rho (J. R. Morison et al., Petroleum Transactions 189, 1950; F. Renda et al., IEEE Transactions on Robotics 30, 2014):
 
-- drag, -1/2 rho (C_n 2 r |v_n| v_n + C_t 2 pi r |v_x| v_x): the normal part on the frontal width, the tangential one on the wetted
-  girth, each by its own velocity (independence principle). It takes power at any relative motion, and enters the implicit step.
-- added mass, C_a rho pi r^2 along both normals, as in F. Renda et al., IEEE Transactions on Robotics 30, 2014. It is
-  part of the kinetic energy 1/2 m_a |v_n|^2 per length, of which Lagrange's equations give all its forces; in a current
-  those of the relative velocity, so that an arm in a current is one that is towed through fluid at rest. The free end is that of a
-  streamlined tip (f = 1 of M. P. Paidoussis, Journal of Fluid Mechanics 26, 1966).
+- drag, -1/2 rho (C_n 2 r |v_n| v_n + C_t 2 pi r |v_x| v_x), in the implicit step.
+- added mass, C_a rho pi r^2 along both normals: kinetic energy 1/2 m_a |v_n|^2 per length, with all forces of Lagrange's equations. The
+  free end is that of a streamlined tip (f = 1 of M. P. Paidoussis, Journal of Fluid Mechanics 26, 1966).
 - buoyancy, -rho pi r^2 g, with the g of `[effects.gravity]`: without gravity there is none.
 
 Left out: a payload's volume and drag, pressure drag on the tip's face, viscous moments about the axis, and compression by the hydrostatic
 pressure (internal forces are effective tensions). The whole rod is under the surface, however it moves.
 """
-
-from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -37,8 +32,6 @@ STILL = 1e-60  # [m^2/s^2], added to a squared speed that is divided by
 @register_effect("fluid")
 class Fluid(Effect):
     """`[effects.fluid]`: drag coefficients are those of a cylinder across a stream at Reynolds numbers of 1e3 to 1e5, and of friction."""
-
-    strengths: ClassVar[tuple[str, ...]] = ("density", "current")
 
     density: Positive = Field(description="density of the fluid [kg/m^3], 1000 for water")
     current: Triple = Field((0.0, 0.0, 0.0), description="its velocity (x, y, z) [m/s], world frame, everywhere and always the same")
