@@ -45,9 +45,9 @@ class Actuators(Effect):
 
     def state(self, rod: Discretisation) -> Array:
         tendons = rod.tendon_length.size
-        waiting = np.zeros((math.ceil(self.delay / rod.step * (1.0 - 1e-9)) + 1 if self.delay else 0, 1 + tendons))
-        waiting[:, 0] = NEVER
-        return np.concatenate([np.zeros(2 * tendons), waiting.ravel()])
+        table = np.zeros((math.ceil(self.delay / rod.step * (1.0 - 1e-9)) + 2 if self.delay else 1, 1 + tendons))
+        table[1:, 0] = NEVER
+        return np.concatenate([np.zeros(tendons), table.ravel()])
 
 
 @register_effect("tendon_elasticity")

@@ -278,10 +278,10 @@ class Effects(Configuration):
         """Whether `sample_smaller` reaches all of the other effects: what was made under these holds under those."""
         own = self.model_dump()
         for name, table in other.everywhere().model_dump().items():
-            for key, value in table.items():
-                here = own.get(name, {}).get(key)
-                if here is None or (np.linalg.norm(here) < np.linalg.norm(value) if key in STRENGTHS.get(name, ()) else here != value):
-                    return False
+            mine, strong = own.get(name), STRENGTHS.get(name, ())
+            weaker = mine and any(np.linalg.norm(mine[key]) < np.linalg.norm(table[key]) for key in strong)
+            if mine is None or weaker or any(mine[key] != value for key, value in table.items() if key not in strong):
+                return False
         return True
 
     def __getattr__(self, name: str) -> Any:

@@ -16,7 +16,7 @@ from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
-BALL = {"type": "sphere", "position": [0.25, 0.05, 0.0], "radius": 0.02, "friction": 0.3}
+BALL = {"type": "sphere", "position": [0.25, 0.05, 0.0], "radius": 0.02}
 FLOOR = {"type": "plane", "position": [0.0, 0.0, -0.05]}
 CASES = {
     "tip_load": (
@@ -28,8 +28,8 @@ CASES = {
         },
     ),
     "contact": (
-        {**GRAVITY, "effects.contact.obstacles": [BALL, {**FLOOR, "friction": 0.3}]},
-        {"effects.contact.obstacles.0.position": [0.25, [0.04, 0.06], [-0.02, 0.02]], "effects.contact.obstacles.1.friction": [0.1, 0.5]},
+        {**GRAVITY, "effects.contact": {"obstacles": [BALL, FLOOR], "friction": 0.3}},
+        {"effects.contact.obstacles.0.position": [0.25, [0.04, 0.06], [-0.02, 0.02]], "effects.contact.friction": [0.1, 0.5]},
     ),
     "material": (
         {**GRAVITY, "tendons.0.routing.offset": [0.01, 0.0]},
@@ -116,7 +116,7 @@ def test_what_cannot_be_drawn_is_refused_when_the_environment_is_made(how):
     effects = {
         "effects.gravity.acceleration": [0.0, 0.0, -9.81],
         "effects.fluid.density": 1000.0,
-        "effects.contact": {"obstacles": [{**BALL, "friction": 0.0}, FLOOR]},
+        "effects.contact": {"obstacles": [BALL, FLOOR]},
         "effects.disturbance.loads": [{"at": 0.2, "force": [0.0, 0.0, 0.0]}],
     }
     with pytest.raises(ConfigurationError) as error:
