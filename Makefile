@@ -8,7 +8,7 @@ PYTEST := $(PYTHON) -m pytest $(OPTIONS)
 OF_CORE := tests/compiler tests/scene \
 	tests/mechanics/algebra $(addprefix tests/envs/test_,gymnasium.py registration.py rewards.py actuation.py) \
 	$(addprefix tests/control/test_,allocation.py dynamics.py predictive.py rigid_motions.py tip_tracking.py)
-OF_AGENTS := tests/policies tests/export $(addprefix tests/learning/test_,hyperparameters.py train.py vec_env.py)
+OF_AGENTS := tests/policies tests/export $(addprefix tests/learning/test_,train.py vec_env.py)
 # A Python 3.x that runs: `$(call python,11)`; on the PATH, or one of pyenv's.
 python = $(shell for found in python3.$(1) $(wildcard $(HOME)/.pyenv/versions/3.$(1).*/bin/python); do $$found -c '' 2>/dev/null && echo $$found && break; done)
 OLDEST = $(firstword $(foreach minor,11 12 13 14,$(call python,$(minor))))
@@ -51,7 +51,7 @@ derivatives: .venv-peers/.installed ## measure the cost of derivatives, of SoRoM
 	.venv-peers/bin/python benchmarks/derivatives.py --soromox --write-docs
 
 rllib: .venv-rllib/.installed ## an environment with Ray and RLlib, .venv-rllib, and the tests that need it
-	.venv-rllib/bin/python -m pytest tests/learning/rllib tests/tools/test_parallel.py
+	.venv-rllib/bin/python -m pytest tests/learning/test_rllib.py tests/tools/test_parallel.py
 
 docs: .venv/.installed-docs ## build the documentation into site/; every warning is an error
 	NO_MKDOCS_2_WARNING=1 $(PYTHON) -m mkdocs build --quiet

@@ -16,7 +16,7 @@ from soft_tendon_env.envs.observation import Group
 from soft_tendon_env.envs.targets import PoseCourse, Target, pose_samples, register_target
 from soft_tendon_env.envs.tasks import Task, register_reward_term, register_task
 from soft_tendon_env.envs.tracking import POSITION
-from soft_tendon_env.learning.analytic_policy_gradient import APG
+from soft_tendon_env.learning.analytic_policy_gradient import APG, APGSettings
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 
 ID, ROWS = "TendonRod-FollowBall-v0", 32
@@ -145,7 +145,7 @@ def learner(env, seed=0):
     network = {"net_arch": {"pi": [128, 128], "vf": []}, "activation_fn": torch.nn.ELU}
     env.set_options([{"episode_steps": WINDOW * (1 + row % (PERIODS // WINDOW))} for row in range(env.num_envs)])
     rate = {"learning_rate": lambda remaining: 3e-4 * 10.0**remaining}
-    return APG("MlpPolicy", env, n_steps=WINDOW, cost=cost_of, policy_kwargs=network, seed=seed, **rate)
+    return APG("MlpPolicy", env, settings=APGSettings(n_steps=WINDOW), cost=cost_of, policy_kwargs=network, seed=seed, **rate)
 
 
 def mean_return(policy, episodes=50):

@@ -1,7 +1,6 @@
 """`soft-tendon export`: a trained agent as one ONNX file, from measurements in SI units to commands, checked against the original."""
 
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import gymnasium as gym
@@ -34,7 +33,7 @@ def run(settings: Export) -> None:
     with mistakes():
         require("export")
         from soft_tendon_env.export import export_agent
-        from soft_tendon_env.export.check import ALLOWED, Agent, compare, record
+        from soft_tendon_env.export.check import ALLOWED, compare
 
         if path.suffix != ".onnx":
             raise ValueError(f"--out is {path}: it should be the path of an .onnx file, such as {path.stem}.onnx")
@@ -46,14 +45,14 @@ def run(settings: Export) -> None:
         writable_folder(path.parent)
     path.write_bytes(model.SerializeToString())
     print(*shipped_notes([settings.agent], settings.task), f"written: {path} ({path.stat().st_size / 1e6:.2f} MB)\n", sep="\n")
-    recorded, agent = record(policy, env), Agent(path)
-    found, metadata = compare(agent, recorded), agent.metadata
-    inputs = [(name, str(tuple(of["shape"])), of["unit"], of["description"]) for name, of in metadata["inputs"].items()]
-    print(tables.markdown_table(("input", "shape", "unit", "description"), inputs))
+    found = compare(path, policy, env)
+    metadata = found.metadata
+    inputs = [(name, str(tuple(of["shape"])), of["unit"]) for name, of in metadata["inputs"].items()]
+    print(tables.markdown_table(("input", "shape", "unit"), inputs))
     unit, rate = metadata["command"]["unit"], 1.0 / metadata["control_period_s"]
-    print(f"\nOutput: the command [{unit}] of {len(metadata['command']['least'])} tendons, {rate:g} times a second.")
-    print(f"Largest difference of commands on {len(recorded):,} recorded observations: {tables.number(found.command)} {unit}.")
-    times = (tables.number(1e3 * seconds) for seconds in (found.seconds, median(period.seconds for period in recorded)))
+    print(f"\nOutput: the command [{unit}] of {len(metadata['command']['limits'])} tendons, {rate:g} times a second.")
+    print(f"Largest difference of commands on {found.observations:,} observations: {tables.number(found.command)} {unit}.")
+    times = (tables.number(1e3 * seconds) for seconds in (found.seconds, found.original_seconds))
     print("Median time of an action: {} ms by onnxruntime, {} ms by the original; {}".format(*times, provenance.machine()))
     if found.of_range > ALLOWED:
         raise UserError(f"{path}: commands differ from the original's by more than {ALLOWED:g} of their range")

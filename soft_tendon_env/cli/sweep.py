@@ -8,7 +8,7 @@ from pydantic import Field
 
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.evaluation.pages import Page
-from soft_tendon_env.learning.sweep import Sweep, tail, train_all
+from soft_tendon_env.learning.sweep import Sweep, train_all
 
 
 class SweepCommand(Sweep):
@@ -24,16 +24,17 @@ def run(settings: SweepCommand) -> None:
     out = Path(settings.out)
     with mistakes():
         require("agents", "pictures", *(["rllib"] if settings.cluster else []))
-        markers = () if settings.only_plot else [f"sweep {task}" for task in settings.tasks()]
+        jobs = [] if settings.only_plot else settings.jobs(out)
+        markers = [f"sweep {task}" for task in dict.fromkeys(job.training.task for job in jobs)]
         page = Page(settings.write_docs, markers)
         writable_folder(out)
         from soft_tendon_env.learning.curves import show_curves
 
-        failed = [] if settings.only_plot else train_all(settings.jobs(out), settings.workers, settings.cluster)
+        failed = train_all(jobs, settings.workers, settings.cluster) if jobs else {}
         tables = show_curves(out, settings.names, None if settings.only_plot else settings.all_seeds)
         for task, table in tables.items():
             page.write(f"sweep {task}", table)
-    for job in failed:
-        print(f"\nfailed: {' '.join(job.command)}\n{tail(job.log)}", file=sys.stderr)
+    for folder, text in failed.items():
+        print(f"\nfailed: {folder}\n{text}", file=sys.stderr)
     if failed or not tables:
         sys.exit(1)

@@ -37,7 +37,7 @@ def run(settings: Train) -> None:
                 raise ValueError("\n".join(f"--{name} is for --engine rllib" for name in sorted(given)))
             require("agents" if settings.engine == "sb3" else "rllib")
             from soft_tendon_env.learning import train
-            from soft_tendon_env.learning.callback import TrainingCallback
+            from soft_tendon_env.learning.monitor import TrainingCallback
 
             path = find_config(settings.config)
             training = read_training(path, settings.set, **({} if settings.seed is None else {"seed": settings.seed}))
@@ -56,9 +56,8 @@ def run(settings: Train) -> None:
 
 def rllib_training(settings: Train, training: Training, folder: Path, checkpoint: Path | None, stack: ExitStack) -> Any:
     """A training of RLlib on a cluster, or on a Ray of its own, which ends with the stack. Raises ValueError, OSError."""
-    from soft_tendon_env.learning.rllib.settings import rllib_settings
-    from soft_tendon_env.learning.rllib.train import RllibTraining
+    from soft_tendon_env.learning.rllib import RllibTraining, make_config
 
-    rllib_settings(training, settings.runners)
+    make_config(training, settings.runners)
     stack.enter_context(ray_cluster(settings.cluster, settings.runners, f"{settings.runners} runners"))
     return RllibTraining(training, writable_folder(folder), settings.runners, checkpoint)

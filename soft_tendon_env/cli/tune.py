@@ -15,11 +15,11 @@ STORAGE = "journal file or database URL of the study, which machines that run th
 
 
 class Tune(Configuration):
-    """Search for the best parameters of a training or a controller, and compare them with the defaults on other episodes."""
+    """Search for the best parameters of a training or a controller."""
 
     config: str = Field(description=f"a search that ships ({', '.join(config_names(PREFIX))}), or the path of a TOML file")
     trials: int | None = Field(default=None, ge=1, description="number of trials of the study, overrides the file")
-    set: tuple[str, ...] = Field(default=(), description="overrides of the file, such as seconds=2.0 pruner=hyperband")
+    set: tuple[str, ...] = Field(default=(), description="overrides of the file, such as seconds=2.0")
     workers: int = Field(default=1, ge=1, description="trials side by side")
     cluster: str | None = Field(default=None, description='address of a Ray cluster that runs them, or "auto"; its machines see the folder')
     storage: str | None = Field(default=None, description=STORAGE)
@@ -30,8 +30,8 @@ def run(settings: Tune) -> None:
     """Search, print and write."""
     with mistakes():
         require("tuning", *(["rllib"] if settings.cluster else []))
-        from soft_tendon_env.tuning.study import Work, open_study
-        from soft_tendon_env.tuning.tune import compare, read_search, tune
+        from soft_tendon_env.tuning.search import read_search
+        from soft_tendon_env.tuning.study import Work, open_study, tune
 
         path = find_config(settings.config, PREFIX)
         search = read_search(path, settings.set, **({} if settings.trials is None else {"trials": settings.trials}))
@@ -40,5 +40,4 @@ def run(settings: Tune) -> None:
         open_study(work)
     print(f"{search.trials} trials of {path.stem} into {folder}; {machine()}")
     with mistakes():
-        best = tune(work, settings.workers, settings.cluster)
-        print(f"on other episodes: {compare(work, best, settings.workers, settings.cluster)}")
+        tune(work, settings.workers, settings.cluster)

@@ -34,7 +34,8 @@ def inward_clip(values: torch.Tensor, least: torch.Tensor | float, greatest: tor
 
 
 class TensorActuation:
-    """Rows of actuators from where they are now, for actions that carry gradients; `command` (rows, n_a) is what was last asked for.
+    """Rows of actuators from where they are now, for actions that carry gradients; `command` (rows, n_a) is what was last asked for, and
+    `scale` an ActionScale of tensors.
 
     Limits of commands, and tendons that actuators let go slack, have gradients that lead back inside.
     """
@@ -42,13 +43,13 @@ class TensorActuation:
     def __init__(self, actuation: Actuation) -> None:
         self._of = of = actuation
         scale: dict[str, Any] = {own.name: _tensor(getattr(of.actions, own.name)) for own in fields(ActionScale)}
-        self._scale: Any = ActionScale(**scale)
+        self.scale: Any = ActionScale(**scale)
         self.command: torch.Tensor = _tensor(of.command)
         self._in_transit = _tensor(of.in_transit)
 
     def apply(self, action: torch.Tensor) -> torch.Tensor:
         """Commands (rows, parts, n_a) of the period that begins, for actions (rows, n_a) in [-1, 1]: as Actuation.apply."""
-        of, scale = self._of, self._scale
+        of, scale = self._of, self.scale
         self.command = inward_clip(scale.wanted(action, self.command), scale.least, scale.greatest)
         if self._in_transit is None:
             acting = self.command[:, None].expand(-1, of.substeps, -1)

@@ -33,18 +33,29 @@ class TensorObservation:
         arms: of this step; action: (rows, n_a) the last one; command: (rows, n_a) asked for last.
         """
         observed = tensors_observed(self._episodes, arms, action, command)
+        seen, self._past = self.complete(observed, self.groups(observed), self._past)
+        return seen
+
+    def groups(self, observed: Any) -> torch.Tensor:
+        """The groups' entries (rows, size of the groups), scaled and clipped, of observed quantities as tensors."""
         parts: list[Any] = [group.values(observed) for group in self._episodes.layout.groups.values()]
-        flat = torch.clamp(torch.cat(parts, dim=1) * self._scale, -self._bound, self._bound)
-        if self._past is not None:
-            frames = torch.cat([flat[:, None, self._kept], self._past], dim=1)
-            self._past = frames[:, :-1]
+        return torch.clamp(torch.cat(parts, dim=1) * self._scale, -self._bound, self._bound)
+
+    def complete(self, observed: Any, flat: torch.Tensor, past: torch.Tensor | None) -> tuple[Any, torch.Tensor | None]:
+        """Observation of `groups` with their history and goals, and the past of the next step.
+
+        past: (rows, periods, m) of the arm's groups before this step, the latest first; None: without history.
+        """
+        if past is not None:
+            frames = torch.cat([flat[:, None, self._kept], past], dim=1)
+            past = frames[:, :-1]
             flat = torch.cat([flat, ((frames[:, 1:] - frames[:, :1]) / CHANGE).flatten(1)], dim=1)
         if self._episodes.task.goal is None:
-            return flat.to(self._dtype)
+            return flat.to(self._dtype), past
         reach, poses = self._episodes.goal_bound, (observed.tip_pose, observed.target.tip_pose[:, 0])
         achieved, desired = (torch.clamp(pose[:, :3, 3], -reach, reach) for pose in poses)
         named = {"observation": flat, "achieved_goal": achieved, "desired_goal": desired}
-        return {name: value.to(self._dtype) for name, value in named.items()}
+        return {name: value.to(self._dtype) for name, value in named.items()}, past
 
 
 def tensors_observed(episodes: Episodes, arms: ArmTensors, action: torch.Tensor, command: torch.Tensor) -> Any:

@@ -1,5 +1,3 @@
 """Trained agents as single ONNX files: measurements in SI units in, commands out; no simulator, and no framework of learning, is needed."""
 
-from soft_tendon_env.export.agent import export_agent
-
-__all__ = ["export_agent"]
+from soft_tendon_env.export.agent import export_agent as export_agent

@@ -1,143 +1,151 @@
 """Export of a trained agent: one ONNX graph from measurements in SI units to the command that is to be sent.
 
-In it: pose errors, scales and bounds of the observation, its history, the integral, normalisation, network, action scaling and limits. What
-is remembered from one call to the next goes in and comes out, NAME and next_NAME, and is all zeros at the beginning.
+PyTorch traces the observation's own definition (`differentiable.observation`), integral action, normalisation, network and action scaling.
+What is remembered from one call to the next goes in and comes out, NAME and next_NAME, and is all zeros at the beginning.
 """
 
-import hashlib
+import io
 import json
-from collections.abc import Mapping
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import onnx
+import torch
 
+from soft_tendon_env.differentiable.actuation import TensorActuation
+from soft_tendon_env.differentiable.observation import TensorObservation, check_groups
+from soft_tendon_env.differentiable.period import as_tensors
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
-from soft_tendon_env.evaluation.provenance import versions
-from soft_tendon_env.export.graph import Graph
-from soft_tendon_env.export.measurements import measurements
-from soft_tendon_env.export.network import actions
-from soft_tendon_env.export.observation import ObservationNodes
+from soft_tendon_env.envs.observation import Observed, RestValues
+from soft_tendon_env.envs.targets import TargetSamples
+from soft_tendon_env.export.pose_logarithm import pose_logarithm
 from soft_tendon_env.policies.agent import NetworkPolicy
 from soft_tendon_env.policies.integral import MOST, NEAR, IntegralPolicy
 from soft_tendon_env.policies.normalization import BOX, Normalization
 from soft_tendon_env.policies.protocol import Policy
-from soft_tendon_env.scene.scene import scene_to_dict
 from soft_tendon_env.tools.types import Array
 
 METADATA = "soft_tendon_env"
-"""Key of the model's metadata: a table as JSON, see `metadata`."""
-COMMANDS = {"N": "tension", "m": "displacement"}
-"""Names of the output that is to be sent, by its unit."""
+"""Key of the model's metadata: a table as JSON."""
+OPSET, IR_VERSION = 17, 8  # of ONNX 1.12 (2022), which runtimes of small computers have
+MEASUREMENTS: Mapping[str, tuple[str, Callable[[Observed], Array]]] = {
+    "tip_pose": ("1, last column m", lambda o: o.tip_pose),
+    "tip_twist": ("rad/s, then m/s", lambda o: o.tip_twist),
+    "tendon_lengths": ("m", lambda o: o.tendon_length),
+    "strain": ("1/m three times, then 1", lambda o: o.measured.strain - o.rest.strain),
+    "strain_rate": ("1/(m s) three times, then 1/s", lambda o: o.measured.strain_rate),
+    "coordinates": ("the coordinates'", lambda o: o.q),
+    "rates": ("the coordinates' per second", lambda o: o.q_dot),
+    "target_pose": ("1, last column m", lambda o: o.target.tip_pose),
+    "target_twist": ("rad/s, then m/s", lambda o: o.target.tip_twist),
+    "target_coordinates": ("the coordinates'", lambda o: o.target.q),
+    "target_lengths": ("m", lambda o: o.target_length if o.target.tendon_length.size else o.target.tendon_length[:, 0]),
+}
+"""Inputs of exported agents by name: unit, and values (rows, ...). Lengths and strains are less those at rest."""
+
+
+def measurements(episodes: Episodes) -> dict[str, Array]:
+    """Measurements of a single environment now, by name."""
+    return {name: values(episodes.observed)[0].copy() for name, (_, values) in MEASUREMENTS.items()}
+
+
+class _ControlPeriod(torch.nn.Module):
+    """One control period of an agent: measurements and states, in the order of `inputs`, to values in the order of `outputs`."""
+
+    def __init__(self, episodes: Episodes, agent: NetworkPolicy, integral: IntegralPolicy | None) -> None:
+        super().__init__()
+        self.network, normalise = getattr(agent.network, "policy", agent.network), agent.normalise
+        self.normalise = normalise if isinstance(normalise, Normalization) else None
+        self.episodes, self.integral = episodes, integral
+        self.observation, self.scale = TensorObservation(episodes, torch.float32), TensorActuation(episodes.actuation).scale
+        start = as_tensors(episodes.start_command, episodes.actuation.start_action)
+        self.start = dict(zip(("command", "last_action"), start, strict=True))
+        states = {"started": torch.zeros(1), **{name: torch.zeros_like(value) for name, value in self.start.items()}}
+        if episodes.history is not None:
+            states["history"] = torch.zeros(episodes.options.history, episodes.layout.kept.size)
+        if integral is not None:  # its linear maps: to the way that is integrated, and from the integral to what moves
+            unit, size = integral.goal_unit, episodes.layout.space.shape[0]
+            way = np.eye(3) / unit if episodes.task.goal else integral._way(np.eye(size))
+            moved = unit * np.eye(3) if episodes.task.goal else integral._moved(np.zeros(way.T.shape), np.eye(way.shape[1]))
+            self.way, self.shift = as_tensors(way, moved)
+            states["integral"] = torch.zeros(len(moved))
+        measured = dict(zip(MEASUREMENTS, as_tensors(*measurements(episodes).values()), strict=True))
+        self.inputs = {**measured, **{name: value.double() for name, value in states.items()}}
+        self.outputs = ["action", *(f"next_{name}" for name in states)]
+
+    def forward(self, *values: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        given = {name: value[None] for name, value in zip(self.inputs, values, strict=True)}
+        running = given["started"] > 0.5
+        command, before = (torch.where(running, given[name], start) for name, start in self.start.items())
+        observed = self.observed(given, before, command)
+        flat, past, total = self.observation.groups(observed), given.get("history"), None
+        if past is not None:
+            past = torch.where(running[..., None], past, flat[:, None, self.episodes.layout.kept])
+        seen, past = self.observation.complete(observed, flat, past)
+        parts = dict(seen) if isinstance(seen, dict) else {BOX: seen}
+        if self.integral is not None:
+            key = BOX if BOX in parts else "desired_goal"
+            way = (parts[key] - parts.get("achieved_goal", 0.0)).double() @ self.way
+            grown = self.integral.share * torch.where(way.abs().amax(1, keepdim=True) <= NEAR, way, 0.0)
+            total = (given["integral"] + grown).clamp(-MOST, MOST)
+            parts[key] = (parts[key].double() + total @ self.shift).float()
+        if (by := self.normalise) is not None:
+            for key, of in by.moments.items():
+                mean, deviation = as_tensors(of.mean, np.sqrt(of.variance + by.epsilon))
+                parts[key] = ((parts[key] - mean) / deviation).clamp(-by.clip, by.clip).float()
+        action = self.network._predict(parts.get(BOX, parts), deterministic=True).clamp(-1.0, 1.0).double()
+        sent = torch.minimum(torch.maximum(self.scale.wanted(action, command), self.scale.least), self.scale.greatest)
+        found = [action, given["started"].clamp(min=1.0), sent, 1.0 * action, past, total]
+        return tuple(value[0] for value in found if value is not None)
+
+    def observed(self, given: Mapping[str, torch.Tensor], action: torch.Tensor, command: torch.Tensor) -> Any:
+        """Observed quantities as tensors, less rest values, for the groups' own definitions."""
+        names = {"coordinates": "q", "rates": "q_dot", "tendon_lengths": "tendon_length"}
+        arm, seen = SimpleNamespace(**{names.get(name, name): value for name, value in given.items()}), self.episodes.observed
+        wanted: Any = *(given[f"target_{name}"] for name in ("pose", "twist", "coordinates")), given["target_lengths"][:, None], None
+        error: Any = pose_logarithm(arm.tip_pose[0], given["target_pose"][0])[None]
+        rest: Any = RestValues(*as_tensors(*(0.0 * value for value in seen.rest)))
+        of_arm: dict[str, Any] = {"arms": SimpleNamespace(rows=arm, reading=arm), "measured": arm, "action": action, "command": command}
+        return replace(seen, error=error, target=TargetSamples(*wanted), rest=rest, **of_arm)
 
 
 def export_agent(policy: Policy, env: gym.Env[Any, Any], origin: Mapping[str, Any] | None = None) -> onnx.ModelProto:
     """ONNX model of a trained agent, see `load_agent`, for the observation and the actions of its environment.
 
-    origin: what else its metadata should say, such as where it comes from. Raises ValueError for what cannot be exported: networks other
-    than layers in a row; TypeError for environments of other packages.
+    origin: what its metadata should say besides. Raises ValueError for other policies and recurrent networks, ConfigurationError naming
+    observation groups of contact, TypeError for environments of other packages.
     """
-    episodes, graph = episodes_of(env), Graph()
-    nodes = ObservationNodes(graph, episodes)
+    episodes, file = episodes_of(env), io.BytesIO()
     integral, agent = (policy, policy.policy) if isinstance(policy, IntegralPolicy) else (None, policy)
-    if not isinstance(agent, NetworkPolicy) or not isinstance(agent.normalise, Normalization | None):
-        raise ValueError(f"policy should be a trained agent, as load_agent gives it, not {type(agent).__name__}")
-    seen = {BOX: nodes.flat()}
-    if episodes.task.goal is not None:
-        achieved, desired = nodes.goals()
-        seen = {"achieved_goal": achieved, "desired_goal": desired, "observation": seen[BOX]}
-    if integral is not None:
-        seen = _moved(graph, seen, integral, episodes)
-    if agent.normalise is not None:
-        seen = {key: _normalised(graph, value, key, agent.normalise) for key, value in seen.items()}
-    action = graph.cast(actions(graph, agent.network, seen), np.float64)
-    _outputs(graph, action, nodes.command, episodes)
-    return graph.model(episodes.task.name, {METADATA: json.dumps({**metadata(episodes, integral), **(origin or {})})})
-
-
-def _moved(graph: Graph, seen: dict[str, str], integral: IntegralPolicy, episodes: Episodes) -> dict[str, str]:
-    """Observations whose target is moved by the integral of the error, see IntegralPolicy."""
-    key = BOX if episodes.task.goal is None else "desired_goal"
-    if key == BOX:
-        size = episodes.layout.space.shape[0]
-        way = graph.take(seen[key], [i for now, _ in integral.ways for i in range(size)[now]])
-    else:
-        distance = graph.cast(graph.add("Sub", seen[key], seen["achieved_goal"]), np.float64)
-        way = graph.add("Div", distance, integral.goal_unit)
-    shift = _shift(integral, episodes)
-    way, before = graph.cast(way, np.float64), graph.input("integral", (len(shift),), "integral of the error, scaled as the observation")
-    largest = graph.add("ReduceMax", graph.add("Abs", way), axes=[0], keepdims=1)
-    grown = graph.add("Mul", integral.share, graph.add("Where", graph.add("LessOrEqual", largest, NEAR), way, 0.0))
-    total = graph.clip(graph.sum(before, grown), -MOST, MOST)
-    graph.output("next_integral", total, (len(shift),), "for the next call")
-    moved = graph.sum(graph.cast(seen[key], np.float64), graph.add("MatMul", total, shift))
-    return {**seen, key: graph.cast(moved, np.float32)}
-
-
-def _shift(integral: IntegralPolicy, episodes: Episodes) -> Array:
-    """By how much each entry of the observation, or of the goal, moves with each of the integral (entries, size)."""
-    if episodes.task.goal is not None:
-        return integral.goal_unit * np.eye(3)
-    numbers, rows = np.arange(episodes.layout.space.shape[0]), []
-    for now, ahead in integral.ways:
-        for i, entry in enumerate(numbers[now]):
-            moves = [entry, *numbers[ahead][i :: now.stop - now.start]]
-            rows.append(np.isin(numbers, moves).astype(np.float64))
-    return np.array(rows)
-
-
-def _normalised(graph: Graph, value: str, key: str, normalise: Normalization) -> str:
-    if key not in normalise.moments:
-        return value
-    mean, variance = normalise.moments[key]
-    scaled = graph.add("Div", graph.add("Sub", graph.cast(value, np.float64), mean), np.sqrt(variance + normalise.epsilon))
-    return graph.cast(graph.clip(scaled, -normalise.clip, normalise.clip), np.float32)
-
-
-def _outputs(graph: Graph, action: str, command: str, episodes: Episodes) -> None:
-    """The command that an action asks for, within the limits."""
-    scale, unit, shape = episodes.actuation.actions, episodes.model.scene.effects.command_unit, (episodes.model.tendon_count,)
-    if scale.increment is None:
-        wanted = graph.sum(scale.least, graph.add("Mul", 0.5 * (scale.greatest - scale.least), graph.sum(action, 1.0)))
-    else:
-        wanted = graph.sum(command, graph.add("Mul", scale.increment, action))
-    sent = graph.clip(wanted, scale.least, scale.greatest)
-    graph.output(COMMANDS.get(unit, "sent"), sent, shape, f"to be sent to the tendons' actuators [{unit}]")
-    graph.output("next_command", sent, shape, "for the next call, or what was really sent")
-    graph.output("action", action, shape, "in [-1, 1]")
-    if "last_action" in episodes.layout.slices:
-        graph.output("next_last_action", action, shape, "for the next call")
-
-
-def metadata(episodes: Episodes, integral: IntegralPolicy | None) -> dict[str, Any]:
-    """Table of what an exported agent takes and gives: inputs and layout of its observation with units, rate, limits, scene, versions."""
-    options, model, actions = episodes.options, episodes.model, episodes.actuation.actions
-    scene = scene_to_dict(model.scene)
-    layout = {
-        name: {"size": where.stop - where.start, "unit": [*map(float, 1.0 / episodes.layout.scale[where])]}
-        for name, where in episodes.layout.slices.items()
-    }
-    return {
+    if (
+        not isinstance(agent, NetworkPolicy)
+        or not isinstance(agent.normalise, Normalization | None)
+        or hasattr(agent.network, "lstm_actor")
+    ):
+        raise ValueError(f"policy should be a trained agent without recurrence, as load_agent gives it, not {type(agent).__name__}")
+    check_groups(episodes)
+    module = _ControlPeriod(episodes, agent, integral).eval()
+    options: dict[str, Any] = {"input_names": [*module.inputs], "output_names": module.outputs, "opset_version": OPSET, "dynamo": False}
+    with warnings.catch_warnings(action="ignore"), torch.no_grad():  # of the tracer, that sizes are constants: they are
+        torch.onnx.export(module, (*module.inputs.values(),), file, **options)  # type: ignore[arg-type] # takes files too
+    model = onnx.load_from_string(file.getvalue())
+    used = {name for node in model.graph.node for name in node.input}
+    for unused in [of for of in model.graph.input if of.name not in used]:
+        model.graph.input.remove(unused)
+    model.ir_version, actions, values = IR_VERSION, episodes.actuation.actions, measurements(episodes)
+    said = {
         "task": episodes.task.name,
         "control_period_s": episodes.period,
-        "inputs": {
-            name: {"shape": of.shape, "unit": of.unit, "description": of.description} for name, of in measurements(episodes).items()
-        },
-        "observation": layout,
-        "history_periods": options.history,
+        "inputs": {name: {"shape": values[name].shape, "unit": unit} for name, (unit, _) in MEASUREMENTS.items() if name in used},
         "preview_s": [*map(float, episodes.ahead[1:])],
         "sensors_m": [*map(float, episodes.sensors)],
-        "action": options.action,
-        "command": {
-            "unit": model.scene.effects.command_unit,
-            "least": actions.least.tolist(),
-            "greatest": actions.greatest.tolist(),
-            "increment": None if actions.increment is None else actions.increment.tolist(),
-            "start": episodes.start_command.tolist(),
-        },
-        "integral_share_of_a_period": None if integral is None else integral.share,
-        "scene": model.scene.name,
-        "scene_digest": hashlib.sha256(json.dumps(scene, sort_keys=True).encode()).hexdigest(),
-        "versions": versions(),
+        "command": {"unit": episodes.model.scene.effects.command_unit, "limits": np.c_[actions.least, actions.greatest].tolist()},
     }
+    onnx.helper.set_model_props(model, {METADATA: json.dumps({**said, **(origin or {})})})
+    onnx.checker.check_model(model, full_check=True)
+    return model

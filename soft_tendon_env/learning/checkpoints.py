@@ -1,19 +1,14 @@
 """Checkpoints of a training, atomic: one replaces the one before only when it is complete, so that a killed training can go on.
 
-A checkpoint is a folder with the agent, as `load_policy` takes it without unpickling: `weights.pt`, `statistics.npz` (running mean and
-variance of observations) and `config.json` (what it was trained with, and the digests of the other files). What a training goes on from
-has the model with its optimiser (`model.zip`), `vecnormalize.pkl`, the environment in the midst of its episodes with the generators
-(`environment.pkl`) and, for off-policy algorithms, the transitions (`replay_buffer.pkl`) as well; these are unpickled when it goes on, and
-only then.
+A checkpoint is a folder with the agent, as `load_policy` takes it without unpickling: `weights.pt`, `statistics.npz` and `config.json`,
+which has the digests of the other files. What a training goes on from has the other files too, which are unpickled then, and only then.
 """
 
-import csv
 import pickle
 import shutil
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,44 +17,32 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from soft_tendon_env.evaluation.provenance import origin, write_json
 from soft_tendon_env.learning.config import Training
-from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, unwrapped
+from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.agent import save_agent
 from soft_tendon_env.policies.agent_checks import layout_of, strain_of
-from soft_tendon_env.policies.agent_files import CONFIG, AgentConfig
+from soft_tendon_env.policies.agent_files import CONFIG
 from soft_tendon_env.policies.normalization import normalization_of
-from soft_tendon_env.tools.files import check_digests, digests, open_file, read_json, read_numbers
+from soft_tendon_env.tools.files import check_digests, digests, read_json
 from soft_tendon_env.tools.messages import UserError, first_line
 
 BUFFER, MODEL, PICKLED, ENVIRONMENT = "replay_buffer.pkl", "model.zip", "vecnormalize.pkl", "environment.pkl"
 LAST = ("_last_obs", "_last_original_obs", "_last_episode_starts", "action_space")
 """Attributes of a model that belong to the environment as it is."""
-Kind = TypeVar("Kind")
-COLUMNS = ("steps", "seconds", "return", "diverged")
-"""First columns of every learning curve, before the task's own."""
 
 
-class Midst(NamedTuple):
-    """An environment in the midst of its episodes, with all else that the next step of a training depends on."""
+def midst_of(model: BaseAlgorithm) -> dict[str, Any]:
+    """Environment of a model in the midst of its episodes, with all else that the next step of its training depends on."""
+    statistics, last = statistics_of(model), {name: getattr(model, name) for name in LAST}
+    generators = torch.get_rng_state(), np.random.get_state()
+    return {"env": unwrapped(statistics), "returns": statistics.returns, "last": last, "generators": generators}
 
-    env: StableBaselinesVecEnv
-    returns: Any  # (rows,) discounted, as VecNormalize has them
-    last: dict[str, Any]  # see LAST
-    torch_state: Any  # of the generators of PyTorch and NumPy
-    numpy_state: Any
 
-    @classmethod
-    def of(cls, model: BaseAlgorithm) -> "Midst":
-        """Environment of a model as it is now, with the generators."""
-        statistics, last = statistics_of(model), {name: getattr(model, name) for name in LAST}
-        return cls(unwrapped(statistics), statistics.returns, last, torch.get_rng_state(), np.random.get_state())
-
-    def restore(self, model: BaseAlgorithm) -> None:
-        """Let a model on this environment go on from there."""
-        statistics_of(model).returns = self.returns
-        for name, value in self.last.items():
-            setattr(model, name, value)
-        torch.set_rng_state(self.torch_state)
-        np.random.set_state(self.numpy_state)
+def restore(model: BaseAlgorithm, midst: dict[str, Any]) -> None:
+    """Let a model on the environment of `midst_of` go on from there."""
+    statistics_of(model).returns = midst["returns"]
+    vars(model).update(midst["last"])
+    torch.set_rng_state(midst["generators"][0])
+    np.random.set_state(midst["generators"][1])
 
 
 def config_record(training: Training, episodes: Any) -> dict[str, Any]:
@@ -76,7 +59,7 @@ def save_checkpoint(folder: Path, model: BaseAlgorithm, config: Mapping[str, Any
         if resumable:
             model.save(new / MODEL)
             statistics_of(model).save(str(new / PICKLED))
-            (new / ENVIRONMENT).write_bytes(pickle.dumps(Midst.of(model)))
+            (new / ENVIRONMENT).write_bytes(pickle.dumps(midst_of(model)))
             if hasattr(model, "save_replay_buffer"):
                 model.save_replay_buffer(new / BUFFER)
 
@@ -110,43 +93,13 @@ def find_checkpoint(folder: Path) -> Path | None:
 
 
 def read_checkpoint(checkpoint: Path) -> dict[str, Any]:
-    """Content of config.json of a checkpoint whose files are as they were written. Raises ValueError, OSError with the remedy."""
-    path = checkpoint / CONFIG
+    """Content of config.json of a checkpoint whose files are as they were written. Raises ValueError with the remedy."""
     try:
-        config = read_json(path)
-        for key, least in (("steps_done", 0), ("seconds_learned", 0.0)):
-            if not isinstance(config.get(key), type(least) | int) or not config[key] >= least:
-                raise ValueError(f"{path}: {key} is {config.get(key)!r}: it should be a number of at least 0")
-        check_digests(checkpoint, AgentConfig.parse(config, str(path)).files, path)
+        config = read_json(checkpoint / CONFIG)
+        check_digests(checkpoint, config.get("files", {}), checkpoint / CONFIG)
     except (ValueError, OSError) as error:
         raise ValueError(f"{error}. Nothing can go on from it: take {checkpoint} away to begin again") from error
     return config
-
-
-def learned_before(checkpoint: Path) -> tuple[int, float]:
-    """Steps of all arms, and seconds, that the agent of a checkpoint has learned. Raises ValueError, OSError."""
-    config = read_checkpoint(checkpoint)
-    return config["steps_done"], config["seconds_learned"]
-
-
-@contextmanager
-def unpickling(path: Path, cause: str = "it may be cut or damaged") -> Iterator[None]:
-    """Errors of what unpickles a file, which raises whatever it meets, as a ValueError; FileNotFoundError where it is not there."""
-    if not path.exists():
-        raise FileNotFoundError(f"there is no file {path}")
-    try:
-        yield
-    except Exception as error:
-        raise ValueError(f"{path} cannot be loaded, {cause}: {first_line(error)}") from error
-
-
-def read_pickle(path: Path, kind: type[Kind]) -> Kind:
-    """Unpickle an object of a class. Loading runs what is in the file. Raises ValueError, FileNotFoundError."""
-    with unpickling(path), open_file(path) as file:
-        value = pickle.load(file)
-    if not isinstance(value, kind):
-        raise ValueError(f"{path} should hold a {kind.__name__}, not {type(value).__name__}")
-    return value
 
 
 def statistics_of(model: BaseAlgorithm) -> VecNormalize:
@@ -154,26 +107,3 @@ def statistics_of(model: BaseAlgorithm) -> VecNormalize:
     statistics = model.get_vec_normalize_env()
     assert statistics is not None, "every training has one"
     return statistics
-
-
-class Evaluations:
-    """Learning curve in a CSV file, a row per evaluation."""
-
-    def __init__(self, path: Path, upto: int = 0) -> None:
-        """Go on after the row of step `upto`, if the file is there: what follows was learned by an agent that is lost.
-
-        Raises ValueError where it is no learning curve.
-        """
-        self._path = path
-        rows = read_numbers(path, COLUMNS) if path.exists() else []
-        self.rows = [row for row in rows if row["steps"] <= upto]
-
-    def append(self, row: Mapping[str, float]) -> None:
-        """Add a row, and write them all."""
-        self.rows.append(dict(row))
-        new = self._path.with_suffix(".new")
-        with open(new, "w", newline="") as file:
-            writer = csv.DictWriter(file, list(row))
-            writer.writeheader()
-            writer.writerows({name: f"{value:.9g}" for name, value in row.items()} for row in self.rows)
-        new.replace(self._path)

@@ -1,27 +1,35 @@
 """Hyperparameters that a configuration can say: arguments of the algorithm and of its policy, by their names.
 
-Their values are left to the algorithm, which refuses what it cannot be made of.
+Their values are left to the algorithm, which refuses what it cannot be made of, but for some that it would take: RANGES.
 """
 
 import importlib
 import inspect
+import math
 from collections.abc import Mapping
 from typing import Any
 
 from soft_tendon_env.policies.network import algorithm_class, registered_algorithms
-from soft_tendon_env.tools.configuration import Key, Problem, not_among, shown
+from soft_tendon_env.tools.configuration import Problem, not_among, shown
 
 TRAINED = ("PPO", "SAC", "TQC", "CrossQ")
 """Algorithms of Stable-Baselines3 and sb3-contrib to train with."""
 APG, DAGGER = "APG", "DAgger"
 MODULES: Mapping[str, str] = {APG: "soft_tendon_env.learning.analytic_policy_gradient", DAGGER: "soft_tendon_env.learning.imitation"}
-"""Modules of the package's own algorithms, each a class with the interface of Stable-Baselines3's `BaseAlgorithm`, by its name."""
-BY_TRAINING = ("self", "policy", "env", "learning_rate", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model")
-BY_ALGORITHM = ("self", "observation_space", "action_space", "lr_schedule", "use_sde", "normalize_images")
-"""Arguments that a training gives to algorithms, and these to their policies."""
-BUFFERS = ("rollout_buffer_class", "rollout_buffer_kwargs", "replay_buffer_class", "replay_buffer_kwargs", "optimize_memory_usage")
-OBJECTS = (*BUFFERS, "action_noise", "cost", "features_extractor_class", "features_extractor_kwargs", "optimizer_class")
-"""Arguments that are objects, which no file can say."""
+"""Modules of the package's own algorithms by their names, each a `BaseAlgorithm` with its settings as `settings_class`."""
+NOT_IN_FILES = frozenset(
+    "self policy env learning_rate seed device verbose tensorboard_log settings _init_setup_model observation_space action_space "
+    "lr_schedule normalize_images rollout_buffer_class rollout_buffer_kwargs replay_buffer_class replay_buffer_kwargs action_noise cost "
+    "optimize_memory_usage features_extractor_class features_extractor_kwargs optimizer_class".split()
+)
+"""Arguments of algorithms and policies that a training gives, or that are objects, which no file can say."""
+RANGES: Mapping[str, tuple[float, float]] = {
+    **dict.fromkeys(("gamma", "gae_lambda", "tau", "lead"), (0.0, 1.0)),
+    **dict.fromkeys(("clip_range", "max_grad_norm", "position_scale", "angle_scale", "settling_time"), (1e-9, math.inf)),
+    **dict.fromkeys(("vf_coef", "far_weight", "smoothness", "noise"), (0.0, math.inf)),
+    **dict.fromkeys(("n_steps", "n_epochs", "batch_size", "rounds"), (1, math.inf)),
+}
+"""Least and greatest of numbers beyond which algorithms would train without a word, to no good."""
 
 
 def trained_algorithms() -> tuple[str, ...]:
@@ -34,23 +42,30 @@ def training_class(algorithm: str) -> Any:
     return getattr(importlib.import_module(MODULES[algorithm]), algorithm) if algorithm in MODULES else algorithm_class(algorithm)
 
 
-def learns_from_replay(algorithm: str) -> bool:
-    """Whether an algorithm is off-policy: it learns from a buffer of past transitions."""
-    return "buffer_size" in inspect.signature(training_class(algorithm).__init__).parameters
-
-
-def unknown_hyperparameters(algorithm: str, given: Mapping[str, Any]) -> list[Problem]:
-    """Problems with hyperparameters that are no arguments of the algorithm, or of its policy."""
-    kind, policy = training_class(algorithm), given.get("policy_kwargs", {})
+def hyperparameter_problems(algorithm: str, given: Mapping[str, Any]) -> list[Problem]:
+    """Problems with hyperparameters that are no arguments of the algorithm, or of its policy, or out of RANGES."""
+    kind, policy, found = training_class(algorithm), given.get("policy_kwargs", {}), list[Problem]()
     if not isinstance(policy, Mapping):
         return [Problem(("hyperparameters", "policy_kwargs"), f"is {shown(policy)}: it should be a table")]
-    found = _unknown(given, kind, BY_TRAINING, ("hyperparameters",))
-    return found + _unknown(policy, kind.policy_aliases["MlpPolicy"], BY_ALGORITHM, ("hyperparameters", "policy_kwargs"))
+    for key, table, of in (
+        (("hyperparameters",), given, kind),
+        (("hyperparameters", "policy_kwargs"), policy, kind.policy_aliases["MlpPolicy"]),
+    ):
+        valid = _names(of)
+        strange = {name: value for name, value in table.items() if name not in valid}
+        found += [
+            Problem((*key, own), f"is an unknown key (given {shown(value)}): {not_among(own, valid)}") for own, value in strange.items()
+        ]
+    for name, value in given.items():
+        least, greatest = RANGES.get(name, (-math.inf, math.inf))
+        if name in RANGES and (isinstance(value, bool) or not (isinstance(value, int | float) and least <= value <= greatest)):
+            allowed = f"at least {least:g}" if greatest == math.inf else f"from {least:g} to {greatest:g}"
+            found.append(Problem(("hyperparameters", name), f"is {shown(value)}: it should be a number {allowed}"))
+    return found
 
 
-def _unknown(given: Mapping[str, Any], kind: Any, by_others: tuple[str, ...], key: Key) -> list[Problem]:
-    arguments = inspect.signature(kind.__init__).parameters.values()
-    names = [argument.name for argument in arguments if argument.kind is not argument.VAR_KEYWORD]
-    valid = [name for name in names if name not in by_others and name not in OBJECTS]
-    unknown = {name: value for name, value in given.items() if name not in valid}
-    return [Problem((*key, name), f"is an unknown key (given {shown(value)}): {not_among(name, valid)}") for name, value in unknown.items()]
+def _names(kind: Any) -> list[str]:
+    """Names of the arguments of an algorithm or a policy that a file can say, those of an algorithm's settings among them."""
+    settings = getattr(kind, "settings_class", None)
+    of = [*inspect.signature(kind.__init__).parameters.values(), *(inspect.signature(settings).parameters.values() if settings else ())]
+    return [argument.name for argument in of if argument.kind is not argument.VAR_KEYWORD and argument.name not in NOT_IN_FILES]

@@ -1,30 +1,29 @@
 """Imitation of a privileged, model-based teacher by dataset aggregation, the algorithm "DAgger".
 
 The teacher knows each arm as it was drawn (material, payload, actuators, delay) and its true state; the agent sees its own observation
-alone, and learns to act as the teacher would in the states that its own actions lead to. S. Ross, G. Gordon and J. A. Bagnell, A reduction
-of imitation learning and structured prediction to no-regret online learning, AISTATS 2011; D. Chen, B. Zhou, V. Koltun and P. Krähenbühl,
-Learning by cheating, CoRL 2019.
+alone, and learns to act as the teacher would in the states that its own actions lead to. Ross, Gordon and Bagnell, A reduction of imitation
+learning and structured prediction to no-regret online learning, AISTATS 2011; Chen et al., Learning by cheating, CoRL 2019.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.save_util import load_from_pkl, save_to_pkl
+from stable_baselines3.common.type_aliases import MaybeCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from soft_tendon_env.control.catalogue import tip_pose_objective
-from soft_tendon_env.control.feedforward import StaticFeedforward
+from soft_tendon_env.control.feedforward import ReferenceGovernor, StaticFeedforward
 from soft_tendon_env.control.objectives import TipPosition
-from soft_tendon_env.control.protocol import Controller, ControllerInput, ControllerOutput, Reference
+from soft_tendon_env.control.protocol import Controller, ControllerInput, Reference
 from soft_tendon_env.control.shape_tracking import ShapeTracking
 from soft_tendon_env.control.smith_predictor import whole_periods
 from soft_tendon_env.control.tip_tracking import TipTracking
@@ -37,8 +36,6 @@ from soft_tendon_env.tools.types import Array
 
 LOOKS_AHEAD = 2
 """Control periods ahead for which the teacher needs the target, besides those of the delay."""
-ANCHORED = 4
-"""Control periods for which static tensions stay as they are: they only say which of many equivalent tensions to take."""
 LEAST_DEVIATION = 0.01
 """Added to standard deviations of features, of which those that never change would get weights without bounds."""
 EXACT = 0.1
@@ -48,37 +45,36 @@ LAST_RATE = 0.05
 
 
 @dataclass(frozen=True)
-class Anchored:
-    """Tip tracking of which redundant tensions are those nearest to static ones, found anew every `ANCHORED` calls: a reference
-    governor at a third of its cost, for targets within reach."""
+class DAggerSettings:
+    """Settings of dataset aggregation.
 
-    statics: StaticFeedforward
-    tracking: TipTracking
+    Attributes:
+        rounds: how often the agent learns from all that was shown so far.
+        n_epochs, batch_size: stochastic gradient descent of a round.
+        lead: part of the steps over which the share of episodes that the teacher leads falls from all to none.
+        noise: standard deviation of what is added to actions, so that there is something to correct.
+        settling_time: settling time of the teacher's controllers [s].
+    """
 
-    def act(self, now: ControllerInput, memory: tuple[int, Any, Any] | None = None) -> ControllerOutput:
-        """Output of the tracking law. memory: number of calls, and what statics and tracking remember."""
-        remembered: tuple[int, Any, Any] = memory or (0, None, None)
-        calls, statics, before = remembered
-        if calls % ANCHORED == 0:
-            statics = self.statics.act(now, statics).memory
-        decision = self.tracking.act(now._replace(reference=now.reference._replace(tension=statics.tension)), before)
-        return replace(decision, memory=(calls + 1, statics, decision.memory))
+    rounds: int = 12
+    n_epochs: int = 20
+    batch_size: int = 512
+    lead: float = 0.3
+    noise: float = 0.05
+    settling_time: float = 0.2
 
 
 class Teacher:
     """A controller per row that knows the row's arm, actuators, delay and state: the catalogue's `tracking`, without integral.
 
-    Where commands are late, a copy of the arms gets those on their way first (Smith predictor, all rows at once). settling_time: of the
-    controllers [s].
-    Raises ValueError where commands are no tensions, or arrive late by the scene rather than by `randomize`, and where the options'
-    preview is shorter than what it needs to know of the target.
+    Where commands are late, a copy of the arms gets those on their way first (Smith predictor, all rows at once). settling_time: [s].
+    Raises ValueError where commands are no tensions, or late by the scene rather than by `randomize`, and for too short a preview.
     """
 
     def __init__(self, episodes: Episodes, settling_time: float) -> None:
         effects = episodes.model.scene.effects
         if not effects.command_tension or effects.actuators is not None:
-            text = "a teacher needs a scene whose commands are tensions that act as they are"
-            raise ValueError(f"{text}, without tendon_elasticity and actuators")
+            raise ValueError("a teacher needs commands that are tensions and act as they are, without tendon_elasticity and actuators")
         self.episodes, self._settling_time = episodes, settling_time
         self._copy = Arms(episodes.model, episodes.size, episodes.period, np.empty(0), np.empty(0), threads=1)
         self._laws: list[Controller | None] = [None] * episodes.size
@@ -112,7 +108,7 @@ class Teacher:
         if episodes.task.shapes:
             return ShapeTracking(*arm, settling_time=self._settling_time)
         objective = TipPosition() if episodes.task.goal else tip_pose_objective(model)
-        return Anchored(StaticFeedforward(*arm, objective), TipTracking(*arm, objective, settling_time=self._settling_time))
+        return ReferenceGovernor(StaticFeedforward(*arm, objective), TipTracking(*arm, objective, settling_time=self._settling_time))
 
     def _arriving(self, sent: Array, late: Array) -> tuple[Array, Array, Array]:
         """Coordinates, rates and tip poses of rows when commands that are late by `late` (rows,) [s] arrive, after tensions sent
@@ -137,113 +133,43 @@ class Teacher:
         return Reference(ahead, tip_position=pose[:, :3, 3]) if episodes.task.goal else Reference(ahead, tip_pose=pose)
 
 
-class Dataset:
-    """Aggregated dataset: observations, and what the teacher would have done there."""
-
-    def __init__(self) -> None:
-        self._observations: list[Any] = []
-        self._wanted: list[NDArray[np.float32]] = []
-
-    def append(self, observation: Any, wanted: Array) -> None:
-        """Add the observations of all rows, new arrays at every step, and the answers (rows, n_a)."""
-        self._observations.append(observation)
-        self._wanted.append(wanted.astype(np.float32))
-
-    def teach(self, model: "DAgger", rate: float) -> float:
-        """Mean loss of the last epoch of regressing the policy's mean on all that was shown so far: Huber's loss, a rate that falls from
-        `rate` along a line.
-
-        Meanwhile features are less their mean and over their standard deviation, which then becomes part of the first layer.
-        """
-        policy: Any = model.policy
-        with torch.no_grad():
-            seen = policy.extract_features(policy.obs_to_tensor(_joined(self._observations))[0], policy.pi_features_extractor)
-        wanted = torch.as_tensor(np.concatenate(self._wanted)).to(seen.device)
-        actor = torch.nn.Sequential(*policy.mlp_extractor.policy_net, policy.action_net)
-        first = next(layer for layer in actor if isinstance(layer, torch.nn.Linear))
-        mean, deviation = seen.mean(0), seen.std(0) + LEAST_DEVIATION
-        with torch.no_grad():
-            seen = (seen - mean) / deviation
-            first.bias.add_(first.weight @ mean)
-            first.weight.mul_(deviation)
-        optimizer = torch.optim.Adam(actor.parameters(), lr=rate)
-        batches = [part for _ in range(model.n_epochs) for part in _parts(len(wanted), model.batch_size, model.generator)]
-        found = []
-        for index, part in enumerate(batches):
-            optimizer.param_groups[0]["lr"] = rate * (1.0 - (1.0 - LAST_RATE) * index / len(batches))
-            optimizer.zero_grad()
-            error = loss(actor(seen[part]), wanted[part])
-            error.backward()
-            found.append(error.item())
-            torch.nn.utils.clip_grad_norm_(actor.parameters(), 1.0)
-            optimizer.step()
-        with torch.no_grad():
-            first.weight.div_(deviation)
-            first.bias.sub_(first.weight @ mean)
-        return float(np.mean(found[-len(found) // model.n_epochs :]))
-
-
 def loss(means: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
     """Huber loss, in which a mean beyond the bounds is right where the teacher is at them."""
     means = torch.where(wanted >= 1.0, means.clamp(max=1.0), torch.where(wanted <= -1.0, means.clamp(min=-1.0), means))
     return torch.nn.functional.smooth_l1_loss(means, wanted, beta=EXACT)
 
 
-def _joined(observations: list[Any]) -> Any:
-    if isinstance(observations[0], dict):
-        return {key: np.concatenate([observation[key] for observation in observations]) for key in observations[0]}
-    return np.concatenate(observations)
-
-
-def _parts(size: int, batch: int, generator: np.random.Generator) -> list[torch.Tensor]:
-    order = generator.permutation(size)
-    return [torch.as_tensor(order[start : start + batch]) for start in range(0, size, batch)]
-
-
 class DAgger(BaseAlgorithm):
-    """Dataset aggregation (DAgger): an agent learns to act as a teacher would that knows each arm and its state, from its own observation.
+    """Dataset aggregation (DAgger) with the interface of Stable-Baselines3 and PPO's policies, of which the critic learns nothing.
 
     In every round the teacher says what it would do in each control period, while a share of the episodes is led by it and the others by
-    the agent; then the agent's mean is regressed on all that was said so far. It has the interface of Stable-Baselines3 and PPO's policies,
-    of which the critic learns nothing.
+    the agent; then the agent's mean is regressed on all that was said so far.
 
     Args:
-        policy: "MlpPolicy", or "MultiInputPolicy" for tasks with goals.
         env: vector environment of this package, see `make_sb3_vec_env`.
         learning_rate: step of Adam at the beginning of a round.
-        rounds: how often the agent learns from all that was shown so far.
-        n_epochs, batch_size: stochastic gradient descent of a round.
-        lead: part of the steps over which the share of episodes that the teacher leads falls from all to none.
-        noise: standard deviation of what is added to actions, so that there is something to correct.
-        settling_time: settling time of the teacher's controllers [s].
+        others: see DAggerSettings and BaseAlgorithm.
 
-    Raises TypeError for other environments, ValueError for arms that no teacher can control, see `Teacher`.
+    Raises TypeError for other environments, ValueError for arms that no teacher can control, see `Teacher`, and for observations under
+    running statistics, since the first layer has a scale of its own.
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = PPO.policy_aliases
+    settings_class: ClassVar[type] = DAggerSettings
 
     def __init__(
         self,
         policy: str | type[BasePolicy],
         env: VecEnv | None,
         learning_rate: float | Callable[[float], float] = 1e-3,
-        rounds: int = 12,
-        n_epochs: int = 20,
-        batch_size: int = 512,
-        lead: float = 0.3,
-        noise: float = 0.05,
-        settling_time: float = 0.2,
-        stats_window_size: int = 100,
+        settings: DAggerSettings | None = None,
         policy_kwargs: dict[str, Any] | None = None,
-        verbose: int = 0,
-        seed: int | None = None,
-        device: torch.device | str = "auto",
         _init_setup_model: bool = True,
+        **general: Any,
     ) -> None:
-        general = {"stats_window_size": stats_window_size, "verbose": verbose, "seed": seed, "device": device}
-        super().__init__(policy, env, learning_rate, policy_kwargs, support_multi_env=True, **general)  # type: ignore[arg-type]
-        self.rounds, self.n_epochs, self.batch_size, self.lead, self.noise = rounds, n_epochs, batch_size, lead, noise
-        self.settling_time, self.generator, self._shown = settling_time, np.random.default_rng(seed), Dataset()
+        super().__init__(policy, env, learning_rate, policy_kwargs, support_multi_env=True, **general)
+        self.settings, self.generator = settings or DAggerSettings(), np.random.default_rng(self.seed)
+        self._shown: list[tuple[Any, Array]] = []  # observations of all rows, and the answers (rows, n_a), by control period
         if _init_setup_model:
             self._setup_model()
 
@@ -257,25 +183,21 @@ class DAgger(BaseAlgorithm):
     def _begun(self) -> Teacher:
         """Teacher of the arms that there are now, which leads them all."""
         assert self.env is not None
+        if (statistics := self.get_vec_normalize_env()) is not None and statistics.norm_obs:
+            raise ValueError("normalise.observations is true: DAgger has a scale of its own for what it observes")
         self._leads = np.ones(self.n_envs, dtype=bool)
-        return Teacher(unwrapped(self.env).env.episodes, self.settling_time)
+        return Teacher(unwrapped(self.env).env.episodes, self.settings.settling_time)
 
-    def learn(
-        self,
-        total_timesteps: int,
-        callback: None | Callable[..., Any] | list[BaseCallback] | BaseCallback = None,
-        log_interval: int = 1,
-        tb_log_name: str = "DAgger",
-        reset_num_timesteps: bool = True,
-        progress_bar: bool = False,
-    ) -> Self:
+    def learn(self, total_timesteps: int, callback: MaybeCallback = None, log_interval: int = 1, **others: Any) -> Self:  # type: ignore[override]
         """Learn from what the teacher says in so many steps of all arms together; see `BaseAlgorithm.learn`. A round ends with a row of
         the log, every `log_interval`-th."""
-        total, callback = self._setup_learn(total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar)
+        reset, bar = others.get("reset_num_timesteps", True), others.get("progress_bar", False)
+        total, callback = self._setup_learn(total_timesteps, callback, reset, others.get("tb_log_name", "DAgger"), bar)
         callback.on_training_start(locals(), globals())
         periods = -(-total // self.n_envs)
-        for number in range(1, self.rounds + 1):
-            end = -(-number * periods // self.rounds)
+        rounds = self.settings.rounds
+        for number in range(1, rounds + 1):
+            end = -(-number * periods // rounds)
             if end <= self.num_timesteps // self.n_envs:
                 continue
             callback.on_rollout_start()
@@ -283,7 +205,7 @@ class DAgger(BaseAlgorithm):
             if not self._watch(end, periods, callback):
                 break
             callback.on_rollout_end()
-            self.logger.record("train/loss", self._shown.teach(self, self.lr_schedule(self._current_progress_remaining)))
+            self.logger.record("train/loss", self._teach(self.lr_schedule(self._current_progress_remaining)))
             if number % log_interval == 0:
                 self.logger.dump(self.num_timesteps)
         callback.on_training_end()
@@ -291,30 +213,63 @@ class DAgger(BaseAlgorithm):
 
     def _watch(self, end: int, periods: int, callback: BaseCallback) -> bool:
         """Act until control period `end` of `periods`, while the teacher says what it would do; False where the callback ends it."""
-        env = self.env
-        assert env is not None
+        env: Any = self.env
         if self._teacher is None or self._teacher.episodes is not unwrapped(env).env.episodes:  # another one was set
             self._teacher = self._begun()
         observation: Any = self._last_obs
         for done in range(self.num_timesteps // self.n_envs, end):
             wanted = self._teacher.actions()
-            self._shown.append(observation, wanted)
+            self._shown.append((observation, wanted))
             own = self.predict(observation, deterministic=True)[0]
-            noise = self.noise * self.generator.standard_normal(wanted.shape)
+            noise = self.settings.noise * self.generator.standard_normal(wanted.shape)
             actions = np.clip(np.where(self._leads[:, None], wanted, own) + noise, -1.0, 1.0).astype(np.float32)
             observation, _, ended, infos = env.step(actions)
             self._last_obs = observation
             self.num_timesteps += self.n_envs
             self._update_info_buffer(infos, ended)
-            share = max(0.0, 1.0 - (done + 1) / (self.lead * periods)) if self.lead else 0.0
+            share = max(0.0, 1.0 - (done + 1) / (self.settings.lead * periods)) if self.settings.lead else 0.0
             self._leads[ended] = self.generator.random(ended.sum()) < share
             callback.update_locals(locals())
             if not callback.on_step():
                 return False
         return True
 
+    def _teach(self, rate: float) -> float:
+        """Mean loss of the last epoch of regressing the policy's mean on all that was shown, at a rate that falls from `rate` along a line.
+
+        Meanwhile features are less their mean and over their standard deviation, which then becomes part of the first layer.
+        """
+        policy: Any = self.policy
+        observations, answers = zip(*self._shown, strict=True)
+        keys = [*observations[0]] if isinstance(observations[0], dict) else []
+        joined: Any = {key: np.concatenate([seen[key] for seen in observations]) for key in keys} or np.concatenate(observations)
+        wanted = torch.as_tensor(np.concatenate(answers), dtype=torch.float32)
+        actor = torch.nn.Sequential(*policy.mlp_extractor.policy_net, policy.action_net)
+        first = next(layer for layer in actor if isinstance(layer, torch.nn.Linear))
+        with torch.no_grad():
+            seen = policy.extract_features(policy.obs_to_tensor(joined)[0], policy.pi_features_extractor)
+            mean, deviation = seen.mean(0), seen.std(0) + LEAST_DEVIATION
+            seen = (seen - mean) / deviation
+            first.bias.add_(first.weight @ mean)
+            first.weight.mul_(deviation)
+        epochs, batch = self.settings.n_epochs, self.settings.batch_size
+        optimizer, found = torch.optim.Adam(actor.parameters(), lr=rate), list[float]()
+        orders = (torch.as_tensor(self.generator.permutation(len(wanted))).split(batch) for _ in range(epochs))
+        for index, part in enumerate(batches := [part for order in orders for part in order]):
+            optimizer.param_groups[0]["lr"] = rate * (1.0 - (1.0 - LAST_RATE) * index / len(batches))
+            optimizer.zero_grad()
+            error = loss(actor(seen[part]), wanted[part])
+            error.backward()
+            found.append(error.item())
+            torch.nn.utils.clip_grad_norm_(actor.parameters(), 1.0)
+            optimizer.step()
+        with torch.no_grad():
+            first.weight.div_(deviation)
+            first.bias.sub_(first.weight @ mean)
+        return float(np.mean(found[-len(found) // epochs :]))
+
     def save_replay_buffer(self, path: str | Path) -> None:
-        """Write all that was shown so far, with what teacher and leads remember: a training goes on from these."""
+        """Write all that was shown so far, with what teacher and leads remember."""
         save_to_pkl(path, (self._shown, self._leads, self._teacher and self._teacher.memories))
 
     def load_replay_buffer(self, path: str | Path) -> None:

@@ -1,114 +1,133 @@
-"""Monitor of a training, whatever its engine: learning curve, best and last agent in the training's folder, and the bar."""
+"""Monitor of a training, whatever its engine: validation, learning curve, best and last agent in the training's folder, and the bar."""
 
+import csv
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
+import numpy as np
 import torch
+from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.envs.tracking import error_unit
+from soft_tendon_env.evaluation import VALIDATION_SEEDS, evaluate_rows, summarise
 from soft_tendon_env.evaluation.provenance import write_json
-from soft_tendon_env.learning.checkpoints import Evaluations, learned_before
+from soft_tendon_env.evaluation.tables import number
+from soft_tendon_env.learning.checkpoints import config_record, find_checkpoint, read_checkpoint, save_checkpoint, statistics_of
 from soft_tendon_env.learning.config import Training
-from soft_tendon_env.learning.validation import Validation, best_quality, curve_row, format_row, quality
+from soft_tendon_env.learning.vec_env import unwrapped
+from soft_tendon_env.policies.agent import NetworkPolicy, acting_policy
 from soft_tendon_env.policies.agent_files import CONFIG
-from soft_tendon_env.policies.protocol import Policy
+from soft_tendon_env.tools.files import read_json, read_numbers, replacing
 from soft_tendon_env.tools.messages import UserError
 
-CHECKPOINT_SHARE = 0.05
-"""Greatest share of a training's time that checkpoints which are due by time take."""
+CHECKPOINT_SECONDS, CHECKPOINT_SHARE = 60.0, 0.05
+"""Time after which there is a checkpoint between evaluations, unless those took a greater share of it."""
+COLUMNS = ("steps", "seconds", "return", "diverged")
+"""First columns of every learning curve, before the task's own."""
 Watch = Callable[[Mapping[str, float]], None]
 """Function that gets every row of a learning curve as it is measured."""
 
 
+def quality(row: Mapping[str, Any]) -> tuple[float, ...]:
+    """Sort key of rows, the smaller the better: fewer divergences, then more goals reached, then a smaller first error of the task."""
+    error = next(value for name, value in row.items() if name.endswith("_rms"))
+    return row["diverged"], -row.get("reached", 0.0), np.inf if error is None or np.isnan(error) else error
+
+
+def format_row(row: Mapping[str, float]) -> str:
+    """The errors of a row of the learning curve."""
+    named = [(name, error_unit(name.removesuffix("_rms"))) for name in row if name.endswith("_rms")]
+    return ", ".join(f"{unit.heading} {number(unit.factor * row[name])}" for name, unit in named)
+
+
 class TrainingMonitor(ABC):
-    """Validations and checkpoints of a training while it learns. An engine says what its agent is, and when nothing is half done.
+    """Validations and checkpoints of a training while it learns. An engine says what its network is, and when nothing is half done.
 
     checkpoint: where it goes on; None: at the beginning. Raises ValueError, OSError.
     """
 
     watch: Watch | None = None
-    _bar: Any = None
+    bar: Any = None
 
     def __init__(self, training: Training, folder: Path, checkpoint: Path | None) -> None:
-        done, self._before = (0, 0.0) if checkpoint is None else learned_before(checkpoint)
-        self.training, self.folder, self.began = training, folder, done
-        self.curve = Evaluations(folder / "evaluations.csv", done)
-        self._best = best_quality(folder)
-        self.validation = Validation(training)
-        self._untimed = 0.0
+        found = {} if checkpoint is None else read_checkpoint(checkpoint)
+        self.training, self.folder, self._csv = training, folder, folder / "evaluations.csv"
+        self.began, self._before, self._untimed = found.get("steps_done", 0), found.get("seconds_learned", 0.0), 0.0
+        rows = read_numbers(self._csv, COLUMNS) if self._csv.exists() else []
+        self.curve = [row for row in rows if row["steps"] <= self.began]  # what follows was learned by an agent that is lost
+        best = find_checkpoint(folder / "best")  # which may be further than the last checkpoint
+        self._best = None if best is None else quality(read_json(best / CONFIG)["evaluated"])
+        size: dict[str, Any] = {"num_envs": training.evaluation.episodes, "max_episode_steps": training.episode_steps, "threads": 1}
+        self.envs = gym.make_vec(IDS[training.task], **size, **training.options)
 
     @abstractmethod
     def steps_done(self) -> int:
         """Steps of all arms together."""
 
     @abstractmethod
-    def agent(self) -> Policy:
-        """The agent as it is now."""
-
-    @abstractmethod
-    def network(self) -> torch.nn.Module:
-        """All weights of the agent."""
+    def network(self) -> Any:
+        """The policy network, all weights of the agent."""
 
     @abstractmethod
     def save(self, folder: Path, config: Mapping[str, Any], resumable: bool) -> None:
         """Replace a checkpoint, see `checkpoints`."""
 
-    @abstractmethod
-    def log(self, row: Mapping[str, float]) -> None:
-        """Write a row of the learning curve into the engine's own log, if it has one."""
+    def normalise(self, observation: Any) -> Any:
+        """An observation as the network sees it."""
+        return observation
 
     def begin(self, config: dict[str, Any]) -> None:
         """Begin before the first step of this process. config: the record for config.json."""
-        self._started = time.perf_counter()
-        self._config = config
+        self._started, self._config, done = time.perf_counter(), config, self.steps_done()
         write_json(self.folder / CONFIG, self._config, say=False)
-        done = self.steps_done()
-        self._bar = tqdm(total=self.training.steps, initial=done, unit="step", unit_scale=True, desc=self.folder.name, smoothing=0.05)
-        self._evaluated, self._checkpointed = done // self.training.evaluation.every, done // self.training.checkpoint_every
-        if not self.curve.rows:
+        self.bar = tqdm(total=self.training.steps, initial=done, unit="step", unit_scale=True, desc=self.folder.name, smoothing=0.05)
+        self._evaluated, self._due = done // self.training.evaluation.every, time.perf_counter() + CHECKPOINT_SECONDS
+        if not self.curve:
             self.untimed(self.evaluate)  # compiles, if need be
-        self._due = time.perf_counter() + self.training.checkpoint_seconds
 
-    def between_rollouts(self) -> None:
-        """Evaluate and keep what is due, when nothing is half done."""
+    def between_rollouts(self, ends: bool = False) -> None:
+        """Evaluate and keep what is due, when nothing is half done. ends: after the last step, when all is."""
         done = self.steps_done()
-        self._bar.update(done - self._bar.n)
-        if (now := done // self.training.evaluation.every) > self._evaluated:
-            self._evaluated = now
+        self.bar.update(done - self.bar.n)
+        before, self._evaluated = self._evaluated, done // self.training.evaluation.every
+        if new := (self._evaluated > before or ends and self.curve[-1]["steps"] < done):
             self.untimed(self.evaluate)
-        now = done // self.training.checkpoint_every
-        if now > self._checkpointed or time.perf_counter() >= self._due:
-            self._checkpointed = now
+        if new or ends or time.perf_counter() >= self._due:
             self.untimed(self.checkpoint)
 
-    def end(self) -> None:
-        """End after the last step."""
-        self._bar.update(self.steps_done() - self._bar.n)
-        if self.curve.rows[-1]["steps"] < self.steps_done():
-            self.untimed(self.evaluate)
-        self.untimed(self.checkpoint)
-
-    def close(self) -> None:
-        """Close the bar, after the end or an error."""
-        if self._bar is not None:
-            self._bar.close()
-
     def untimed(self, work: Callable[[], None]) -> None:
-        """Do work whose time does not count as learning."""
+        """Do work whose time does not count as learning, for an agent that may be kept."""
+        self.check()
         started = time.perf_counter()
         work()
         self._untimed += time.perf_counter() - started
 
+    def validate(self) -> dict[str, float]:
+        """Numbers of fixed validation episodes under the agent with its integral action, for a row of the learning curve, in SI units."""
+        policy = acting_policy(NetworkPolicy(self.network(), self.normalise), self.envs, self.training.integral_time)
+        seeds = VALIDATION_SEEDS[: self.envs.num_envs]
+        summary = summarise(evaluate_rows(policy, self.envs, seeds, self.training.evaluation.skip))
+        row = {"return": summary.mean_return, "diverged": summary.diverged}
+        row |= {} if summary.reached is None else {"reached": summary.reached}
+        for name, error in summary.errors.items():
+            row |= {f"{name}_rms": error.rms, f"{name}_p95": error.percentile_95}
+        return row
+
     def evaluate(self) -> None:
         """Add a row to the learning curve, and keep the agent if it is the best so far."""
-        self.check()
-        row = curve_row(self.steps_done(), self._seconds(), self.validation.summary(self.agent()))
+        row = {"steps": self.steps_done(), "seconds": self._seconds(), **self.validate()}
         self.curve.append(row)
-        self.log(row)
-        self._bar.set_postfix_str(format_row(row))
+        with replacing(self._csv) as new, open(new, "w", newline="") as file:
+            writer = csv.DictWriter(file, list(row))
+            writer.writeheader()
+            writer.writerows({name: f"{value:.9g}" for name, value in own.items()} for own in self.curve)
+        self.bar.set_postfix_str(format_row(row))
         if self._best is None or quality(row) < self._best:
             self._best = quality(row)
             self.save(self.folder / "best", self._config | {"steps_done": self.steps_done(), "evaluated": row}, resumable=False)
@@ -117,12 +136,11 @@ class TrainingMonitor(ABC):
 
     def checkpoint(self) -> None:
         """Keep what is needed to go on from here."""
-        self.check()
         started = time.perf_counter()
         self._config |= {"steps_done": self.steps_done(), "seconds_learned": self._seconds()}
         self.save(self.folder / "last", self._config, resumable=True)
         ended = time.perf_counter()
-        self._due = ended + max(self.training.checkpoint_seconds, (ended - started) / CHECKPOINT_SHARE)
+        self._due = ended + max(CHECKPOINT_SECONDS, (ended - started) / CHECKPOINT_SHARE)
 
     def check(self) -> None:
         """Raises UserError where weights are not finite: such an agent replaces no checkpoint."""
@@ -130,13 +148,49 @@ class TrainingMonitor(ABC):
             text = f"after {self.steps_done()} steps the agent's weights are no longer finite: a smaller learning_rate may help"
             raise UserError(f"{text}. The last checkpoint in {self.folder} is from before")
 
-    def report(self, note: str = "") -> None:
-        """Print the speed of learning in this process. note: on what it ran."""
-        steps = self.steps_done() - self.began
-        learned = time.perf_counter() - self._started - self._untimed
-        speed = f"{steps} steps in {learned:.0f} s: {steps / learned:.0f} steps/s{note}"
-        beside = f"{self._untimed:.0f} s of evaluations and checkpoints beside"
-        print(f"{speed}; {beside}. At the end: {format_row(self.curve.rows[-1])}")
+    def report(self) -> None:
+        """Print the speed of learning in this process."""
+        steps, learned = self.steps_done() - self.began, self._seconds() - self._before
+        print(f"{steps} steps in {learned:.0f} s: {steps / learned:.0f} steps/s; at the end: {format_row(self.curve[-1])}")
 
     def _seconds(self) -> float:
         return self._before + time.perf_counter() - self._started - self._untimed
+
+
+class TrainingCallback(TrainingMonitor, BaseCallback):
+    """Monitor of a training with Stable-Baselines3. Raises ValueError, OSError."""
+
+    def __init__(self, training: Training, folder: Path, checkpoint: Path | None) -> None:
+        BaseCallback.__init__(self)
+        TrainingMonitor.__init__(self, training, folder, checkpoint)
+
+    def steps_done(self) -> int:
+        return int(self.num_timesteps)
+
+    def network(self) -> Any:
+        return self.model.policy
+
+    def normalise(self, observation: Any) -> Any:
+        return statistics_of(self.model).normalize_obs(observation)
+
+    def save(self, folder: Path, config: Mapping[str, Any], resumable: bool) -> None:
+        save_checkpoint(folder, self.model, config, resumable=resumable)
+
+    def evaluate(self) -> None:
+        super().evaluate()
+        for name, value in self.curve[-1].items():
+            if name not in ("steps", "seconds"):
+                self.logger.record(f"evaluation/{name}", value)
+        self.logger.dump(self.num_timesteps)
+
+    def _on_training_start(self) -> None:
+        self.begin(config_record(self.training, unwrapped(self.training_env).env.episodes))
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_start(self) -> None:
+        self.between_rollouts()
+
+    def _on_training_end(self) -> None:
+        self.between_rollouts(ends=True)

@@ -5,7 +5,8 @@ fixed validation targets), `best/` and `last/` (checkpoints, see checkpoints.py)
 the last checkpoint.
 """
 
-import traceback
+import dataclasses
+import pickle
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,40 +14,26 @@ from typing import Any
 
 import gymnasium as gym
 import torch
+from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import configure
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
+from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation.provenance import versions
-from soft_tendon_env.learning.callback import TrainingCallback
-from soft_tendon_env.learning.checkpoints import (
-    BUFFER,
-    ENVIRONMENT,
-    MODEL,
-    PICKLED,
-    Midst,
-    find_checkpoint,
-    read_checkpoint,
-    read_pickle,
-    unpickling,
-)
+from soft_tendon_env.learning.checkpoints import BUFFER, ENVIRONMENT, MODEL, PICKLED, find_checkpoint, read_checkpoint, restore
 from soft_tendon_env.learning.config import Training
-from soft_tendon_env.learning.hyperparameters import learns_from_replay, training_class
-from soft_tendon_env.learning.monitor import Watch
-from soft_tendon_env.learning.training_env import make_training_env
-from soft_tendon_env.learning.vec_env import unwrapped
-from soft_tendon_env.policies.agent import load_agent
-from soft_tendon_env.policies.agent_files import CONFIG, find_agent
-from soft_tendon_env.policies.network import policy_arguments, read_weights
+from soft_tendon_env.learning.hyperparameters import training_class
+from soft_tendon_env.learning.monitor import TrainingCallback, Watch
+from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env
+from soft_tendon_env.policies.agent_files import CONFIG
+from soft_tendon_env.policies.network import policy_arguments
 from soft_tendon_env.tools.files import read_json
-from soft_tendon_env.tools.messages import UserError, first_line, say
+from soft_tendon_env.tools.messages import first_line, say
 
 SB3 = "sb3"
 """Engine of a training whose record names none."""
-MAY_CHANGE = ("steps", "checkpoint_every", "checkpoint_seconds")
-"""Keys of a training that may be other when it goes on."""
-REFUSALS = (ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, NameError, RuntimeError, TypeError, ValueError)
-"""How Stable-Baselines3 and PyTorch end on hyperparameters that they cannot use."""
 
 
 def checkpoint_to_resume(folder: Path, training: Training, resume: bool, engine: str = SB3) -> Path | None:
@@ -57,15 +44,15 @@ def checkpoint_to_resume(folder: Path, training: Training, resume: bool, engine:
     if checkpoint is None and not begun.exists():
         return None
     record = read_json(begun) if checkpoint is None else read_checkpoint(checkpoint)
-    if (own := record.get("engine", SB3)) != engine:
-        raise ValueError(f"{folder} has a training with --engine {own}, which cannot go on with {engine}")
-    given = {key: record[key] for key in Training.model_fields if key in record}  # keys that came later were as they are by default
-    source = str(begun if checkpoint is None else checkpoint / CONFIG)
-    before, now = (of.model_dump(mode="json") for of in (Training.parse(given, source), training))
-    changed = [key for key in now if key not in MAY_CHANGE and now[key] != before[key]]
-    if changed:
-        differences = "; ".join(f"{key} was {before[key]!r} and is {now[key]!r}" for key in changed)
-        raise ValueError(f"{folder} has another training, {differences}: only {', '.join(f'`{key}`' for key in MAY_CHANGE)} may change")
+    package, now = "soft_tendon_env", {**training.model_dump(mode="json"), "engine": engine}
+    version = record.get("record", {}).get("versions", {}).get(package)
+    if version != versions()[package]:
+        text = f"{checkpoint or folder} was written by {package} {version}, this is {versions()[package]}"
+        raise ValueError(f"{text}: only that version can go on with it")
+    before = {"engine": SB3, **record}
+    if changed := [key for key in now if key != "steps" and now[key] != before.get(key)]:
+        differences = "; ".join(f"{key} was {before.get(key)!r} and is {now[key]!r}" for key in changed)
+        raise ValueError(f"{folder} has another training, {differences}: only `steps` may change")
     return checkpoint
 
 
@@ -83,17 +70,16 @@ def train(training: Training, folder: Path, checkpoint: Path | None = None, watc
 
 
 def model_of(training: Training, checkpoint: Path | None) -> BaseAlgorithm:
-    """Agent as it is at the beginning, or as a checkpoint has it. Raises ValueError, OSError."""
-    torch.set_num_threads(training.threads)
-    model = make_model(training) if checkpoint is None else load_model(training, checkpoint)
-    if training.start_from is not None and checkpoint is None:
-        copy_network(training.start_from, training.task, model)
-        torch.set_num_threads(training.threads)  # agents that are loaded take one
-    return model
+    """Agent as it is at the beginning, or as a checkpoint has it. Raises ValueError, OSError.
+
+    PyTorch has one thread, which is best where several trainings run side by side, and makes them repeatable.
+    """
+    torch.set_num_threads(1)
+    return make_model(training) if checkpoint is None else load_model(training, checkpoint)
 
 
 def learn(model: BaseAlgorithm, callback: TrainingCallback) -> None:
-    """Learn what is left. Raises UserError where weights become infinite or undefined, or the algorithm ends before its first update."""
+    """Learn what is left. Raises UserError where weights become infinite or undefined."""
     training, done = callback.training, model.num_timesteps
     if done >= training.steps:
         print(f"done before: {done} steps")
@@ -103,82 +89,59 @@ def learn(model: BaseAlgorithm, callback: TrainingCallback) -> None:
     model.set_logger(configure(str(callback.folder / kind), [kind]))
     try:
         model.learn(training.steps - done, callback=callback, reset_num_timesteps=False)
-    except REFUSALS as error:
+    except (ArithmeticError, RuntimeError, ValueError):
         callback.check()  # what is not finite ends in errors of PyTorch
-        if model._n_updates or _is_of_environment(error):
-            raise
-        last = traceback.extract_tb(error.__traceback__)[-1]
-        where = f"({Path(last.filename).name}, line {last.lineno})"
-        raise UserError(f"{training.algorithm} cannot learn with these hyperparameters: {first_line(error)} {where}") from error
+        raise
     finally:
-        callback.close()
-    if learns_from_replay(training.algorithm) and not model._n_updates:
+        if callback.bar is not None:
+            callback.bar.close()
+    if isinstance(model, OffPolicyAlgorithm) and not model._n_updates:
         say(f"{training.algorithm} has made no update: see learning_starts, gradient_steps and train_freq of its hyperparameters")
     callback.report()
 
 
-def _is_of_environment(error: BaseException) -> bool:
-    """Whether an error was raised in a step or a reset of the environment, as by a reward of a user's own."""
-    names = (frame.f_globals.get("__name__", "") for frame, _ in traceback.walk_tb(error.__traceback__))
-    return any(name.startswith("soft_tendon_env.envs.") for name in names)
+def make_training_env(training: Training) -> StableBaselinesVecEnv:
+    """Vector environment of a training: many arms, and domain randomisation by its options. Raises ConfigurationError, ValueError.
+
+    The first episode of every arm ends at another time, so that every batch has beginnings, middles and ends of episodes: of arms that all
+    begin together an agent learns how to begin once in an episode, and has forgotten it when they end.
+    """
+    steps = training.episode_steps
+    env = make_sb3_vec_env(IDS[training.task], training.arms, max_episode_steps=steps, threads=1, **training.options)
+    env.set_options([{"episode_steps": 1 + steps * row // training.arms} for row in range(training.arms)])
+    return env
 
 
 def make_model(training: Training) -> BaseAlgorithm:
     """Agent that has learned nothing yet, with its environment. Raises ValueError."""
-    env, settings = make_training_env(training), training.normalise
-    gamma = training.hyperparameters.get("gamma", 0.99)
-    normalised = VecNormalize(
-        env, norm_obs=settings.observations, norm_reward=settings.rewards, clip_obs=settings.clip, clip_reward=settings.clip, gamma=gamma
-    )
+    env, own, kind = make_training_env(training), training.normalise, training_class(training.algorithm)
+    given: dict[str, Any] = {**training.hyperparameters, "learning_rate": learning_rate(training)}
+    normalised = VecNormalize(env, norm_obs=own.observations, norm_reward=own.rewards, gamma=given.get("gamma", 0.99))
     policy = "MultiInputPolicy" if isinstance(env.observation_space, gym.spaces.Dict) else "MlpPolicy"  # of tasks with goals
-    arguments = {**training.hyperparameters, "learning_rate": learning_rate(training), **replay(training)}
-    arguments["policy_kwargs"] = policy_arguments(arguments.get("policy_kwargs", {}))
+    given["policy_kwargs"] = policy_arguments(given.get("policy_kwargs", {}))
+    if training.hindsight:
+        given |= {"replay_buffer_class": HerReplayBuffer, "replay_buffer_kwargs": {"n_sampled_goal": training.hindsight}}
     try:
-        model = training_class(training.algorithm)(policy, normalised, seed=training.seed, device="cpu", **arguments)
-    except REFUSALS as error:
+        if (settings := getattr(kind, "settings_class", None)) is not None:
+            names = [field.name for field in dataclasses.fields(settings) if field.name in given]
+            given["settings"] = settings(**{name: given.pop(name) for name in names})
+        model: BaseAlgorithm = kind(policy, normalised, seed=training.seed, device="cpu", **given)
+    except Exception as error:  # however Stable-Baselines3 and PyTorch end on hyperparameters that they cannot use
         raise ValueError(f"{training.algorithm} cannot be made of these hyperparameters: {first_line(error)}") from error
     normalised.seed(training.arm_seed())
     return model
 
 
-def copy_network(name: str, task: str, model: BaseAlgorithm) -> None:
-    """Let a model that has learned nothing begin with the network of an agent. Raises ValueError, OSError where that is of another arm,
-    of other observations or actions, or not of the same shape."""
-    env = model.get_env()
-    assert env is not None, "trainings have one"
-    load_agent(name, unwrapped(env).env)  # refuses one that is damaged, or that means something else
-    files = find_agent(name, task)
-    if files.is_zip or files.statistics.exists():
-        raise ValueError(f"start_from is {name}: it should be the folder of an agent that sees observations as they are")
-    try:
-        model.policy.load_state_dict(read_weights(files.weights))
-    except RuntimeError as error:
-        raise ValueError(f"start_from is {name}: its network is not of the shape that hyperparameters.policy_kwargs say") from error
-
-
 def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
-    """Agent of a checkpoint, with all that it needs to learn on. Raises ValueError, OSError."""
-    config, package = read_checkpoint(checkpoint), "soft_tendon_env"
-    before, now = config.get("record", {}).get("versions", {}).get(package), versions()[package]
-    if before != now:
-        text = f"{checkpoint} was written by {package} {before}, this is {now}: only that version can go on with it"
-        raise ValueError(f"{text}. `start_from` begins a new training with its network")
-    midst = read_pickle(checkpoint / ENVIRONMENT, Midst)
-    statistics = read_pickle(checkpoint / PICKLED, VecNormalize)
-    if statistics.observation_space != midst.env.observation_space:
-        raise ValueError(f"{checkpoint / PICKLED} is of other observations than the training has")
-    statistics.set_venv(midst.env)
-    rate = learning_rate(training)
+    """Agent of a checkpoint, with all that it needs to learn on. Loading runs what is in its files. Raises ValueError, OSError."""
+    midst, rate = pickle.loads((checkpoint / ENVIRONMENT).read_bytes()), learning_rate(training)
+    statistics = VecNormalize.load(str(checkpoint / PICKLED), midst["env"])
     kept = {"learning_rate": rate, "lr_schedule": rate}
-    with unpickling(checkpoint / MODEL):
-        model = training_class(training.algorithm).load(checkpoint / MODEL, device="cpu", env=statistics, custom_objects=kept)
-    if model.num_timesteps != (done := config["steps_done"]):
-        raise ValueError(f"{checkpoint} is of two trainings: its {MODEL} has learned {model.num_timesteps} steps, {CONFIG} says {done}")
+    model: BaseAlgorithm = training_class(training.algorithm).load(checkpoint / MODEL, env=statistics, device="cpu", custom_objects=kept)
     if hasattr(model, "load_replay_buffer"):
-        with unpickling(checkpoint / BUFFER):
-            whole = {"truncate_last_traj": False} if learns_from_replay(training.algorithm) else {}
-            model.load_replay_buffer(checkpoint / BUFFER, **whole)
-    midst.restore(model)
+        whole = {"truncate_last_traj": False} if isinstance(model, OffPolicyAlgorithm) else {}
+        model.load_replay_buffer(checkpoint / BUFFER, **whole)
+    restore(model, midst)
     return model
 
 
@@ -188,13 +151,3 @@ def learning_rate(training: Training) -> float | Callable[[float], float]:
         return training.learning_rate
     first, last = training.learning_rate
     return lambda remains: last + (first - last) * remains
-
-
-def replay(training: Training) -> dict[str, Any]:
-    """Arguments for hindsight experience replay, if there is any."""
-    if training.hindsight is None:
-        return {}
-    from stable_baselines3 import HerReplayBuffer
-
-    settings = {"n_sampled_goal": training.hindsight.goals, "goal_selection_strategy": training.hindsight.strategy}
-    return {"replay_buffer_class": HerReplayBuffer, "replay_buffer_kwargs": settings}

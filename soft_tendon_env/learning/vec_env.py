@@ -7,8 +7,7 @@ Nothing else of the package imports this module, since it needs `pip install "so
 """
 
 import time
-import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -26,30 +25,22 @@ try:
 except ImportError as error:
     raise DependencyNotInstalled('Stable-Baselines3 is not installed: pip install "soft_tendon_env[agents]"') from error
 
-OF_ALL_ROWS = ("reset", "step", "close", "close_extras")
-"""Methods of the environment that cannot be called for single rows."""
-
 
 class StableBaselinesVecEnv(VecEnv):
     """Rows of an environment as Stable-Baselines3 wants them; row i is the single environment under DummyVecEnv with Monitor, bit for bit.
 
     An ended row is reset at once. `infos[i]` is the info of the single environment in plain floats, with "TimeLimit.truncated" and, at
     the end of an episode, "terminal_observation" and "episode": return "r", length "l" and seconds "t" since this object was made.
-
-    Args:
-        env: with `autoreset_mode="same_step"`.
-        monitor: add "episode". False leaves that to a VecMonitor around this, which warns of Monitor otherwise.
     """
 
-    def __init__(self, env: TendonRodVectorEnv, monitor: bool = True) -> None:
-        """Raises TypeError or ValueError for environments that are not of this package or have another autoreset mode."""
+    def __init__(self, env: TendonRodVectorEnv) -> None:
+        """env: with `autoreset_mode="same_step"`. Raises TypeError or ValueError for other environments."""
         if not isinstance(env, TendonRodVectorEnv):
             raise TypeError(f"env should be a TendonRodVectorEnv, as gym.make_vec makes of this package's ids, not {type(env).__name__}")
         if env.autoreset_mode is not AutoresetMode.SAME_STEP:
             name = env.autoreset_mode.name.lower()
             raise ValueError(f"env should be made with autoreset_mode='same_step', not {name!r}: Stable-Baselines3 knows no other")
-        self.env, self.spec = env, env.spec
-        self._monitor, self._born = monitor, time.time()
+        self.env, self.spec, self._born = env, env.spec, time.time()
         self._returns, self._lengths = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=np.int64)
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
@@ -77,16 +68,11 @@ class StableBaselinesVecEnv(VecEnv):
         for row in np.flatnonzero(done).tolist():
             infos[row] = {**_of_row(info["final_info"], row), "TimeLimit.truncated": bool(late[row])}
             infos[row]["terminal_observation"] = info["final_obs"][row]
-            if self._monitor:
-                infos[row]["episode"] = self._episode(row)
+            total, length = float(self._returns[row]), int(self._lengths[row])
+            infos[row]["episode"] = {"r": round(total, 6), "l": length, "t": round(time.time() - self._born, 6)}
             self.reset_infos[row] = _of_row(info, row)
             self._returns[row], self._lengths[row] = 0.0, 0
         return observation, reward.astype(np.float32), done, infos
-
-    def _episode(self, row: int) -> dict[str, float]:
-        """Return, length and time of an episode that ends now, as of Monitor."""
-        total, length = float(self._returns[row]), int(self._lengths[row])
-        return {"r": round(total, 6), "l": length, "t": round(time.time() - self._born, 6)}
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """An attribute of the environment, which the rows share, for each of `indices`; spaces are those of one row."""
@@ -104,34 +90,32 @@ class StableBaselinesVecEnv(VecEnv):
 
         Raises ValueError for methods that act on all rows at once.
         """
-        rows: Iterable[int] = self._get_indices(indices)
-        if method_name in OF_ALL_ROWS:
+        rows = list(self._get_indices(indices))
+        if method_name in ("reset", "step", "close", "close_extras"):
             raise ValueError(f"{method_name!r} acts on all rows at once: it cannot be called by env_method")
         method = getattr(self.env, method_name)
         if method_name == "render":
-            frames = method()
-            return [None if frames is None else frames[row] for row in rows]
+            frames = method() or [None] * self.num_envs
+            return [frames[row] for row in rows]
         return [method(*method_args, **method_kwargs) for _ in rows]
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None) -> list[bool]:
-        """True for Monitor, whose work is done here (unless `monitor` is False), else False."""
-        return [self._monitor and wrapper_class is Monitor for _ in self._get_indices(indices)]
+        """True for Monitor, whose work is done here, else False."""
+        return [wrapper_class is Monitor for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """A frame (height, width, 3) per row; None without a render mode."""
-        if self.render_mode is None:
-            warnings.warn("the environment was made without a render_mode, so there are no images", stacklevel=2)
-        return self.env_method("render") if self.render_mode is not None else [None] * self.num_envs
+        return [None] * self.num_envs if self.render_mode is None else self.env_method("render")
 
     def close(self) -> None:
         """Close the environment."""
         self.env.close()
 
 
-def make_sb3_vec_env(id: str, num_envs: int, monitor: bool = True, **options: Any) -> StableBaselinesVecEnv:
+def make_sb3_vec_env(id: str, num_envs: int, **options: Any) -> StableBaselinesVecEnv:
     """The environment `id` with `num_envs` rows; `options` as for `gym.make_vec`: `max_episode_steps`, `fidelity`, `target`, ..."""
     env: Any = gym.make_vec(id, num_envs=num_envs, autoreset_mode="same_step", **options)
-    return StableBaselinesVecEnv(env, monitor)
+    return StableBaselinesVecEnv(env)
 
 
 def unwrapped(env: VecEnv) -> StableBaselinesVecEnv:

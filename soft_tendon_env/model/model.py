@@ -248,7 +248,10 @@ class Model:
     @contextmanager
     def workspace(self) -> Iterator[Workspace]:
         """A workspace that nobody else uses, with the effects' states at rest; what it holds otherwise is of evaluations before."""
-        work = self._idle.pop() if self._idle else make_workspace(self.arm)
+        try:
+            work = self._idle.pop()
+        except IndexError:  # asked for and taken at once, for threads
+            work = make_workspace(self.arm)
         work.state[:] = self.arm.effects.state
         work.clock[:] = 0.0
         try:

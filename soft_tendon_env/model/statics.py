@@ -113,7 +113,7 @@ def _tip_error(balance: Balance, at: At, tip: Array) -> float:
     left_out = u - strain.law.tensions(rest)
     if np.abs(left_out).max() <= 1e-12 * np.abs(u).max():
         return 0.0
-    q = at.q if model.arm.effects else rest
+    q = rest if rests_at_tensions(model) else at.q
     try:
         every = np.concatenate([strain.law.tensions(q) + left_out, q[strain.law.active :]])
         error = float(np.linalg.norm((replace(model, arm=with_every_tension(model.arm)).tip_pose(every) - tip)[:3, 3]))

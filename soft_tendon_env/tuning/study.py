@@ -1,26 +1,27 @@
-"""Studies of Optuna: trials by ask and tell, side by side and on several machines that share a journal file or a database."""
+"""Studies of Optuna: trials side by side and on several machines that share a journal file or a database, and what they found."""
 
 import contextlib
-from collections.abc import Iterator, Sequence
+import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import optuna
-from optuna.pruners import BasePruner, HyperbandPruner, MedianPruner, NopPruner
+import tomli_w
 from optuna.samplers import TPESampler
 from optuna.storages import JournalStorage, get_storage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial, TrialState
 
+from soft_tendon_env.evaluation.tables import markdown_table, number, write_csv
 from soft_tendon_env.tools.configuration import shown
 from soft_tendon_env.tools.messages import UserError, first_line
+from soft_tendon_env.tools.parallel import run_all
 from soft_tendon_env.tuning.search import Search
 
-MAY_CHANGE = {"trials"}
-"""Keys of a search that may be other when its study goes on."""
-SEARCH = "search"
-"""Attribute of a study: the search that it is of."""
 DONE = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.FAIL)
+BEST_SHOWN = 5
+MILLIMETRES = 1e3
 
 
 class Work(NamedTuple):
@@ -38,72 +39,60 @@ class Work(NamedTuple):
 def open_study(work: Work) -> optuna.Study:
     """The study, made where it is not there. Raises ValueError where its storage cannot be opened, or has another search by its name."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
+    pruner = optuna.pruners.MedianPruner(n_startup_trials=5, n_warmup_steps=1)
     try:
         storage = get_storage(work.storage) if "://" in work.storage else JournalStorage(JournalFileBackend(work.storage))
-        study = optuna.create_study(storage=storage, study_name=work.name, load_if_exists=True, pruner=_pruner(work.search))
-        begun = study.user_attrs.get(SEARCH)
+        study = optuna.create_study(storage=storage, study_name=work.name, load_if_exists=True, pruner=pruner)
+        begun = study.user_attrs.get("search")
     except Exception as error:  # of a driver, of a database, of a file that is no journal
         raise ValueError(f"storage is {work.storage}: it cannot be opened, {first_line(error)}") from error
-    own = work.search.model_dump(mode="json", exclude=MAY_CHANGE)
+    own = work.search.model_dump(mode="json", exclude={"trials"})
     if begun is None:
-        study.set_user_attr(SEARCH, own)
-        first = {key: work.search.search[key].name_of(value) for key, value in work.search.defaults.items()}
-        if None not in first.values():
-            study.enqueue_trial(first, skip_if_exists=True)
+        study.set_user_attr("search", own)
+        space, defaults = work.search.search, work.search.defaults
+        within = {name: value for name, value in defaults.items() if space[name].contains(value)}
+        first = {name: json.dumps(value) if space[name].choices else value for name, value in within.items()}
+        study.enqueue_trial(first, skip_if_exists=True)
     elif changed := [key for key in own if begun.get(key) != own[key]]:
         differences = "; ".join(f"{key} was {shown(begun.get(key))} and is {shown(own[key])}" for key in changed)
         raise ValueError(f"{work.storage} has another search called {work.name}, {differences}: give another --out, or another --storage")
     return study
 
 
-def _pruner(search: Search) -> BasePruner:
-    """Pruners count the reports of a trial from 1."""
-    if search.pruner == "hyperband":
-        return HyperbandPruner(min_resource=1, max_resource=search.reports)
-    return MedianPruner(n_startup_trials=5, n_warmup_steps=1) if search.pruner == "median" else NopPruner()
-
-
-def done(study: optuna.Study) -> list[FrozenTrial]:
-    """Trials that have ended, in whatever way."""
-    return study.get_trials(states=DONE)
-
-
-def folder_of(work: Work, trial: int) -> Path:
-    """Folder of what a trial leaves, by its number."""
-    return work.folder / f"trial_{trial}"
-
-
 def run_trial(work: Work) -> None:
     """One more trial, unless there are as many as there should be: ask, search, tell."""
     study = open_study(work)
-    if len(done(study)) >= work.search.trials:
+    if len(study.get_trials(states=DONE)) >= work.search.trials:
         return
-    trial = study.ask()
-    study.sampler = TPESampler(seed=work.search.seed + trial.number, multivariate=False, constant_liar=True)  # none as another machine's
-    values = {name: parameter.suggest(trial, name) for name, parameter in work.search.search.items()}
-    folder = folder_of(work, trial.number)
-    steps = 0
+    space = {name: parameter.distribution for name, parameter in work.search.search.items()}
+    study.sampler = TPESampler(seed=work.search.seed + len(study.trials), constant_liar=True)  # none as another machine's
+    trial = study.ask(space)
 
     def report(cost: float) -> None:
-        nonlocal steps
-        steps += 1
-        trial.report(cost, steps)
+        trial.report(cost, len(reports))
+        reports.append(cost)
         if trial.should_prune():
             raise optuna.TrialPruned
 
+    reports = list[float]()
+    folder = work.folder / f"trial_{trial.number}"
     try:
         with into_log(folder):
-            cost = work.search.cost(values, folder, report)
+            cost = work.search.cost(decoded(work, trial.params), folder, report)
     except optuna.TrialPruned:
         study.tell(trial, state=TrialState.PRUNED)
-    except (ValueError, UserError) as error:
-        trial.set_user_attr("error", str(error).partition("\n")[0])
-        study.tell(trial, state=TrialState.FAIL) if isinstance(error, ValueError) else study.tell(trial, float("inf"))
-    except BaseException:
+    except BaseException as error:
+        trial.set_user_attr("error", first_line(error))
         study.tell(trial, state=TrialState.FAIL)
-        raise
+        if not isinstance(error, ValueError | UserError):
+            raise
     else:
         study.tell(trial, cost)
+
+
+def decoded(work: Work, parameters: dict[str, Any]) -> dict[str, Any]:
+    """Values by name, of a trial's parameters."""
+    return {name: json.loads(value) if work.search.search[name].choices else value for name, value in parameters.items()}
 
 
 @contextlib.contextmanager
@@ -114,22 +103,28 @@ def into_log(folder: Path) -> Iterator[None]:
         yield
 
 
-def values_of(search: Search, trial: FrozenTrial) -> dict[str, Any]:
-    """Values of the parameters of a trial that is over."""
-    fixed = optuna.trial.FixedTrial(trial.params)
-    return {name: parameter.suggest(fixed, name) for name, parameter in search.search.items()}
+def tune(work: Work, workers: int, cluster: str | None = None) -> FrozenTrial:
+    """The best trial, once those that are missing have been run: prints the best, and writes trials.csv and best.toml into `work.folder`.
 
-
-def trial_records(trials: Sequence[FrozenTrial]) -> list[dict[str, Any]]:
-    """Rows of a table of trials: number, state, cost [m] (of a pruned one, when it ended), parameters, seconds and error."""
-    return [
-        {
-            "trial": trial.number,
-            "state": trial.state.name.lower(),
-            "cost": trial.value,
-            **trial.params,
-            "seconds": None if trial.duration is None else round(trial.duration.total_seconds(), 1),
-            "error": trial.user_attrs.get("error"),
-        }
-        for trial in trials
-    ]
+    Raises ValueError where the storage or the cluster cannot be opened, UserError where no trial was successful.
+    """
+    study = open_study(work)
+    missing = work.search.trials - len(study.get_trials(states=DONE))
+    if missing > 0:
+        run_all(run_trial, [work] * missing, workers, work.name, unit="trial", cluster=cluster)
+    trials = study.get_trials(states=DONE)
+    heads = [{"trial": trial.number, "state": trial.state.name.lower(), "cost": trial.value} for trial in trials]
+    rows = zip(heads, trials, strict=True)
+    write_csv(work.folder / "trials.csv", [{**head, **trial.params, "error": trial.user_attrs.get("error")} for head, trial in rows])
+    complete = sorted((trial for trial in trials if trial.state is TrialState.COMPLETE), key=lambda trial: trial.value or 0.0)
+    if not complete:
+        errors = [trial.user_attrs["error"] for trial in trials if "error" in trial.user_attrs]
+        raise UserError(f"none of {len(trials)} trials was successful" + (f", the first: {errors[0]}" if errors else ""))
+    print(f"{len(trials)} trials: {len(complete)} complete, {sum(trial.state is TrialState.PRUNED for trial in trials)} pruned\n")
+    shown_values = ([f"{value:.4g}" if isinstance(value, float) else str(value) for value in trial.params.values()] for trial in complete)
+    costs = (number(MILLIMETRES * (trial.value or 0.0)) for trial in complete)
+    best = [(str(trial.number), cost, *values) for trial, cost, values in zip(complete, costs, shown_values, strict=True)]
+    print(f"{markdown_table(('trial', 'cost [mm]', *complete[0].params), best[:BEST_SHOWN])}\n")
+    (work.folder / "best.toml").write_text(tomli_w.dumps(work.search.file(decoded(work, complete[0].params))))
+    print(f"written: {work.folder / 'best.toml'}")
+    return complete[0]

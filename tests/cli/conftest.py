@@ -18,7 +18,6 @@ TABLE = {
     "options": {"scene": "three_tendon", "fidelity": "fast"},
     "normalise": {"observations": True},
     "evaluation": {"every": 128, "episodes": 2, "skip": 0.2},
-    "checkpoint_every": 64,
 }
 
 

@@ -77,7 +77,7 @@ FILES = [
     ("train {config} --set hyperparameters.n_steps.x=3", "small.toml, changed: hyperparameters.n_steps.x cannot be set"),
     ("evaluate {best} --set action=increment", "trained with action = 'tension', this environment has"),
     ("evaluate {best} --scene paper", "was trained on an arm with other segments (scene 'three_tendon')"),
-    ("evaluate PPOO:{model}", "the algorithm is 'PPOO'; valid: A2C, "),
+    ("train {config} --set hyperparameters.n_steps=0", "hyperparameters.n_steps is 0: it should be a number at least 1"),
     ("evaluate {folder}", "a folder: it should be the folder of an agent, such as {best}, a .zip file"),
     ("compare --config {model}", "model.zip: is not valid TOML"),
 ]

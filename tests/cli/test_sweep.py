@@ -7,31 +7,15 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
+import tomli_w
 
 from soft_tendon_env.learning import sweep as learning
 from soft_tendon_env.tools.files import PACKAGE
 
-DRIVER = """
-import sys
-from pathlib import Path
-from types import SimpleNamespace
 
-from soft_tendon_env.cli.main import main
-from soft_tendon_env.learning import sweep
-
-note = "pathlib.Path(sys.argv[-2], 'process').write_text(str(os.getpid()))"
-sweep.TRAIN = (sys.executable, "-c", f"import os, pathlib, sys, time; {note}; time.sleep(60)")
-sweep.find_config = Path
-sweep.read_training = lambda path, changes, seed: SimpleNamespace(task="TipPose")
-main(["sweep", *sys.argv[1:]])
-"""
-
-
-def write_run(folder, seed, errors, **columns):
+def write_run(folder, seed, errors, task="TipPose", best=None, **columns):
     """A run whose evaluations, every 100 steps, are of these errors; more columns by name."""
     run = folder / f"seed_{seed}"
     (run / "best").mkdir(parents=True)
@@ -45,73 +29,94 @@ def write_run(folder, seed, errors, **columns):
 
 
 @pytest.fixture
-def shown(command, tmp_path, monkeypatch, capsys):
-    """shown(*arguments): what `soft-tendon sweep` prints of runs in an empty folder, and the cells of the table by configuration."""
+def sweep(command, tmp_path, monkeypatch):
+    """sweep(*arguments): `soft-tendon sweep` in this process and an empty folder, with trainings that take no time; seed 7 fails."""
+
+    def run_job(job):
+        if job.training.seed == 7:
+            return "RuntimeError: this seed fails"
+        write_run(job.folder.parent, job.training.seed, [0.01 * (job.training.seed + 1), 0.02])
+        (job.folder / "steps").write_text(str(job.training.steps))
+
+    monkeypatch.setattr(learning, "run_job", run_job)
     monkeypatch.chdir(tmp_path)
-
-    def show(*arguments):
-        command("sweep", *arguments, "--only-plot", "--out", "runs")
-        printed = capsys.readouterr().out
-        lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in printed.splitlines() if line.startswith("| ")]
-        return printed, {cells[0]: cells for cells in lines}
-
-    return show
+    return lambda *arguments: command("sweep", *arguments, "--out", "runs", "--workers", "1")
 
 
-def test_curves_are_interquartile_means_over_seeds_where_all_have_come(shown, tmp_path):
-    for seed, error in enumerate((0.010, 0.030, 0.020, 0.900, 0.001)):
-        write_run(tmp_path / "runs" / "one", seed, [0.5, error, error][: 3 if seed else 2])
-    printed, rows = shown("one.toml")
-    first, last = csv.DictReader((tmp_path / "runs" / "one" / "learning_curve.csv").read_text().splitlines())
-    assert (first["seeds"], float(first["position_error_rms_high"])) == ("5", 0.5)
-    assert float(last["position_error_rms"]) == pytest.approx(0.020), "without 0.001 and 0.9"
-    assert 0.001 <= float(last["position_error_rms_low"]) < 0.010 and 0.030 < float(last["position_error_rms_high"]) <= 0.9
-    assert rows["one"][1] == "5" and rows["one"][4].startswith("20.0 [") and "one: shown up to step 200, where" in printed
-    assert (tmp_path / "runs" / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
+def write_config(folder, name, **changes):
+    path = folder / f"{name}.toml"
+    options = {"scene": "three_tendon", "fidelity": "fast"}
+    path.write_text(tomli_w.dumps({"task": "TipPose", "algorithm": "PPO", "steps": 1000, "options": options, **changes}))
+    return path
 
 
-def test_a_table_and_a_picture_per_task_and_what_cannot_be_shown_is_named(shown, tmp_path):
-    write_run(tmp_path / "runs" / "tip", 0, [0.3, 0.2])
-    write_run(tmp_path / "runs" / "tip", 1, [0.3, "nan"])
-    write_run(tmp_path / "runs" / "goal", 0, [0.3, 0.2], task="Reach", reached=(0.0, 0.75))
-    (tmp_path / "runs" / "goal" / "seed_1").mkdir()
-    (tmp_path / "docs.md").write_text("".join(f"<!-- sweep {task} -->\nold\n<!-- /sweep {task} -->\n" for task in ("TipPose", "Reach")))
-    printed, rows = shown("tip.toml", "goal.toml", "missing.toml", "--write-docs", "docs.md")
-    written = (tmp_path / "docs.md").read_text()
-    assert written.count("| tip ") == written.count("| goal ") == 1 and "old" not in written
-    assert {path.name for path in (tmp_path / "runs").glob("*.png")} == {"learning_curves_TipPose.png", "learning_curves_Reach.png"}
-    assert rows["tip"][4].startswith("- [200, -]"), "a seed without a number is the worst"
-    assert "missing has no folders seed_0" in printed and "seed_1 has no evaluations.csv" in printed
+def row_of(printed, name):
+    """A configuration's cells in the table."""
+    (row,) = [line for line in printed.splitlines() if line.startswith(f"| {name} ")]
+    return [cell.strip() for cell in row.strip("|").split("|")]
 
 
-def test_every_configuration_is_trained_with_every_seed_and_one_that_fails_stops_no_other(command, capsys, monkeypatch, tmp_path):
-    write_run(tmp_path / "made", 0, [0.1])
-    copy = (
-        "import shutil, sys; '--seed 4' in ' '.join(sys.argv) and 1 / 0; shutil.copytree('made/seed_0', sys.argv[-2], dirs_exist_ok=True)"
-    )
-    monkeypatch.setattr(learning, "TRAIN", (sys.executable, "-c", copy))
-    monkeypatch.setattr(learning, "find_config", Path)
-    monkeypatch.setattr(learning, "read_training", lambda path, changes, seed: SimpleNamespace(task="TipPose"))
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit, match="1"):
-        command("sweep", "one.toml", "two.toml", "--seeds", 2, "--first-seed", 3, "--out", "runs")
+def test_every_configuration_is_trained_with_every_seed(sweep, tmp_path, capsys):
+    configs = [write_config(tmp_path, name) for name in ("one", "two")]
+    sweep(*configs, "--seeds", 2, "--first-seed", 3, "--set", "steps=7")
+    runs = [tmp_path / "runs" / name / f"seed_{seed}" for name in ("one", "two") for seed in (3, 4)]
+    assert sorted((tmp_path / "runs").glob("*/seed_*")) == runs and {(run / "steps").read_text() for run in runs} == {"7"}
+    assert (tmp_path / "runs" / "learning_curves_TipPose.png").read_bytes().startswith(b"\x89PNG")
+    printed = capsys.readouterr().out
+    for name in ("one", "two"):
+        assert row_of(printed, name)[:5] == [name, "2", "200", "2.00", "20.0 [20.0, 20.0] / 20.0 / 20.0"]
+
+
+def test_a_run_that_fails_stops_no_other(sweep, tmp_path, capsys):
+    with pytest.raises(SystemExit) as exit:
+        sweep(write_config(tmp_path, "one"), "--seeds", 3, "--first-seed", 6)
     printed = capsys.readouterr()
-    assert printed.err.count("ZeroDivisionError") == 2 and "seed_4 has no evaluations.csv" in printed.out
-    assert {path.parent.name for path in (tmp_path / "runs").rglob("seed_3/evaluations.csv")} == {"seed_3"}
+    assert exit.value.code == 1 and row_of(printed.out, "one")[1] == "2"
+    assert "seed_7\nRuntimeError: this seed fails" in printed.err
 
 
-@pytest.mark.slow  # processes
-@pytest.mark.parametrize("signal_sent", [signal.SIGINT, signal.SIGTERM])
-def test_ctrl_c_and_kill_stop_the_runs(tmp_path, signal_sent):
-    (tmp_path / "driver.py").write_text(DRIVER)
-    command = [sys.executable, "driver.py", "one.toml", "--workers", "2", "--out", "runs"]
+@pytest.mark.slow
+@pytest.mark.parametrize("asked", [signal.SIGTERM, signal.SIGINT])
+def test_ctrl_c_and_kill_stop_the_runs(tmp_path, asked):
+    path = write_config(tmp_path, "one", steps=10_000_000, evaluation={"every": 2048, "episodes": 2})
+    command = [sys.executable, "-m", "soft_tendon_env", "sweep", str(path), "--workers", "2", "--out", "runs"]
     environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
     child = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True)
-    while len(notes := [path for path in tmp_path.rglob("process") if path.read_text()]) < 2:
+    curves = [tmp_path / "runs" / "one" / f"seed_{seed}" / "evaluations.csv" for seed in (0, 1)]
+    while not all(curve.exists() for curve in curves):
         assert child.poll() is None
-        time.sleep(0.05)
-    child.send_signal(signal_sent)
-    assert "the same command goes on" in child.communicate(timeout=30)[1] and child.returncode != 0
-    for note in notes:
-        with pytest.raises(ProcessLookupError):
-            os.kill(int(note.read_text()), 0)
+        time.sleep(0.1)
+    child.send_signal(asked)
+    assert "the same command goes on" in child.communicate(timeout=60)[1] and child.returncode != 0
+    before = [curve.read_text() for curve in curves]
+    time.sleep(3.0)
+    assert before == [curve.read_text() for curve in curves] and not (tmp_path / "runs" / "one" / "seed_2").exists()
+
+
+def test_curves_are_of_all_seeds_as_far_as_all_have_come(sweep, tmp_path, capsys):
+    folder = tmp_path / "runs" / "one"
+    for seed, error in enumerate((0.010, 0.030, 0.020, 0.900, 0.001)):
+        write_run(folder, seed, [0.5, error, *([0.1] if seed == 0 else [])], best=200)
+    (folder / "seed_5").mkdir()
+    write_run(tmp_path / "runs" / "mixed", 0, [0.1])
+    write_run(tmp_path / "runs" / "mixed", 1, [0.1], task="Shape")
+    write_run(tmp_path / "runs" / "goal", 0, [0.3, 0.2], task="Reach", reached=(0.0, 0.75))
+    docs = tmp_path / "docs.md"
+    docs.write_text("".join(f"<!-- sweep {task} -->\nold\n<!-- /sweep {task} -->\n" for task in ("TipPose", "Reach")))
+    sweep("one.toml", "mixed.toml", "missing.toml", "goal.toml", "--only-plot", "--write-docs", docs)
+    printed = capsys.readouterr().out
+    assert "one: shown up to step 200, where the first seed ends" in printed and "left out:" in printed and "seed_5" in printed
+    assert row_of(printed, "one")[4].startswith("20.0 ["), "the interquartile mean, without 0.001 and 0.9"
+    assert "mixed has runs of several tasks: Shape, TipPose" in printed and "missing has no folders seed_0" in printed
+    assert {path.name for path in (tmp_path / "runs").glob("*.png")} == {"learning_curves_TipPose.png", "learning_curves_Reach.png"}
+    assert docs.read_text().count("| one ") == docs.read_text().count("| goal ") == 1 and "old" not in docs.read_text()
+
+
+def test_divergence_is_flagged_and_a_seed_without_a_number_is_the_worst(sweep, tmp_path, capsys):
+    folder = tmp_path / "runs" / "one"
+    for seed, error in enumerate((0.1, 0.2, "nan", 0.3)):
+        write_run(folder, seed, [error])
+    path = folder / "seed_2" / "evaluations.csv"
+    path.write_text(path.read_text().replace("100,60,0,0,", "100,60,0,20,"))
+    sweep("one.toml", "--only-plot")
+    assert row_of(capsys.readouterr().out, "one")[4] == "250 [100, -] / - / - !"

@@ -6,15 +6,12 @@ import sys
 import gymnasium as gym
 import numpy as np
 import pytest
-import torch
 from gymnasium.error import DependencyNotInstalled
 from sb3_contrib import TQC
-from stable_baselines3 import PPO, SAC, HerReplayBuffer
-from stable_baselines3.common.callbacks import EvalCallback
+from stable_baselines3 import PPO, HerReplayBuffer
 from stable_baselines3.common.env_checker import check_env
-from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan, VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan, VecNormalize
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env
@@ -32,22 +29,11 @@ WILD = {  # diverges at random times
 SMALL = {"net_arch": [32, 32]}
 
 
-@pytest.fixture(autouse=True, scope="module")
-def one_thread():
-    """Small networks on few processors."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
-
-
 @pytest.mark.cases(
     "id, options",
     [
         *((id, {}) for id in IDS.values()),
-        *((id, {"observation": "measurable", "sensors": (0.1, 0.2), **FAST}) for id in IDS.values()),
-        (TIP_POSE, {"action": "increment", **FAST}),
-        (REACH, {"reward": "dense", **FAST}),
+        (TIP_POSE, {"observation": "measurable", "sensors": (0.1, 0.2), "action": "increment", **FAST}),
     ],
 )
 def test_its_checker_has_nothing_to_say(id, options):
@@ -89,45 +75,11 @@ def test_rows_are_what_single_environments_are(id, options, ends, same):
         for _ in range(30):
             action = rng.choice([-1.0, 1.0], (rows, *ours.action_space.shape)).astype(np.float32)
             result, expected = ours.step(action), theirs.step(action)
-            assert same(timeless(result), timeless(expected))
+            assert same(timeless(result), timeless(expected))  # infos of plain values among them
             seen |= {(info["diverged"], info["TimeLimit.truncated"]) for info in result[3] if "episode" in info}
         for row in range(rows):
             assert ours.reset_infos[row].items() <= theirs.reset_infos[row].items()
     assert seen == ends
-
-
-def test_first_episodes_can_be_shorter_by_row():
-    env = make_sb3_vec_env(TIP_POSE, 3, max_episode_steps=10, **FAST)
-    env.set_options([{"episode_steps": 3}, {}, {"episode_steps": 6}])
-    for expected in ([(0, 3), (1, 10), (2, 6)], [(0, 10), (1, 10), (2, 10)]):  # options are of the next reset alone, as everywhere
-        env.reset()
-        lengths = {}
-        for _ in range(10):
-            for row, info in enumerate(env.step(np.zeros((3, 3)))[3]):
-                if "episode" in info:
-                    assert info["TimeLimit.truncated"] and info["terminal_observation"].shape == env.observation_space.shape
-                    lengths.setdefault(row, info["episode"]["l"])
-        assert sorted(lengths.items()) == expected
-
-
-def test_options_of_reset_are_passed_on_by_row():
-    env = make_sb3_vec_env(REACH, 2, **FAST)
-    env.seed(3)
-    env.set_options([{"goal": [0.1, 0.2, 0.0]}, {"target": "hold"}])
-    goals = env.reset()["desired_goal"]
-    np.testing.assert_allclose(goals[0], [0.1, 0.2, 0.0], atol=1e-7)
-    assert (goals[1] != goals[0]).all()
-
-
-def test_infos_are_plain():
-    """So that they can be copied, logged and kept at no cost."""
-    env = make_sb3_vec_env(REACH, 2, max_episode_steps=2, **FAST)
-    env.reset()
-    for _ in range(2):
-        infos = env.step(np.zeros((2, *env.action_space.shape), dtype=np.float32))[3]
-        values = [value for info in infos for key, value in info.items() if key not in ("terminal_observation", "episode")]
-        assert values and all(type(value) in (float, int, bool) for value in values)
-    assert {type(info["is_success"]) for info in infos} == {bool}
 
 
 def test_what_the_rows_share():
@@ -151,6 +103,11 @@ def test_what_the_rows_share():
     assert env.env_is_wrapped(Monitor) == [True] * 3 and env.env_is_wrapped(gym.wrappers.TimeLimit, 0) == [False]
     assert env.spec.id == REACH
     env.close()
+    shown = make_sb3_vec_env(TIP_POSE, 2, render_mode="rgb_array", **FAST)
+    shown.reset()
+    frames = shown.get_images()
+    assert (shown.env_method("render", indices=[1])[0] == frames[1]).all() and frames[0].dtype == np.uint8
+    assert shown.render().shape == (2 * frames[0].shape[0], *frames[0].shape[1:])
 
 
 def test_other_environments_are_refused():
@@ -158,34 +115,6 @@ def test_other_environments_are_refused():
         StableBaselinesVecEnv(gym.make_vec(TIP_POSE, 1, **FAST))
     with pytest.raises(TypeError, match="should be a TendonRodVectorEnv"):
         StableBaselinesVecEnv(gym.make_vec("CartPole-v1", 1))
-
-
-def test_frames():
-    env = make_sb3_vec_env(TIP_POSE, 2, render_mode="rgb_array", **FAST)
-    env.reset()
-    frames = env.get_images()
-    assert len(frames) == 2 and all(frame.dtype == np.uint8 and frame.ndim == 3 for frame in frames)
-    assert (env.env_method("render", indices=[1])[0] == frames[1]).all()
-    height, width, _ = frames[0].shape
-    assert env.render().shape == (2 * height, width, 3)
-    blind = make_sb3_vec_env(TIP_POSE, 2, **FAST)
-    with pytest.warns(UserWarning, match="without a render_mode"):
-        assert blind.get_images() == [None, None]
-
-
-def test_vec_monitor_can_take_over(tmp_path):
-    env = VecMonitor(make_sb3_vec_env(REACH, 2, monitor=False, max_episode_steps=3, **FAST), str(tmp_path / "log"), ("position_error",))
-    ours = make_sb3_vec_env(REACH, 2, max_episode_steps=3, **FAST)
-    for each in (env, ours):
-        each.seed(0)
-        each.reset()
-    for _ in range(3):
-        action = np.ones((2, *env.action_space.shape), dtype=np.float32)
-        theirs, mine = env.step(action)[3], ours.step(action)[3]
-    env.close()
-    assert [info["episode"]["l"] for info in theirs] == [3, 3]
-    np.testing.assert_allclose([info["episode"]["r"] for info in theirs], [info["episode"]["r"] for info in mine], atol=1e-6)
-    assert len((tmp_path / "log.monitor.csv").read_text().splitlines()) == 4
 
 
 def test_ppo():
@@ -196,37 +125,16 @@ def test_ppo():
     assert all(0.0 < info["r"] <= 5.0 for info in agent.ep_info_buffer)  # rewards are within [0, 1]
 
 
-def test_sac():
-    env = make_sb3_vec_env(TIP_POSE, 4, max_episode_steps=10, **FAST)
-    agent = SAC("MlpPolicy", env, learning_starts=100, buffer_size=1000, policy_kwargs=dict(SMALL), seed=0, device="cpu").learn(300)
-    assert agent.replay_buffer.timeouts.sum() == agent.replay_buffer.dones.sum() == 4 * 7  # 75 steps of 4 rows
-
-
-@pytest.mark.parametrize("reward", ["sparse", "dense"])
-def test_tqc_with_hindsight(reward, tmp_path):
-    env = make_sb3_vec_env(REACH, 4, max_episode_steps=10, reward=reward, **FAST)
+def test_tqc_with_hindsight():
+    env = make_sb3_vec_env(REACH, 4, max_episode_steps=10, **FAST)
     hindsight = {"replay_buffer_class": HerReplayBuffer, "learning_starts": 100, "buffer_size": 1000, "device": "cpu"}
     agent = TQC("MultiInputPolicy", env, policy_kwargs=dict(SMALL), seed=0, **hindsight).learn(300)
     buffer = agent.replay_buffer
     sample = buffer.sample(256)
     goals = (sample.next_observations[key].numpy() for key in ("achieved_goal", "desired_goal"))
     assert (sample.rewards.numpy()[:, 0] == env.env_method("compute_reward", *goals, None, indices=[0])[0].astype(np.float32)).all()
-    assert sample.rewards.max() == 1.0 or reward == "dense"  # goals in hindsight are reached
-    agent.save(tmp_path / "agent")
-    TQC.load(tmp_path / "agent", env=env, device="cpu").learn(120)
-
-
-def test_evaluation(tmp_path):
-    """evaluate_policy and EvalCallback take episodes and successes from infos."""
-    options = {"max_episode_steps": 5, "threshold": 5.0, **FAST}
-    env, other = make_sb3_vec_env(REACH, 2, **options), make_sb3_vec_env(REACH, 3, **options)
-    agent = PPO("MultiInputPolicy", env, n_steps=16, batch_size=32, policy_kwargs=dict(SMALL), seed=0, device="cpu")
-    other.seed(0)
-    assert evaluate_policy(agent, other, n_eval_episodes=7, return_episode_rewards=True) == ([5.0] * 7, [5] * 7)  # 1 a step: always reached
-    agent.learn(64, callback=EvalCallback(other, n_eval_episodes=3, eval_freq=16, log_path=str(tmp_path), verbose=0))
-    with np.load(tmp_path / "evaluations.npz") as log:
-        assert log["successes"].shape == (2, 3) and log["successes"].all()
-        assert (log["results"] == 5.0).all() and (log["ep_lengths"] == 5).all()
+    assert sample.rewards.max() == 1.0  # goals in hindsight are reached
+    assert (buffer.timeouts.sum(), buffer.dones.sum()) == (4 * 7, 4 * 7)  # 75 steps of 4 rows
 
 
 def test_without_stable_baselines(monkeypatch):
