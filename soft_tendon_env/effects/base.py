@@ -60,11 +60,6 @@ class DeadLoads(NamedTuple):
     force: tuple[float, ...] = (0.0, 0.0, 0.0)  # [N] at the tip
     moment: tuple[float, ...] = (0.0, 0.0, 0.0)  # [N m] at the tip
 
-    @property
-    def exist(self) -> bool:
-        """Whether there are any."""
-        return bool(np.any(self))
-
 
 class Solid(NamedTuple):
     """A simple solid, as pictures and recordings show it."""
@@ -229,11 +224,6 @@ class Effects(Configuration):
     def command_unit(self) -> str:
         """Unit of commands: "N" where they are tensions, as far as the arm is at rest."""
         return next((effect.command_unit for effect in self.chosen().values() if effect.command_unit != "N"), "N")
-
-    @property
-    def command_tension(self) -> bool:
-        """Whether commands are tensions [N], as far as the arm is at rest."""
-        return self.command_unit == "N"
 
     def command_limits(self, limits: Array) -> Array:
         """Limits (n_a, 2) of commands where those of tensions are `limits` (n_a, 2) [N]."""

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
+from soft_tendon_env.effects.base import Array, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
 from soft_tendon_env.mechanics.algebra.lie import rotate_back, times, twist_sum
 from soft_tendon_env.mechanics.algebra.structs import Struct
@@ -74,11 +74,6 @@ class Disturbance(Effect):
                 raise ConfigurationError([problem])
         rows = [[*(own.signal.numbers if own.signal else ALWAYS), *own.moment, *own.force] for own in self.loads]
         return DisturbanceParameters(np.array(rows), np.array([node_field(weights(rod, own.at)[:, None]) for own in self.loads]))
-
-    def potential_energy(self, arm: Configured) -> float:
-        if any(own.signal or any(own.moment) for own in self.loads):
-            raise ValueError("a disturbance that changes in time or has a moment has no potential energy")
-        return -sum(float(weights(arm.rod, own.at) @ (arm.pose[:, :3, 3] @ np.array(own.force))) for own in self.loads)
 
 
 def weights(rod: Discretisation, at: float) -> Array:

@@ -44,7 +44,8 @@ class Fluid(Effect):
         displaced = self.displaced_mass(rod)
         slices = displaced, self.added_mass * displaced, self.normal_drag * pressure, np.pi * self.tangential_drag * pressure
         fluid, added, normal, tangential = (node_field(values) for values in slices)
-        return FluidParameters(fluid, added, normal, tangential, self.current, _gravity(rod))
+        gravity = rod.effects.gravity.acceleration if rod.effects.gravity else (0.0, 0.0, 0.0)
+        return FluidParameters(fluid, added, normal, tangential, self.current, gravity)
 
     def displaced_mass(self, rod: Discretisation) -> Array:
         """Mass (nodes, 1) [kg] of the fluid in whose place the slices are."""
@@ -56,12 +57,7 @@ class Fluid(Effect):
     def potential_energy(self, arm: Configured) -> float:
         if any(self.current):
             raise ValueError("a fluid that streams has no potential energy")
-        return float(self.displaced_mass(arm.rod)[:, 0] @ (arm.pose[:, :3, 3] @ np.array(_gravity(arm.rod))))
-
-
-def _gravity(rod: Discretisation) -> Triple:
-    """The scene's gravity [m/s^2]."""
-    return (0.0, 0.0, 0.0) if rod.effects.gravity is None else rod.effects.gravity.acceleration
+        return float(self.displaced_mass(arm.rod)[:, 0] @ (arm.pose[:, :3, 3] @ np.array(self.parameters(arm.rod).gravity)))
 
 
 class FluidParameters(Struct):

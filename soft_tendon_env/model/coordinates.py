@@ -82,7 +82,7 @@ def explicit_strain(strain: ExplicitStrain, grid: Grid, here: AtPoints) -> Expli
 def _under_loads(scene: Scene, law: StaticsBased, grid: Grid) -> StaticsBased | Loaded:
     """The strain of a law with the scene's dead loads inside, if it is to answer to any."""
     dead = scene.effects.dead_loads()
-    if not (effects_inside(scene) and dead.exist):
+    if not (effects_inside(scene) and np.any(dead)):
         return law
     return Loaded(size=law.size, first=np.zeros_like(law.first), last=law.tip, tip=law.tip, law=law, **dead._asdict())
 

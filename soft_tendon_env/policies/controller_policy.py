@@ -211,7 +211,7 @@ class ControllerPolicy:
         self.controller, self.interface, self.estimator, self.predictor = controller, interface, estimator, predictor
         self._lost = LostState(type(controller).__name__)
         own = interface.model
-        pulled = None if own.scene.effects.command_tension else build_model(own.scene.replace({"effects": own.scene.effects.on_arm()}))
+        pulled = None if own.scene.effects.command_unit == "N" else build_model(own.scene.replace({"effects": own.scene.effects.on_arm()}))
         self._simulation = None if pulled is None else Simulation(pulled)  # of the arm under tensions
         groups = interface.layout.slices
         state = ("q", "q_dot") if estimator is None else estimator.needs

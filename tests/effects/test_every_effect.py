@@ -144,7 +144,7 @@ def test_configuration_survives_a_round_trip_and_covers_its_variations(name, bui
     "name, table, message",
     [
         ("contact", {"obstacles": [{"type": "plane", "position": [0, 0, -1], "velocity": [0, 0, 1]}]}, "obstacles that move has no pot"),
-        ("disturbance", {"loads": [{"at": 0.3, "moment": [0, 0, 1]}]}, "a disturbance that .* has a moment has no potential energy"),
+        ("disturbance", {"loads": [{"at": 0.3, "moment": [0, 0, 1]}]}, "the effect Disturbance has no potential energy"),
         ("fluid", {"density": 1000.0, "current": [0.0, 0.0, 1.0]}, "a fluid that streams has no potential energy"),
         ("moving_base", {"velocity": [1.0, 0.0, 0.0]}, "the effect MovingBase has no potential energy"),
         ("tip_load", {"moment": [0.0, 0.1, 0.0]}, "a tip load with a moment, .* has no potential energy"),

@@ -1,14 +1,11 @@
 """Contact as kernels compute it: forces between samples of the arm and obstacles, and the continuous collision check.
 
-Samples are balls along the axis each for its share of the length. By virtual work a force f on a sample is the force H00 f
-and the moment H10 h R_a e_x x f on the node before it, and likewise on the one behind.
+By virtual work a force f on a sample is the force H00 f and the moment H10 h R_a e_x x f on the node before it, and likewise on the one
+behind. With d = radius - signed distance of a sample's middle, k = stiffness ds and a smoothing depth e, N = p(d) max(0, 1 + c d_dot),
+p = k d^2 / 2 e up to d = e, k (d - e / 2) beyond: Hunt and Crossley (1975), here of a force that begins smoothly.
 
-With d = radius - signed distance of a sample's middle, k = stiffness ds and a smoothing depth e, N = p(d) max(0, 1 + c d_dot),
-p = k d^2 / 2 e up to d = e, k (d - e / 2) beyond: Hunt and Crossley (1975), here of a force that begins smoothly. It never pulls, and what
-it takes out of the motion, p c d_dot^2, is never negative.
-
-Friction opposes the slip velocity v of the surfaces with mu N |v| / sqrt(|v|^2 + v_s^2), v_s = STICTION_SPEED. So what friction holds
-creeps: with a share s of mu N, at v_s s / sqrt(1 - s^2). The implicit step gets the secant mu N / sqrt(|v|^2 + v_s^2) as damping.
+Friction opposes the slip velocity v of the surfaces with mu N |v| / sqrt(|v|^2 + v_s^2), v_s = STICTION_SPEED: what it holds creeps, with a
+share s of mu N at v_s s / sqrt(1 - s^2). The implicit step gets the secant mu N / sqrt(|v|^2 + v_s^2) as damping.
 
 Steps end where a contact begins; those that went through something, or too deep into it, are tried again at half of their length.
 """

@@ -253,12 +253,6 @@ def remember(arm, work):
 
 
 @kernel
-def limits_steps(effects):
-    """True if any effect limits the length of integrator steps."""
-    return any_of(effects.limit)
-
-
-@kernel
 def rest_states(arm, command, work):
     """The internal states, in work.state, of an arm that has always been at rest in this configuration under a command (n_a)."""
     copy(arm.effects.state, work.state)
