@@ -80,7 +80,7 @@ def weights(rod: Discretisation, at: float) -> Array:
     """Weights (nodes,) with which values at the nodes, 0 at the base, add up to that at an arc length [m]: exact for functions that are
     cubic between the borders, where there are four nodes."""
     places, found, same = np.append(0.0, rod.node), np.zeros(rod.node.size + 1), SAME * rod.length
-    border = min(np.searchsorted(rod.borders, at + same, side="right"), rod.borders.size - 1)
+    border = min(int(np.searchsorted(rod.borders, at + same, side="right")), rod.borders.size - 1)
     inside = np.flatnonzero((places > rod.borders[border - 1] - same) & (places < rod.borders[border] + same))
     piece = inside[np.append(True, np.diff(places[inside]) > same)]  # without the empty intervals at the tip
     stencil, i = min(4, piece.size), int(np.clip(np.searchsorted(places[piece], at, side="right") - 1, 0, piece.size - 2))

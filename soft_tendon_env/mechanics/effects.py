@@ -115,7 +115,8 @@ DIRECT = Transmission(
 EXPLICIT, IMPLICIT_TWIST, IMPLICIT_POSE = 0, 1, 2
 """Bits of what a wrench is differentiated by for the implicit step."""
 _ROW = np.zeros(1)
-_NODES = Nodes(1, 0.0, *[_ROW] * 8, BeforeStep(_ROW, _ROW, _ROW), ContactFlags(_ROW, _ROW, _ROW))
+_CHECK = BeforeStep(_ROW, _ROW, _ROW), ContactFlags(_ROW, _ROW, _ROW)
+_NODES = Nodes(1, 0.0, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, *_CHECK)
 HOOKS: dict[str, tuple[Any, ...]] = {
     "wrench": (_NODES,),
     "stress": (Points(1, 0.0, 0.0, *[_ROW] * 9),),
@@ -247,7 +248,8 @@ def kernels_of(kind: type) -> dict[str, Any]:
 def _address_of_kernel(hook: str, own: Struct) -> int:
     """The address of the kernel for these parameters, 0 where there is none; compiles it when needed."""
     function = _KERNELS.get((hook, type(own)))
-    return 0 if function is None else _address(hook, function, type(own) if config.DISABLE_JIT else numba.typeof(own))
+    kind: Any = type(own) if config.DISABLE_JIT else numba.typeof(own)
+    return 0 if function is None else _address(hook, function, kind)
 
 
 @functools.cache
