@@ -137,7 +137,7 @@ def test_an_effect_of_a_users_own_that_reads_the_time(shaker, measured):
 
     shaker(Shaking)
     with warnings.catch_warnings():
-        warnings.simplefilter("error", UserWarning)
+        warnings.filterwarnings("error", message=".*reads the time")
         share = wrong_share(({"effects.shaker.frequency": 100.0}, 100.0), "scene")
     measured("part of the motion", share)
     assert share < 0.05
