@@ -12,9 +12,9 @@ from mkdocs.structure.pages import Page
 
 from soft_tendon_env.accuracy.fidelity import PRESETS
 from soft_tendon_env.effects import EFFECTS
-from soft_tendon_env.effects.contact.obstacles import SHAPES, Obstacle
+from soft_tendon_env.effects.contact.obstacles import Box, Capsule, Cylinder, Obstacle, Plane, Sphere
 from soft_tendon_env.effects.disturbance import Load, Pulse, Sine
-from soft_tendon_env.effects.viscoelastic_memory import Branch
+from soft_tendon_env.effects.material import Branch
 from soft_tendon_env.envs import IDS, TASKS, Options, ResetOptions
 from soft_tendon_env.scene.scene import Quadrature
 from soft_tendon_env.tools.configuration import plain
@@ -93,7 +93,8 @@ def effects() -> str:
     tables = {f"effects.{name}": effect for name, effect in sorted(EFFECTS.items())}
     loads = {"effects.disturbance.loads": Load, "signal = pulse": Pulse, "signal = sine": Sine}
     tables |= {**loads, "effects.viscoelastic_memory.branches": Branch, "effects.contact.obstacles": Obstacle}
-    tables |= {f"type = {name}": shape for name, shape in SHAPES.items()}
+    shapes = Plane, Sphere, Box, Capsule, Cylinder
+    tables |= {f"type = {shape.model_fields['type'].default}": shape for shape in shapes}
     rows = [["table", "key", "default", "meaning"], ["---"] * 4]
     for name, own in tables.items():
         known = {"type", *(Obstacle.model_fields if own is not Obstacle and issubclass(own, Obstacle) else ())}

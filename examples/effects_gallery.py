@@ -129,7 +129,7 @@ def contact_friction(axes: plt.Axes) -> None:
 def disturbance(axes: plt.Axes) -> None:
     axes.set_title("disturbance: a push of 0.2 s, and a vibration")
     push = {"at": 0.2, "force": [0.0, 0.1, 0.0], "signal": {"type": "pulse", "start": 0.2, "duration": 0.2}}
-    shake = {"along": [0.0, 0.3], "force": [0.0, 0.1, 0.0], "signal": {"type": "sine", "frequency": 2.0}}
+    shake = {"at": 0.15, "force": [0.0, 0.03, 0.0], "signal": {"type": "sine", "frequency": 2.0}}
     for load, colour, label in ((push, WITH, "pushed"), (shake, THIRD, "shaken")):
         draw_tip(axes, ste.simulate(arm({"effects.disturbance.loads": [load]}), SLACK, 3.0, PERIOD), colour, label)
     axes.axvspan(0.2, 0.4, color=WITH, alpha=0.15, linewidth=0)

@@ -1,4 +1,4 @@
-"""Effects: what acts on the arm besides its tendons, one file each. A scene names those it wants, the others do not exist; see base.py."""
+"""Effects: what acts on the arm besides its tendons. A scene names those it wants, the others do not exist; see base.py."""
 
 import importlib
 import pkgutil

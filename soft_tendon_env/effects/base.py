@@ -1,14 +1,14 @@
 """Effects: what acts on the arm besides its tendons, and the table by which a scene names them.
 
-An effect is one file, in this package or a user's own: its configuration class under `@register_effect("name")`, its parameters, a
-`Struct` of numbers and arrays, and the kernels that it needs, see mechanics/effects.py. It is then the optional table
-`[effects.name]` of every scene. A scene without that table neither compiles nor calls it. `examples/own_effect.py` is one from outside.
+An effect is a configuration class under `@register_effect("name")`, its parameters, a `Struct` of numbers and arrays, and the kernels that
+it needs, see mechanics/effects.py; here or in a user's own file as `examples/own_effect.py`. It is then the optional table `[effects.name]`
+of every scene. A scene without that table neither compiles nor calls it.
 """
 
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 from pydantic import ConfigDict
@@ -56,20 +56,15 @@ class Configured(NamedTuple):
 class DeadLoads(NamedTuple):
     """Loads whose size and direction in the world frame never change: what a strain can have inside, see paper III-B."""
 
-    acceleration: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m/s^2] of all mass, payload included
-    force: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [N] at the tip
-    moment: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [N m] at the tip
-
-    @property
-    def exist(self) -> bool:
-        """Whether there are any."""
-        return any(component != 0.0 for vector in self for component in vector)
+    acceleration: tuple[float, ...] = (0.0, 0.0, 0.0)  # [m/s^2] of all mass, payload included
+    force: tuple[float, ...] = (0.0, 0.0, 0.0)  # [N] at the tip
+    moment: tuple[float, ...] = (0.0, 0.0, 0.0)  # [N m] at the tip
 
 
 class Solid(NamedTuple):
     """A simple solid, as pictures and recordings show it."""
 
-    kind: Literal["plane", "sphere", "capsule", "cylinder", "box"]  # a plane bounds the half-space below it; its normal is z
+    kind: str  # plane, the half-space below it with its normal along z; sphere, capsule, cylinder, box
     size: tuple[float, ...]  # [m]: none; radius; radius and length along z, that of a capsule without its caps; the same; edges x, y, z
     pose: Array  # (4, 4) of its middle
 
@@ -82,13 +77,11 @@ class Effect(Configuration):
         is_actuation: whether it lies between commands and tensions, as numbers of the `transmission`: what is told of the arm under given
             tensions is without it.
         command_unit: unit of the commands that it takes; "N": the tension that comes of them at rest.
-        strengths: fields, numbers or vectors, whose size says how strong it is.
     """
 
     is_contact: ClassVar[bool] = False
     is_actuation: ClassVar[bool] = False
     command_unit: ClassVar[str] = "N"
-    strengths: ClassVar[tuple[str, ...]] = ()
 
     @property
     def acts(self) -> bool:
@@ -131,24 +124,6 @@ class Effect(Configuration):
         """Solids that show the effect at a time [s], always as many, in the same order: none unless a class says so."""
         return ()
 
-    def sample_smaller(self, random: np.random.Generator) -> Self:
-        """This effect with its strengths at a random size up to their own, and vectors in random directions."""
-        drawn = {name: (1.0 - random.random()) * np.array(getattr(self, name)) for name in self.strengths}
-        for name, own in drawn.items():
-            if own.ndim:
-                direction = random.normal(size=own.size)
-                drawn[name] = np.linalg.norm(own) / np.linalg.norm(direction) * direction
-        return type(self)(**{**self.model_dump(), **drawn})
-
-    def includes(self, other: Self) -> bool:
-        """Whether `sample_smaller` reaches another effect of the class: what was made under the one holds under the other."""
-        alike = self.model_dump(exclude={*self.strengths}) == other.model_dump(exclude={*self.strengths})
-        return alike and all(np.linalg.norm(getattr(self, name)) >= np.linalg.norm(getattr(other, name)) for name in self.strengths)
-
-
-class TimeWarning(UserWarning):
-    """An effect depends on time without limiting the length of integrator steps."""
-
 
 def _check_kernels(name: str, kind: type[Struct]) -> None:
     """Raises TypeError where no kernel is registered for parameters of this class; warns of one that reads the time, but lets steps be as
@@ -159,30 +134,27 @@ def _check_kernels(name: str, kind: type[Struct]) -> None:
     read = {word for own in kernels.values() for word in getattr(own, "py_func", own).__code__.co_names}
     if "limit" not in kernels and "time" in read and "time" not in kind.names():
         text = "reads the time, but no kernel of it is decorated with @limits_step: steps may pass over its changes"
-        warnings.warn(f"the effect with parameters {kind.__name__} {text}", TimeWarning, stacklevel=2)
+        warnings.warn(f"the effect with parameters {kind.__name__} {text}", stacklevel=2)
 
 
 Class = TypeVar("Class", bound=type[Effect])
 
 EFFECTS: dict[str, type[Effect]] = {}
 """Every registered effect's configuration class, by the name that scenes use."""
+STRENGTHS = {"gravity": ("acceleration",), "tip_load": ("force", "moment", "mass"), "fluid": ("density", "current")}
+"""Keys of effects, numbers or vectors, whose size says how strong they are."""
 
 
 def register_effect(name: str) -> Callable[[Class], Class]:
     """Class decorator: make an `Effect` available to scenes as `[effects.name]`.
 
-    Registering a class of the same module and name again replaces it, as in a notebook. Raises ValueError for a name that is taken or
-    no identifier, TypeError for what is no Effect.
+    Registering a class of the same module and name again replaces it, as in a notebook. Raises ValueError for a name that is taken.
     """
-    if not name.isidentifier() or hasattr(Effects, name):
-        raise ValueError(f"an effect's name should be an identifier that no method of a table has, not {name!r}")
 
     def add(effect: Class) -> Class:
-        if not (isinstance(effect, type) and issubclass(effect, Effect)):
-            raise TypeError(f"the effect {name!r} should be a class derived from soft_tendon_env.effects.Effect, not {shown(effect)}")
         present = EFFECTS.get(name, effect)
-        if (present.__module__, present.__qualname__) != (effect.__module__, effect.__qualname__):
-            raise ValueError(f"the effect {name!r} is registered twice: {present.__module__}, {effect.__module__}")
+        if hasattr(Effects, name) or (present.__module__, present.__qualname__) != (effect.__module__, effect.__qualname__):
+            raise ValueError(f"the name of the effect {name!r} is taken, by an effect of {present.__module__} or a method of Effects")
         EFFECTS[name] = effect
         return effect
 
@@ -197,21 +169,19 @@ class Effects(Configuration):
     def __init__(self, /, **tables: Any):
         """Raises ConfigurationError."""
         chosen, problems = {}, list[Problem]()
-        for name, table in tables.items():
+        for name, table in sorted(tables.items()):
             try:
                 if name not in EFFECTS:
                     problems.append(Problem((name,), f"is an unknown key (given {shown(table)}): {not_among(name, EFFECTS)}"))
-                elif isinstance(table, dict):
-                    chosen[name] = EFFECTS[name](**table)
-                elif isinstance(table, EFFECTS[name]):
-                    chosen[name] = table
+                elif isinstance(table, dict | EFFECTS[name]):
+                    chosen[name] = EFFECTS[name](**table) if isinstance(table, dict) else table
                 elif table is not None:
                     problems.append(Problem((name,), f"is {shown(table)}: it should be a table"))
             except ConfigurationError as error:
                 problems += [Problem((name, *key), text) for key, text in error.problems]
         if problems:
             raise ConfigurationError(problems, type(self).__name__)
-        super().__init__(**{name: chosen[name] for name in sorted(chosen)})
+        super().__init__(**chosen)
 
     def chosen(self) -> dict[str, Effect]:
         """Effects that the scene has, by name, in the order of their names: that in which they act."""
@@ -223,8 +193,7 @@ class Effects(Configuration):
 
     def table(self, rod: Discretisation) -> EffectTable:
         """Table of the acting effects for the kernels, in the order of their names. Raises TypeError where one has no kernel."""
-        effects, parameters = self.acting(), []
-        numbers: dict[str, Any] = {}
+        effects, parameters, numbers = self.acting(), list[Struct](), dict[str, Any]()
         states = [effect.state(rod) for effect in effects.values()]
         for i, (name, effect) in enumerate(effects.items()):
             parameters.append(Struct() if effect.is_actuation else effect.parameters(rod))
@@ -245,60 +214,65 @@ class Effects(Configuration):
     def potential_energy(self, arm: Configured) -> float:
         """Potential energy [J] of all effects, `arm.state` being their internal states one after the other. Raises ValueError where one
         has none."""
-        ends = np.cumsum([effect.state(arm.rod).size for effect in self.chosen().values()])
-        states = np.split(arm.state, ends[:-1].astype(int))
-        return float(
-            sum(own.potential_energy(arm._replace(state=state)) for own, state in zip(self.chosen().values(), states, strict=False))
-        )
-
-    def everywhere(self) -> "Effects":
-        """Effects that act on the arm, and that it does not come upon in places only."""
-        return self._those(lambda effect: not (effect.is_contact or effect.is_actuation))
+        energy, first = 0.0, 0
+        for effect in self.chosen().values():
+            last = first + effect.state(arm.rod).size
+            energy, first = energy + effect.potential_energy(arm._replace(state=arm.state[first:last])), last
+        return energy
 
     @property
     def command_unit(self) -> str:
         """Unit of commands: "N" where they are tensions, as far as the arm is at rest."""
         return next((effect.command_unit for effect in self.chosen().values() if effect.command_unit != "N"), "N")
 
-    @property
-    def command_tension(self) -> bool:
-        """Whether commands are tensions [N], as far as the arm is at rest."""
-        return self.command_unit == "N"
-
-    def on_arm(self) -> "Effects":
-        """Effects that act on the arm, without what lies between commands and tensions."""
-        return self._those(lambda effect: not effect.is_actuation)
-
     def command_limits(self, limits: Array) -> Array:
         """Limits (n_a, 2) of commands where those of tensions are `limits` (n_a, 2) [N]."""
         elastic = self.tendon_elasticity
         return limits if elastic is None else np.tile(np.array(elastic.displacement_limits), (len(limits), 1))
 
+    def _those(self, keep: Callable[[Effect], bool]) -> "Effects":
+        return Effects(**{name: effect for name, effect in self.chosen().items() if keep(effect)})
+
+    def on_arm(self) -> "Effects":
+        """Effects that act on the arm, without what lies between commands and tensions."""
+        return self._those(lambda effect: not effect.is_actuation)
+
+    def everywhere(self) -> "Effects":
+        """Effects that act on the arm, and that it does not come upon in places only."""
+        return self._those(lambda effect: not (effect.is_contact or effect.is_actuation))
+
     def outside(self) -> "Effects":
         """Effects without dead loads, which stay outside of a strain with `include_loads`."""
         return self._those(lambda effect: effect.dead_loads() is None)
 
-    def _those(self, keep: Callable[[Effect], bool]) -> "Effects":
-        return Effects(**{name: effect for name, effect in self.chosen().items() if keep(effect)})
-
     def dead_loads(self) -> DeadLoads:
         """The sum of what a strain with `include_loads` answers to."""
-        own = [loads for effect in self.chosen().values() if (loads := effect.dead_loads()) is not None]
-        sums = [[float(value) for value in np.sum(vectors, axis=0)] for vectors in zip(DeadLoads(), *own, strict=True)]
-        return DeadLoads(*((x, y, z) for x, y, z in sums))
+        own = [loads for effect in self.chosen().values() if (loads := effect.dead_loads())]
+        return DeadLoads(*(tuple(np.sum(vectors, axis=0).tolist()) for vectors in zip(DeadLoads(), *own, strict=True)))
 
     def solids(self, time: float = 0.0) -> tuple[Solid, ...]:
         """Solids that show all effects at a time [s]."""
         return tuple(solid for effect in self.chosen().values() for solid in effect.solids(time))
 
     def sample_smaller(self, random: np.random.Generator) -> "Effects":
-        """Each effect with its strengths at a random size up to their own."""
-        return Effects(**{name: effect.sample_smaller(random) for name, effect in self.chosen().items()})
+        """These effects with their STRENGTHS at a random size up to their own, and vectors in random directions."""
+        tables = self.model_dump()
+        for name in tables:
+            drawn = {key: (1.0 - random.random()) * np.array(tables[name][key]) for key in STRENGTHS.get(name, ())}
+            for key, own in drawn.items():
+                direction = random.normal(size=own.size) if own.ndim else np.ones(1)
+                tables[name][key] = (np.linalg.norm(own) / np.linalg.norm(direction) * direction) if own.ndim else own
+        return Effects(**tables)
 
     def includes(self, other: "Effects") -> bool:
-        """Whether `sample_smaller` reaches all of the other effects."""
-        own = self.chosen()
-        return all(name in own and own[name].includes(effect) for name, effect in other.everywhere().chosen().items())
+        """Whether `sample_smaller` reaches all of the other effects: what was made under these holds under those."""
+        own = self.model_dump()
+        for name, table in other.everywhere().model_dump().items():
+            mine, strong = own.get(name), STRENGTHS.get(name, ())
+            weaker = mine and any(np.linalg.norm(mine[key]) < np.linalg.norm(table[key]) for key in strong)
+            if mine is None or weaker or any(mine[key] != value for key, value in table.items() if key not in strong):
+                return False
+        return True
 
     def __getattr__(self, name: str) -> Any:
         """The effect of this name, None where the scene has none."""

@@ -1,18 +1,17 @@
-"""Disturbances: wrenches at points of the rod or distributed over parts of it, as functions of time: pushes, pulses, vibrations.
+"""Disturbances: wrenches at points of the rod as functions of time: pushes, pulses, vibrations.
 
-The place of a section is a cubic through the nodes nearest to it, none beyond the end of a tendon. A load at a point is shared among them
-with its weights there, and a distributed one with their integrals, by virtual work: force and moment are exact, the error is of fourth
-order in the distance of the nodes. What falls to the base does no work.
+The place of a section is a cubic through the nodes nearest to it, none beyond the end of a tendon. A load is shared among them with its
+weights there, by virtual work: force and moment are exact, the error is of fourth order in the distance of the nodes.
 """
 
 import math
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
+from soft_tendon_env.effects.base import Array, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
 from soft_tendon_env.mechanics.algebra.lie import rotate_back, times, twist_sum
 from soft_tendon_env.mechanics.algebra.structs import Struct
@@ -25,13 +24,8 @@ from soft_tendon_env.tools.types import Frequency, NotNegative, Number, Positive
 
 EDGE = 1e-9  # [s], up to which times of pulses and of the integrator count as the same
 SAME = 1e-12  # of the rod's length, up to which two places are one
-CONSTANT, PULSE, SINE = 0.0, 1.0, 2.0
-
-
-class Constant(Configuration):
-    """1 always. The arm rests under it."""
-
-    type: Literal["constant"] = "constant"
+PULSE, SINE = 1.0, 2.0
+ALWAYS = 0.0, 0.0, 0.0
 
 
 class Pulse(Configuration):
@@ -41,6 +35,10 @@ class Pulse(Configuration):
     start: Positive = Field(description="begin [s], after 0")
     duration: Positive = Field(description="duration [s]")
 
+    @property
+    def numbers(self) -> Triple:
+        return PULSE, self.start, self.start + self.duration
+
 
 class Sine(Configuration):
     """sin(2 pi frequency t + phase). The arm rests under its value at time 0."""
@@ -49,31 +47,18 @@ class Sine(Configuration):
     frequency: Annotated[Frequency, Field(gt=0)] = Field(description="frequency [Hz]")
     phase: Number = Field(0.0, description="phase [deg]")
 
-
-def signal_numbers(signal: Constant | Pulse | Sine) -> Triple:
-    """A signal as `signal_at` reads it: kind and parameters."""
-    if isinstance(signal, Pulse):
-        return PULSE, signal.start, signal.start + signal.duration
-    return (SINE, 2.0 * np.pi * signal.frequency, np.deg2rad(signal.phase)) if isinstance(signal, Sine) else (CONSTANT, 0.0, 0.0)
+    @property
+    def numbers(self) -> Triple:
+        return SINE, 2.0 * math.pi * self.frequency, math.radians(self.phase)
 
 
 class Load(Configuration):
-    """One load, either at a point or distributed evenly along a part of the rod."""
+    """One load at a point, in the world frame."""
 
-    force: Triple = Field((0.0, 0.0, 0.0), description="force [N], or of distributed loads force per length [N/m]")
-    moment: Triple = Field((0.0, 0.0, 0.0), description="moment [N m], or moment per length [N m/m]")
-    at: NotNegative | None = Field(None, description="arc length of the point [m]")
-    along: tuple[NotNegative, NotNegative] | None = Field(None, description="arc lengths between which it is distributed [m]")
-    frame: Literal["world", "body"] = Field("world", description="frame of its components; body: the section, x along the rod")
-    signal: Annotated[Constant | Pulse | Sine, Field(discriminator="type")] = Field(Constant(), description="factor as a function of time")
-
-    @model_validator(mode="after")
-    def _has_a_place(self) -> Self:
-        if (self.at is None) == (self.along is None):
-            raise ValueError("should be at a point (`at`, an arc length [m]) or distributed (`along`, from and to [m])")
-        if self.along is not None and not self.along[0] < self.along[1]:
-            raise ValueError(f"has along = {list(self.along)}: it should end after it begins")
-        return self
+    at: NotNegative = Field(description="arc length of the point [m]")
+    force: Triple = Field((0.0, 0.0, 0.0), description="force [N]")
+    moment: Triple = Field((0.0, 0.0, 0.0), description="moment [N m]")
+    signal: Annotated[Pulse | Sine, Field(discriminator="type")] | None = Field(None, description="factor over time, by default 1")
 
 
 @register_effect("disturbance")
@@ -84,44 +69,33 @@ class Disturbance(Effect):
 
     def parameters(self, rod: Discretisation) -> "DisturbanceParameters":
         for i, own in enumerate(self.loads):
-            end = (own.along or (0.0, own.at or 0.0))[1]
-            if end > rod.length * (1.0 + SAME):
-                key = ("effects", "disturbance", "loads", i, "at" if own.along is None else "along")
-                raise ConfigurationError([Problem(key, f"ends at {end:g} m: the rod has {rod.length:g} m")])
-        rows = [[*signal_numbers(own.signal), float(own.frame == "body"), *own.moment, *own.force] for own in self.loads]
-        return DisturbanceParameters(np.array(rows), np.array([node_field(weights(rod, own)[:, None]) for own in self.loads]))
-
-    def potential_energy(self, arm: Configured) -> float:
-        if any(own.signal.type != "constant" or own.frame == "body" or any(own.moment) for own in self.loads):
-            raise ValueError("a disturbance that changes in time, follows the rod or has a moment has no potential energy")
-        return -sum(float(weights(arm.rod, own) @ (arm.pose[:, :3, 3] @ np.array(own.force))) for own in self.loads)
+            if own.at > rod.length * (1.0 + SAME):
+                problem = Problem(("effects", "disturbance", "loads", i, "at"), f"is {own.at:g} m: the rod has {rod.length:g} m")
+                raise ConfigurationError([problem])
+        rows = [[*(own.signal.numbers if own.signal else ALWAYS), *own.moment, *own.force] for own in self.loads]
+        return DisturbanceParameters(np.array(rows), np.array([node_field(weights(rod, own.at)[:, None]) for own in self.loads]))
 
 
-def weights(rod: Discretisation, own: Load) -> Array:
-    """Weights (nodes,) with which values at the nodes, 0 at the base, add up to that at the point of a load, or to their integral [m] over
-    its part of the rod: exact for functions that are cubic between the borders, where there are four nodes."""
-    start, end = own.along or (own.at or 0.0, own.at or 0.0)
+def weights(rod: Discretisation, at: float) -> Array:
+    """Weights (nodes,) with which values at the nodes, 0 at the base, add up to that at an arc length [m]: exact for functions that are
+    cubic between the borders, where there are four nodes."""
     places, found, same = np.append(0.0, rod.node), np.zeros(rod.node.size + 1), SAME * rod.length
-    for border, next_border in zip(rod.borders[:-1], rod.borders[1:], strict=True):
-        inside = np.flatnonzero((places > border - same) & (places < next_border + same))
-        piece = inside[np.append(True, np.diff(places[inside]) > same)]  # without the empty intervals at the tip
-        stencil = min(4, piece.size)
-        for i, (here, there) in enumerate(zip(places[piece[:-1]], places[piece[1:]], strict=True)):
-            a, b = (float(np.clip(place, here, there) - here) / (there - here) for place in (start, end))
-            own_nodes = piece[(first := min(max(i + 1 - stencil // 2, 0), piece.size - stencil)) : first + stencil]
-            powers = np.arange(1, stencil + 1)
-            values = ((places[own_nodes] - here) / (there - here)) ** (powers[:, None] - 1)
-            if own.along is not None:
-                found[own_nodes] += (there - here) * np.linalg.solve(values, (b**powers - a**powers) / powers)
-            elif here <= start < there or (there > rod.length - same and start >= there):
-                found[own_nodes] = np.linalg.solve(values, a ** (powers - 1.0))
+    border = min(int(np.searchsorted(rod.borders, at + same, side="right")), rod.borders.size - 1)
+    inside = np.flatnonzero((places > rod.borders[border - 1] - same) & (places < rod.borders[border] + same))
+    piece = inside[np.append(True, np.diff(places[inside]) > same)]  # without the empty intervals at the tip
+    stencil, i = min(4, piece.size), int(np.clip(np.searchsorted(places[piece], at, side="right") - 1, 0, piece.size - 2))
+    here, there = places[piece[i : i + 2]]
+    own = piece[(first := min(max(i + 1 - stencil // 2, 0), piece.size - stencil)) : first + stencil]
+    powers = np.arange(stencil)
+    values = ((places[own] - here) / (there - here)) ** powers[:, None]
+    found[own] = np.linalg.solve(values, min((at - here) / (there - here), 1.0) ** powers)
     return found[1:]
 
 
 class DisturbanceParameters(Struct):
     """The loads, and their weights at the nodes."""
 
-    loads: Array  # loads x 10: signal (3), frame, moment, force
+    loads: Array  # loads x 9: signal (3), moment, force
     weight: Array  # loads x nodes
 
 
@@ -130,9 +104,7 @@ def signal_at(row, time):
     """The signal of a load, from the first three numbers of its row, at a time [s]."""
     if row[0] == PULSE:
         return 1.0 if row[1] <= time + EDGE and time + EDGE < row[2] else 0.0
-    if row[0] == SINE:
-        return math.sin(row[1] * time + row[2])
-    return 1.0
+    return math.sin(row[1] * time + row[2]) if row[0] == SINE else 1.0
 
 
 @adds_wrench(DisturbanceParameters)
@@ -142,13 +114,10 @@ def disturbance_wrench(disturbance, nodes):
     for i in range(disturbance.loads.shape[0]):
         row, weight = disturbance.loads[i], disturbance.weight[i]
         factor = signal_at(row, nodes.time)
-        moment, force = (row[4], row[5], row[6]), (row[7], row[8], row[9])
         for pack in range(nodes.packs if factor != 0.0 else 0):
             at, share = pack * 6 * LANES, factor * load(weight, pack * LANES)
-            here = times(share, moment), times(share, force)
-            if row[3] == 0.0:
-                R, _ = load_pose(nodes.pose, pack * 12 * LANES)
-                here = rotate_back(R, here[0]), rotate_back(R, here[1])
+            R, _ = load_pose(nodes.pose, pack * 12 * LANES)
+            here = rotate_back(R, times(share, (row[3], row[4], row[5]))), rotate_back(R, times(share, (row[6], row[7], row[8])))
             store6(nodes.wrench, at, twist_sum(load6(nodes.wrench, at), here))
 
 

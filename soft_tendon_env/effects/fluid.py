@@ -1,21 +1,16 @@
 """Immersion in a still or uniformly streaming fluid: drag, added mass and buoyancy of every slice of the rod.
 
 Per length, with the slice's velocity v = (v_x, v_n) relative to the fluid in its own frame (x along the rod), the local radius r and the
-fluid's density rho (Morison's equation; J. R. Morison et al., Petroleum Transactions 189, 1950, of slender bodies at any incidence):
+fluid's density rho (J. R. Morison et al., Petroleum Transactions 189, 1950; F. Renda et al., IEEE Transactions on Robotics 30, 2014):
 
-- drag, -1/2 rho (C_n 2 r |v_n| v_n + C_t 2 pi r |v_x| v_x): the normal part on the frontal width, the tangential one on the wetted
-  girth, each by its own velocity (independence principle). It takes power at any relative motion, and enters the implicit step.
-- added mass, C_a rho pi r^2 along both normals, as in F. Renda et al., IEEE Transactions on Robotics 30, 2014. It is
-  part of the kinetic energy 1/2 m_a |v_n|^2 per length, of which Lagrange's equations give all its forces; in a current
-  those of the relative velocity, so that an arm in a current is one that is towed through fluid at rest. The free end is that of a
-  streamlined tip (f = 1 of M. P. Paidoussis, Journal of Fluid Mechanics 26, 1966).
+- drag, -1/2 rho (C_n 2 r |v_n| v_n + C_t 2 pi r |v_x| v_x), in the implicit step.
+- added mass, C_a rho pi r^2 along both normals: kinetic energy 1/2 m_a |v_n|^2 per length, with all forces of Lagrange's equations. The
+  free end is that of a streamlined tip (f = 1 of M. P. Paidoussis, Journal of Fluid Mechanics 26, 1966).
 - buoyancy, -rho pi r^2 g, with the g of `[effects.gravity]`: without gravity there is none.
 
 Left out: a payload's volume and drag, pressure drag on the tip's face, viscous moments about the axis, and compression by the hydrostatic
 pressure (internal forces are effective tensions). The whole rod is under the surface, however it moves.
 """
-
-from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -38,8 +33,6 @@ STILL = 1e-60  # [m^2/s^2], added to a squared speed that is divided by
 class Fluid(Effect):
     """`[effects.fluid]`: drag coefficients are those of a cylinder across a stream at Reynolds numbers of 1e3 to 1e5, and of friction."""
 
-    strengths: ClassVar[tuple[str, ...]] = ("density", "current")
-
     density: Positive = Field(description="density of the fluid [kg/m^3], 1000 for water")
     current: Triple = Field((0.0, 0.0, 0.0), description="its velocity (x, y, z) [m/s], world frame, everywhere and always the same")
     normal_drag: NotNegative = Field(1.1, description="drag coefficient C_n across the rod [-], 1 to 1.2")
@@ -51,7 +44,8 @@ class Fluid(Effect):
         displaced = self.displaced_mass(rod)
         slices = displaced, self.added_mass * displaced, self.normal_drag * pressure, np.pi * self.tangential_drag * pressure
         fluid, added, normal, tangential = (node_field(values) for values in slices)
-        return FluidParameters(fluid, added, normal, tangential, self.current, _gravity(rod))
+        gravity = rod.effects.gravity.acceleration if rod.effects.gravity else (0.0, 0.0, 0.0)
+        return FluidParameters(fluid, added, normal, tangential, self.current, gravity)
 
     def displaced_mass(self, rod: Discretisation) -> Array:
         """Mass (nodes, 1) [kg] of the fluid in whose place the slices are."""
@@ -63,12 +57,7 @@ class Fluid(Effect):
     def potential_energy(self, arm: Configured) -> float:
         if any(self.current):
             raise ValueError("a fluid that streams has no potential energy")
-        return float(self.displaced_mass(arm.rod)[:, 0] @ (arm.pose[:, :3, 3] @ np.array(_gravity(arm.rod))))
-
-
-def _gravity(rod: Discretisation) -> Triple:
-    """The scene's gravity [m/s^2]."""
-    return (0.0, 0.0, 0.0) if rod.effects.gravity is None else rod.effects.gravity.acceleration
+        return float(self.displaced_mass(arm.rod)[:, 0] @ (arm.pose[:, :3, 3] @ np.array(self.parameters(arm.rod).gravity)))
 
 
 class FluidParameters(Struct):

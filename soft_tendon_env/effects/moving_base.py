@@ -6,7 +6,7 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.base import Configured, Discretisation, Effect, register_effect
+from soft_tendon_env.effects.base import Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, exp_se3, minus, plus, times
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import Base, allow_turning, limits_step, moves_base
@@ -42,9 +42,6 @@ class MovingBase(Effect):
         x, y, z = (part / math.hypot(*self.axis) for part in self.axis)
         turning = (x, y, z), self.angular_velocity, self.angular_amplitude, 2.0 * math.pi * self.frequency
         return MovingBaseParameters(self.velocity, self.acceleration, self.amplitude, *turning)
-
-    def potential_energy(self, arm: Configured) -> float:
-        raise ValueError("an arm on a moving base has no potential energy: the base does work on it")
 
 
 class MovingBaseParameters(Struct):

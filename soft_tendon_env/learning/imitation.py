@@ -63,7 +63,7 @@ class Teacher:
 
     def __init__(self, episodes: Episodes, settling_time: float) -> None:
         effects = episodes.model.scene.effects
-        if not effects.command_tension or effects.actuators is not None:
+        if effects.command_unit != "N" or effects.actuators is not None:
             raise ValueError("a teacher needs commands that are tensions and act as they are, without tendon_elasticity and actuators")
         self.episodes, self._settling_time = episodes, settling_time
         self._copy = Arms(episodes.model, episodes.size, episodes.period, np.empty(0), np.empty(0), threads=1)

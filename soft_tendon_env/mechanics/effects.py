@@ -1,10 +1,8 @@
 """Effects as the kernels see them: what an effect reads and adds to, its own kernels, their addresses, and how they are called.
 
 The kernels of an effect are compiled by themselves and called through their addresses, which stand in a table with those of their
-parameters: the mechanics are compiled once, whatever effects an arm has, and an effect that no scene names is not compiled at all.
-
-The parameters of an effect are a `Struct` of its own, see algebra/structs.py. An effect is a pure function of them, of the time, and of
-poses and twists, or of strains.
+parameters, a `Struct`: the mechanics are compiled once, whatever effects an arm has, and an effect that no scene names is not compiled at
+all. An effect is a pure function of its parameters, of the time, and of poses and twists, or of strains.
 """
 
 import dis
@@ -103,14 +101,9 @@ class Transmission(Struct):
     stiction_speed: float  # [m/s] at which friction is 1 / sqrt(2) of that of fast sliding
 
     @property
-    def makes_tensions(self) -> bool:
-        """True if tendons are elastic or rub."""
-        return self.elastic != 0 or self.friction > 0.0
-
-    @property
     def acts(self) -> bool:
         """True if any of it is on."""
-        return self.filter >= 0 or self.makes_tensions
+        return self.filter >= 0 or self.elastic != 0 or self.friction > 0.0
 
 
 DIRECT = Transmission(
@@ -122,8 +115,6 @@ DIRECT = Transmission(
 
 EXPLICIT, IMPLICIT_TWIST, IMPLICIT_POSE = 0, 1, 2
 """Bits of what a wrench is differentiated by for the implicit step."""
-BITS = {"twist": IMPLICIT_TWIST, "pose": IMPLICIT_POSE}
-
 _ROW = np.zeros(1)
 _CHECK = BeforeStep(_ROW, _ROW, _ROW), ContactFlags(_ROW, _ROW, _ROW)
 _NODES = Nodes(1, 0.0, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, *_CHECK)
@@ -133,8 +124,7 @@ HOOKS: dict[str, tuple[Any, ...]] = {
     "base": (Base(0.0, *[_ROW] * 3),),
     "limit": (_NODES, _ROW),
 }
-"""Kinds of kernels that an effect can have, as fields of `EffectTable`, with examples of their arguments after the parameters: a wrench at
-the nodes, stress at the points, motion of the base, the longest step that it allows."""
+"""Kinds of kernels that an effect can have, as fields of `EffectTable`, with examples of their arguments after the parameters."""
 
 _KERNELS: dict[tuple[str, type], Any] = {}
 _IMPLICIT: dict[type, int] = {}
@@ -206,53 +196,7 @@ def _words(values: Any) -> np.ndarray:
     return np.array([*values], dtype=np.int64)
 
 
-def adds_wrench(kind: type, implicit: Sequence[str] = ()) -> Decorator:
-    """Decorator: the kernel (parameters, nodes) of an effect with parameters of this class. It adds to `nodes.wrench`, see `Nodes`.
-
-    A wrench that is stiff or damps fast belongs to the implicit step. Either `implicit` names what it depends on so, "pose", "twist" or
-    both, and the step takes its derivatives at every node by differences; or the kernel adds them to `nodes.stiffness` and
-    `nodes.damping` itself. Raises ValueError for another name, and where both would count.
-    """
-    if odd := {*implicit} - {*BITS}:
-        raise ValueError(f"implicit is {implicit!r}: it should name pose, twist or both, as in implicit=('twist',), not {min(odd)!r}")
-
-    register = _registers("wrench", kind)
-
-    def register_once(function: Any) -> Any:
-        steps = pairwise(dis.get_instructions(code := getattr(function, "py_func", function).__code__))
-        own = {now.argval for before, now in steps if before.argrepr.split(", ")[-1] == code.co_varnames[1]} & {"stiffness", "damping"}
-        if own and implicit:
-            text = f"adds to nodes.{min(own)} what implicit={implicit!r} finds by differences: leave out one of the two"
-            raise ValueError(f"the kernel {code.co_name} for {kind.__name__} {text}, or it counts twice")
-        _IMPLICIT[kind] = sum(BITS[name] for name in {*implicit})
-        return register(function)
-
-    return register_once
-
-
-def adds_stress(kind: type) -> Decorator:
-    """Decorator: the kernel (parameters, points) of an effect. It adds to `points.stress`, and the diagonals of its derivatives to
-    `points.stiffness` and `points.damping`, see `Points`. Of an effect with an internal state it brings `points.state` up to the present,
-    by the strain `before`, that of now and its rate; for a time `since` of 0 it leaves it, for one of infinity it is that at rest."""
-    return _registers("stress", kind)
-
-
-def moves_base(kind: type) -> Decorator:
-    """Decorator: the kernel (parameters, base) of an effect that sets pose, twist and acceleration of the base at a time, see `Base`."""
-    return _registers("base", kind)
-
-
-def limits_step(kind: type) -> Decorator:
-    """Decorator: the kernel (parameters, nodes, longest) of an effect that changes in time faster than an arm does by itself, or begins at
-    once. It lowers `longest` (1,) [s], the longest integrator step that may begin in this configuration, with fixed steps too.
-
-    What is periodic calls `allow_turning`; what begins or ends, as a pulse, allows a step up to there. Contact checks for collisions
-    between `nodes.before_step` and the poses of now, and sets `nodes.contact`.
-    """
-    return _registers("limit", kind)
-
-
-def _registers(hook: str, kind: type) -> Decorator:
+def _register(hook: str, kind: type) -> Decorator:
     if not (isinstance(kind, type) and issubclass(kind, Struct)):
         raise TypeError(f"parameters of an effect should be a class derived from soft_tendon_env.effects.Struct, not {kind!r}")
 
@@ -261,6 +205,42 @@ def _registers(hook: str, kind: type) -> Decorator:
         return function
 
     return register
+
+
+def adds_wrench(kind: type, implicit: Sequence[str] = ()) -> Decorator:
+    """Decorator: the kernel (parameters, nodes) of an effect with parameters of this class. It adds to `nodes.wrench`, see `Nodes`.
+
+    A wrench that is stiff or damps fast belongs to the implicit step. Either `implicit` names what it depends on so, "pose", "twist" or
+    both, and the step takes its derivatives at every node by differences; or the kernel adds them to `nodes.stiffness` and
+    `nodes.damping` itself. Raises ValueError for another name, and where both would count.
+    """
+    bits = {"twist": IMPLICIT_TWIST, "pose": IMPLICIT_POSE}
+    if odd := {*implicit} - {*bits}:
+        raise ValueError(f"implicit is {implicit!r}: it should name pose, twist or both, as in implicit=('twist',), not {min(odd)!r}")
+    register = _register("wrench", kind)
+
+    def register_once(function: Any) -> Any:
+        steps = pairwise(dis.get_instructions(code := getattr(function, "py_func", function).__code__))
+        own = {now.argval for before, now in steps if before.argrepr.split(", ")[-1] == code.co_varnames[1]} & {"stiffness", "damping"}
+        if own and implicit:
+            text = f"adds to nodes.{min(own)} what implicit={implicit!r} finds by differences: leave out one of the two"
+            raise ValueError(f"the kernel {code.co_name} for {kind.__name__} {text}, or it counts twice")
+        _IMPLICIT[kind] = sum(bits[name] for name in {*implicit})
+        return register(function)
+
+    return register_once
+
+
+adds_stress = functools.partial(_register, "stress")
+"""Decorator: the kernel (parameters, points) adds to `points.stress`, and the diagonals of its derivatives to `points.stiffness` and
+`points.damping`, see `Points`. An internal state, `points.state`, it brings up to the present: after a time `points.since` of 0 that stays
+as it is, for one of infinity it is that at rest."""
+moves_base = functools.partial(_register, "base")
+"""Decorator: the kernel (parameters, base) sets pose, twist and acceleration of the base at a time, see `Base`."""
+limits_step = functools.partial(_register, "limit")
+"""Decorator: the kernel (parameters, nodes, longest) of an effect that changes in time faster than an arm does by itself, or begins at
+once. It lowers `longest` (1,) [s], the longest integrator step that may begin in this configuration: to the time until something begins or
+ends, or for what is periodic by `allow_turning`. Contact checks for collisions between `nodes.before_step` and now, see `ContactFlags`."""
 
 
 @kernel
@@ -277,7 +257,7 @@ def kernels_of(kind: type) -> dict[str, Any]:
 
 def _address_of_kernel(hook: str, own: Struct) -> int:
     """The address of the kernel for these parameters, 0 where there is none; compiles it when needed."""
-    function = kernels_of(type(own)).get(hook)
+    function = _KERNELS.get((hook, type(own)))
     kind: Any = type(own) if config.DISABLE_JIT else numba.typeof(own)
     return 0 if function is None else _address(hook, function, kind)
 
@@ -291,7 +271,7 @@ def _address(hook: str, function: Any, kind: Hashable) -> int:
     kinds = (kind, *map(numba.typeof, HOOKS[hook]))
     if hasattr(function, "kernel"):
         return address_of(function.kernel.compiled(kinds))
-    function.compile(kinds)
+    function.compile(kinds)  # of a user's own file
     return address_of(function.overloads[kinds])
 
 

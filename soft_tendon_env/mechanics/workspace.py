@@ -89,7 +89,6 @@ class Workspace(Struct):
     contact: ContactFlags
     beside_pose: Annotated[np.ndarray, "nodes x 12"]  # where effects are differentiated
     beside_twist: Annotated[np.ndarray, "nodes x 6"]
-    beside_wrench: Annotated[np.ndarray, "nodes x 6"]
     here_wrench: Annotated[np.ndarray, "nodes x 6"]  # that of one effect
     loaded: Annotated[np.ndarray, "n x nodes x 6"]  # node stiffness times J
     extra: Annotated[np.ndarray, "n", "n"]  # share of the effects in D or G

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.effects.contact.forces import read_contacts
-from soft_tendon_env.effects.nodes import nodes_with
+from soft_tendon_env.effects.contact.samples import nodes_with
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.model import TOLERANCE, Model

@@ -49,7 +49,7 @@ def make_strain(
         tip = np.full(len(fields), grid.packs)
         return Explicit(size=len(fields), first=first, last=last, tip=tip, field=point_field(fields), stiffness=elasticity, damping=damping)
     law, dead = law or tension_law(scene, scene.strain, grid, here), scene.effects.dead_loads()
-    if not (effects_inside(scene) and dead.exist):
+    if not (effects_inside(scene) and np.any(dead)):
         return law
     return Loaded(size=law.size, first=np.zeros_like(law.first), last=law.tip, tip=law.tip, law=law, **dead._asdict())
 

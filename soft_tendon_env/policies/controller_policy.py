@@ -157,7 +157,7 @@ class ControllerPolicy:
         self._start, self._start_command, self._model = of.start_tension.copy(), of.start_command.copy(), model or of.model
         self._waiting = max(0 if part is None else part.history for part in (estimator, predictor))
         effects, name = self._model.scene.effects, type(controller).__name__
-        pulled = None if effects.command_tension else build_model(self._model.scene.replace({"effects": effects.on_arm()}))
+        pulled = None if effects.command_unit == "N" else build_model(self._model.scene.replace({"effects": effects.on_arm()}))
         self._lost, self._simulation = LostState(name), None if pulled is None else Simulation(pulled)  # of the arm under tensions
         groups, needed = of.layout.slices, [*TIP]
         state = ("q", "q_dot") if estimator is None else estimator.needs

@@ -1,21 +1,16 @@
 """Contact with obstacles: signed distances, balance of forces, sticking and sliding, energy, steps of 20 ms without tunnelling."""
 
-import math
-import pickle
-from typing import Literal
-
 import numpy as np
 import pytest
-from pydantic import Field
 
-from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.contact import SMOOTHING, Contact
-from soft_tendon_env.effects.contact.obstacles import Directed, Geometry, body_at, distance, register_shape
+from soft_tendon_env.effects.contact import Contact
+from soft_tendon_env.effects.contact.forces import STICTION_SPEED
+from soft_tendon_env.effects.contact.obstacles import body_at, distance
+from soft_tendon_env.effects.contact.samples import SMOOTHING
 from soft_tendon_env.model.contact_forces import contact_forces
-from soft_tendon_env.model.simulation import Simulation, simulate
+from soft_tendon_env.model.simulation import Simulation
 
 RADIUS = 0.01  # of the arm of three tendons
-STICTION_SPEED = Contact.model_fields["stiction_speed"].default  # [m/s]
 FLOOR = {"type": "plane", "position": [0.0, 0.0, -RADIUS]}  # which the straight arm just touches
 KINDS = [
     {"type": "plane", "position": [0.1, 0.2, 0.3], "axis": [1.0, -2.0, 0.5]},
@@ -26,12 +21,9 @@ KINDS = [
 ]
 
 
-def contact(obstacles, friction=0.0, **more):
-    return {"effects.contact": {"obstacles": obstacles, "friction": friction, **more}}
-
-
-def three_tendon(build, obstacles, friction=0.0, *, changes=(), **more):
-    return build("three_tendon", {"quadrature.intervals": 6, **contact(obstacles, friction, **more), **dict(changes)})
+def three_tendon(build, obstacles, friction=0.0, *, changes=()):
+    table = {"obstacles": obstacles, "friction": friction}
+    return build("three_tendon", {"quadrature.intervals": 6, "effects.contact": table, **dict(changes)})
 
 
 def pressed(build, pull, friction, **changes):
@@ -78,9 +70,11 @@ def test_an_obstacle_moves_as_it_is_told():
 
 def test_an_arm_rests_on_the_floor(build):
     """All forces balance: the floor and the base carry the weight; a sample sinks in by force over stiffness."""
-    k, passive = 5e4, [{"strains": ["torsion", "bend_y", "bend_z"], "order": 3, "span": "rod"}]
+    passive = [{"strains": ["torsion", "bend_y", "bend_z"], "order": 3, "span": "rod"}]
     changes = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "strain.passive": passive}
-    model = three_tendon(build, [FLOOR], stiffness=k, changes=changes)
+    model = three_tendon(build, [FLOOR], changes=changes)
+    segment = model.scene.segments[0]
+    k = segment.young_modulus * np.pi * RADIUS**2 / (2.0 * RADIUS) ** 2
     found = contact_forces(model, rested(model).state)
     weight = 1070.0 * np.pi * RADIUS**2 * 9.81
     np.testing.assert_allclose(found.force[0], found.sample_force[0].sum(axis=0))
@@ -96,7 +90,7 @@ def test_an_arm_rests_on_the_floor(build):
 def test_forces_are_those_of_a_potential(build):
     """F = -dV/dq at rest."""
     obstacles = [FLOOR, {"type": "sphere", "position": [0.25, 0.012, 0.105], "radius": 0.1}]
-    model = three_tendon(build, obstacles, stiffness=1e4)
+    model = three_tendon(build, obstacles)
     n = model.coordinate_count
     q, h = np.zeros(n), 1e-4 * model.coordinate_scale()
     still = np.zeros(n)
@@ -162,44 +156,3 @@ def test_interpreted_kernels_run(build):
     simulation.step(np.zeros(3), 0.02)
     found = contact_forces(model, simulation.state)
     assert found.force[0, 2] > 0.0 > found.force[0, 1] and simulation.state.effects.size == 0
-
-
-@register_shape
-class Torus(Directed):
-    """A shape of a user's own: the points up to `tube` from a circle of radius `ring` [m]."""
-
-    type: Literal["torus"] = "torus"
-    ring: float = Field(description="radius of the circle [m]")
-    tube: float = Field(description="radius of the tube [m]")
-
-    def geometry(self):
-        return Geometry((self.ring, self.tube), self.tube, (("cylinder", (self.ring, 2.0 * self.tube)),))
-
-    @staticmethod
-    @kernel
-    def distance(sizes, x):
-        size = max(math.sqrt(x[0] * x[0] + x[1] * x[1]), 1e-9)
-        out, up = size - sizes[0], x[2]
-        away = max(math.sqrt(out * out + up * up), 1e-12)
-        return away - sizes[1], (out / away * x[0] / size, out / away * x[1] / size, up / away)
-
-
-def test_a_shape_of_a_users_own_is_one_class(build):
-    """A ring around the arm, which its tip is pulled through: it rests against the inside; and one shot across does not pass it."""
-    ring = {"type": "torus", "position": [0.25, 0.0, 0.0], "axis": [1.0, 0.0, 0.0], "ring": 0.04, "tube": 0.01}
-    body = body_of(ring)
-    assert distance(body, (0.0, 0.0, 0.0))[0] == pytest.approx(0.03)
-    pull = {"effects.tip_load.force": [0.0, 0.0, -0.2]}
-    model = three_tendon(build, [ring], changes=pull)
-    simulation = rested(model)
-    found = contact_forces(model, simulation.state)
-    assert found.force[0, 2] > 0.1 and 0.0 < found.penetration[0] < 0.1 * RADIUS
-    assert model.backbone_at(simulation.state.q, [0.25])[0, 2, 3] == pytest.approx(-0.02, abs=2e-3)
-    shot = three_tendon(build, [{**ring, "position": [0.25, 0.0, 0.2], "axis": [0.0, 1.0, 0.0], "velocity": [0.0, 0.0, -5.0]}])
-    simulation = Simulation(shot)
-    for _ in range(4):
-        simulation.step(np.zeros(3), 0.02)
-    found = contact_forces(shot, simulation.state)
-    assert found.gap.min() > -RADIUS and simulation.tip_pose[2, 3] < -0.02
-    again = pickle.loads(pickle.dumps(shot))
-    np.testing.assert_array_equal(simulate(again, np.zeros(3), 0.04, 0.02).tip_pose, simulate(shot, np.zeros(3), 0.04, 0.02).tip_pose)

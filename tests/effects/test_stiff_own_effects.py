@@ -6,7 +6,6 @@ import pytest
 import soft_tendon_env as ste
 from soft_tendon_env.effects import LANES, Effect, Struct, adds_wrench, kernel, register_effect
 from soft_tendon_env.effects.base import EFFECTS
-from soft_tendon_env.mechanics.effects import _KERNELS as KERNELS
 
 RATE = 1e5  # [1/s]
 STIFFNESS = 1e5  # [N/m]
@@ -96,21 +95,3 @@ def test_a_stiff_spring_comes_to_rest(stiff):
     assert rejected < 20
     plain, others = played(stiff(Spring(3 * (STIFFNESS,), ANCHOR)), 2.0)
     assert others > 50 * rejected and np.abs(plain.state.q_dot).max() > 1e3 * np.abs(simulation.state.q_dot).max()
-
-
-def own_stiffness(own, nodes):
-    for i in range(3):
-        nodes.stiffness[i] += own.stiffness[i]
-
-
-def own_damping(own, nodes):
-    nodes.damping[0] += own.rate
-
-
-@pytest.mark.parametrize("function, kind", [(own_stiffness, Spring), (own_damping, Drag)])
-def test_derivatives_of_ones_own_beside_differences_are_refused(function, kind):
-    """They would count twice; a parameter of the same name, as that of the spring above, is none."""
-    kept = dict(KERNELS)
-    with pytest.raises(ValueError, match=rf"the kernel {function.__name__} for {kind.__name__} adds to nodes\..*, or it counts twice"):
-        adds_wrench(kind, implicit=("pose", "twist"))(kernel(function))
-    assert kept == KERNELS

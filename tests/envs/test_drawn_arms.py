@@ -14,7 +14,7 @@ from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
-BALL = {"type": "sphere", "position": [0.25, 0.05, 0.0], "radius": 0.02, "friction": 0.3}
+BALL = {"type": "sphere", "position": [0.25, 0.05, 0.0], "radius": 0.02}
 FLOOR = {"type": "plane", "position": [0.0, 0.0, -0.05]}
 CASES = {
     "tip_load": (
@@ -113,7 +113,7 @@ def test_what_cannot_be_drawn_is_refused_when_the_environment_is_made(how):
     effects = {
         "effects.gravity.acceleration": [0.0, 0.0, -9.81],
         "effects.fluid.density": 1000.0,
-        "effects.contact": {"obstacles": [{**BALL, "friction": 0.0}, FLOOR]},
+        "effects.contact": {"obstacles": [BALL, FLOOR]},
         "effects.disturbance.loads": [{"at": 0.2, "force": [0.0, 0.0, 0.0]}],
     }
     with pytest.raises(ConfigurationError) as error:

@@ -64,7 +64,7 @@ EVERY_EFFECT = {  # in fixed steps of 20 ms
     "effects.fluid": {"density": 300.0, "current": [0.0, 0.2, 0.0]},
     "effects.disturbance.loads": [
         {"at": 0.2, "force": [0.0, 0.1, 0.0], "signal": {"type": "sine", "frequency": 2.0}},
-        {"along": [0.1, 0.3], "force": [0.0, 0.0, 0.5], "frame": "body", "signal": {"type": "pulse", "start": 1.0, "duration": 0.3}},
+        {"at": 0.25, "force": [0.0, 0.0, 0.1], "signal": {"type": "pulse", "start": 1.0, "duration": 0.3}},
     ],
     "effects.nonlinear_elasticity": {"bending": 10.0, "stretch": 0.1},
     "effects.viscoelastic_memory.branches": [{"modulus": 0.3, "relaxation_time": 0.2}, {"modulus": 0.5, "relaxation_time": 0.005}],

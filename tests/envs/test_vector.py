@@ -80,7 +80,7 @@ def test_rows_are_single_environments(task, mode, same):
 
 MORE = {
     "elastic": {"effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": [-0.002, 0.012]}, "effects.actuators.delay": 0.033},
-    "contact": {"effects.contact.obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.04], "friction": 0.4}]},
+    "contact": {"effects.contact": {"obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.04]}], "friction": 0.4}},
 }
 
 

@@ -46,17 +46,15 @@ BASE = {
     "effects.moving_base": {"amplitude": [0.0, 0.002, 0.0], "frequency": 2.0, "angular_velocity": 0.1},
     "effects.disturbance.loads": [
         {"force": [0.1, 0.0, 0.0], "at": 0.2, "signal": {"type": "sine", "frequency": 3.0, "phase": 10.0}},
-        {"force": [0.1, 0.0, 0.0], "along": [0.1, 0.2], "signal": {"type": "pulse", "start": 0.1, "duration": 0.2}},
+        {"force": [0.1, 0.0, 0.0], "at": 0.1, "signal": {"type": "pulse", "start": 0.1, "duration": 0.2}},
     ],
     "effects.contact": {
         "obstacles": [
             {"type": "capsule", "position": [0.3, 0.1, 0.0], "radius": 0.01, "length": 0.1, "axis": [0.0, 0.0, 1.0], "frequency": 1.0},
             {"type": "box", "position": [0.3, -0.1, 0.0], "size": [0.01, 0.01, 0.01], "velocity": [0.1, 0.0, 0.0]},
         ],
-        "stiffness": 1e5,
         "dissipation": 1.0,
         "friction": 0.3,
-        "stiction_speed": 1e-4,
     },
     "strain.rank_tolerance": 1e-4,
     "quadrature": {"intervals": 6, "tolerance": 1e-3},

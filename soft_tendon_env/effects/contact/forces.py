@@ -1,30 +1,29 @@
-"""Contact as kernels compute it: samples along the arm, obstacles at a time, forces between them, and the continuous collision check.
+"""Contact as kernels compute it: forces between samples of the arm and obstacles, and the continuous collision check.
 
-Samples are balls along the axis, see nodes.py, each for its share of the length. By virtual work a force f on a sample is the force H00 f
-and the moment H10 h R_a e_x x f on the node before it, and likewise on the one behind.
+By virtual work a force f on a sample is the force H00 f and the moment H10 h R_a e_x x f on the node before it, and likewise on the one
+behind. With d = radius - signed distance of a sample's middle, k = stiffness ds and a smoothing depth e, N = p(d) max(0, 1 + c d_dot),
+p = k d^2 / 2 e up to d = e, k (d - e / 2) beyond: Hunt and Crossley (1975), here of a force that begins smoothly.
 
-With d = radius - signed distance of a sample's middle, k = stiffness ds and a smoothing depth e, N = p(d) max(0, 1 + c d_dot),
-p = k d^2 / 2 e up to d = e, k (d - e / 2) beyond: Hunt and Crossley (1975), here of a force that begins smoothly. It never pulls, and what
-it takes out of the motion, p c d_dot^2, is never negative.
-
-Friction opposes the slip velocity v of the surfaces with mu N |v| / sqrt(|v|^2 + v_s^2), v_s the stiction speed. So what friction holds
-creeps: with a share s of mu N, at v_s s / sqrt(1 - s^2). The implicit step gets the secant mu N / sqrt(|v|^2 + v_s^2) as damping.
+Friction opposes the slip velocity v of the surfaces with mu N |v| / sqrt(|v|^2 + v_s^2), v_s = STICTION_SPEED: what it holds creeps, with a
+share s of mu N at v_s s / sqrt(1 - s^2). The implicit step gets the secant mu N / sqrt(|v|^2 + v_s^2) as damping.
 
 Steps end where a contact begins; those that went through something, or too deep into it, are tried again at half of their length.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.contact.obstacles import SHAPES, body_at, distance, place_in, triple
-from soft_tendon_env.effects.nodes import Sample, ends_of, motion_at, motion_of, pose_of, position_of
+from soft_tendon_env.effects.contact.obstacles import body_at, distance, place_in, triple
+from soft_tendon_env.effects.contact.samples import ends_of, motion_at, motion_of, pose_of, position_of, sample_at
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, rotate, rotate_back, times
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import adds_wrench, allow_turning, limits_step
 from soft_tendon_env.tools.types import Array, Triple
 
+STICTION_SPEED = 1e-4
+"""Slip speed [m/s] below which friction falls, at which what it holds creeps."""
 FREE, WALL = 0.2, 0.45
 """Depths in radii of the rod between which the wall stops what would go through: a wire between two samples a radius apart is half a radius
 deep in both."""
@@ -45,18 +44,8 @@ class ContactParameters(Struct):
     """The numbers of samples and obstacles; intervals in order from base to tip, the empty ones at the end without samples."""
 
     intervals: Array  # (nodes, 4): length h [m], first sample, one past the last, largest radius [m]
-    samples: Array  # (samples, 10): see Sample
-    obstacles: Array  # (obstacles, 28): see Obstacle.row
-    stiction_speed: float  # [m/s]
-
-    def __getstate__(self) -> dict[str, Any]:
-        """With the classes of the shapes: where their kernels are is known in each process alone."""
-        shapes = [next(shape for shape in SHAPES.values() if shape.number == number) for number in self.obstacles[:, 0]]
-        return {**self.fields(), "shapes": shapes}
-
-    def __setstate__(self, fields: dict[str, Any]) -> None:
-        fields["obstacles"][:, 0] = [shape.number for shape in fields.pop("shapes")]
-        super().__setstate__(fields)
+    samples: Array  # (samples, 9): see Sample
+    obstacles: Array  # (obstacles, 28): see obstacles.row_of
 
 
 class Touch(NamedTuple):
@@ -79,13 +68,6 @@ def size(x):
 
 
 @kernel(inline=True)
-def sample_at(contact, m):
-    """The sample of a row."""
-    s = contact.samples
-    return Sample(s[m, 0], s[m, 1], s[m, 2], s[m, 3], s[m, 4], s[m, 5], s[m, 6], s[m, 7], s[m, 8], s[m, 9])
-
-
-@kernel(inline=True)
 def reach_of(intervals, ends):
     """No point of an interval's samples is farther [m] from its end: the polygon of the curve's Bezier points holds it."""
     return size(minus(ends.r_b, ends.r_a)) + intervals[ends.interval, 0] / 3.0 + intervals[ends.interval, 3]
@@ -96,11 +78,11 @@ def normal_law(body, sample, depth, approach):
     """Force [N] of a sample along the normal, its derivatives by depth and approach, and the energy [J] that it has stored: the penalty,
     and a wall that stops what would go through, each damped.
 
-    The wall is S x^3 / width, with x from 0 at FREE to 1 at WALL, deeper by half of the obstacle's thickness and by all of it. Without a
-    stiffness of the ground's own, thickness counts up to the rod's radius.
+    The wall is S x^3 / width, with x from 0 at FREE to 1 at WALL, deeper by half of the obstacle's thickness and by all of it, of which as
+    much counts as the rod's radius.
     """
     k, e, smooth, c = sample.stiffness, sample.smoothing, min(depth, sample.smoothing), body.dissipation
-    thick = 0.5 * min(sample.solid, body.thickness)
+    thick = 0.5 * min(sample.radius, body.thickness)
     width, linear = (WALL - FREE) * sample.radius + thick, depth - smooth
     x = max(depth - FREE * sample.radius - thick, 0.0) / width
     scale, c_wall = sample.wall * x * x, max(c, WALL_DISSIPATION)
@@ -113,7 +95,7 @@ def normal_law(body, sample, depth, approach):
 
 
 @kernel(inline=True)
-def touch_of(contact, body, sample, ends, nodes):
+def touch_of(body, sample, ends, nodes):
     """The contact of a sample between two nodes with an obstacle, without forces where they do not touch."""
     x = position_of(sample, ends)
     _, away, out = place_in(body, x)
@@ -123,7 +105,7 @@ def touch_of(contact, body, sample, ends, nodes):
     approach = -dot(slip, normal)
     slip = plus(slip, times(approach, normal))
     pressure, stiffness, damping, energy = normal_law(body, sample, max(-gap, 0.0), approach)
-    drag = body.friction * pressure / math.sqrt(dot(slip, slip) + contact.stiction_speed * contact.stiction_speed)
+    drag = body.friction * pressure / math.sqrt(dot(slip, slip) + STICTION_SPEED * STICTION_SPEED)
     return Touch(x, gap, normal, minus(times(pressure, normal), times(drag, slip)), stiffness, damping, drag, energy)
 
 
@@ -171,7 +153,7 @@ def contact_wrench(contact, nodes):
             if place_in(body, ends.r_b)[1] < reach_of(intervals, ends):
                 for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
                     sample = sample_at(contact, m)
-                    touch, t = touch_of(contact, body, sample, ends, nodes), sample.t
+                    touch, t = touch_of(body, sample, ends, nodes), sample.t
                     if touch.gap < 0.0:
                         nodes.contact.touched[0] = 1.0
                         add_to_node(nodes, i, ends.R_b, (sample.h_b, sample.reach_b, t, t if i > 0 else 1.0), sample.radius, touch)
@@ -189,7 +171,7 @@ def read_contacts(contact, nodes, gap, position, force):
         for i in range(contact.intervals.shape[0]):
             ends = ends_of(nodes, i)
             for m in range(int(contact.intervals[i, 1]), int(contact.intervals[i, 2])):
-                touch = touch_of(contact, body, sample_at(contact, m), ends, nodes)
+                touch = touch_of(body, sample_at(contact, m), ends, nodes)
                 gap[j, m], energy = touch.gap, energy + touch.energy
                 for k in range(3):
                     position[m, k], force[j, m, k] = touch.position[k], touch.force[k]

@@ -12,7 +12,7 @@ from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated, extrapo
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE, Demand, predict_strain
 from soft_tendon_env.mechanics.motion.status import COMMAND_QUEUE_FULL, INACCURATE, NO_STRAIN, OK, PENETRATED
 from soft_tendon_env.mechanics.terms.command_filter import follow, receive
-from soft_tendon_env.mechanics.terms.external_forces import limits_steps, nodes_of, place_base, remember
+from soft_tendon_env.mechanics.terms.external_forces import any_of, nodes_of, place_base, remember
 from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses, tip_pose_of, write_pose
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_rate
 
@@ -108,7 +108,7 @@ def settle(arm, u, motion, step, touching, control, scratch):
     predict_strain(arm.strain, scratch.q, scratch.q_last, work)
     if strain_from_guess(arm, scratch.q, STEP_TOLERANCE, work) >= 0:
         return NO_STRAIN
-    if limits_steps(arm.effects):
+    if any_of(arm.effects.limit):
         find_longest(arm, motion, scratch.v, step, work.contact.touched[0] != 0.0 and not touching, control, scratch)
         if work.contact.tunnelled[0] != 0.0:
             return PENETRATED
@@ -151,7 +151,7 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
     """Integrates the motion in place under every row of commands (rows, n_a) for its duration (rows) [s], with samples evenly among them,
     if any. A command is held until the next one, and acts as effects deliver and transmit it: as tensions, where there are none."""
     method, control, begins = scheme
-    every, limited, contact = commands.shape[0] // max(record.q.shape[0], 1), limits_steps(arm.effects), scratch.work.contact
+    every, limited, contact = commands.shape[0] // max(record.q.shape[0], 1), any_of(arm.effects.limit), scratch.work.contact
     steps, rejected, total_error, evaluations = 0, 0, 0.0, 0
     for row in range(commands.shape[0]):
         duration, begun, start, longest, touching = durations[row], 0.0, motion.clock[0], math.inf, False

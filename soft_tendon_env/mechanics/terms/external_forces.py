@@ -23,17 +23,9 @@ NODE_SHARE = 1e-7  # of a radian, of the length, and of those a second: differen
 @kernel(refcount=True)
 def nodes_of(arm, work):
     """View of the nodes that effects get."""
-    return nodes_beside(arm, work, work.pose, work.eta, work.wrench)
-
-
-@kernel(inline=True)
-def nodes_beside(arm, work, pose, twist, wrench):
-    """View of the nodes at other poses, with other twists, and an array for the wrenches there."""
-    rod = arm.rod
-    return Nodes(
-        rod.packs, work.clock[0], rod.node_mass, rod.inertia, pose, twist, work.base, wrench, work.node_stiffness, work.node_damping,
-        work.before_step, work.contact,
-    )  # fmt: skip
+    rod, blocks = arm.rod, (work.node_stiffness, work.node_damping)
+    slices = rod.node_mass, rod.inertia, work.pose, work.eta, work.base, work.wrench
+    return Nodes(rod.packs, work.clock[0], *slices, *blocks, work.before_step, work.contact)
 
 
 @kernel(refcount=True)
@@ -58,11 +50,10 @@ def place_base(arm, work):
 @phase
 def external_force(arm, work):
     """Generalised force F of all effects into work.load, with the derivatives of wrenches and stresses at nodes and points."""
-    rod, strain = arm.rod, arm.strain
-    wrenches, stresses = effect_loads(arm, work)
+    strain, (wrenches, stresses) = arm.strain, effect_loads(arm, work)
     work.load[:] = 0.0
     if stresses:
-        project(work.Phi, work.stress, point_rows(rod), strain.first, strain.last, work.load)
+        project(work.Phi, work.stress, point_rows(arm.rod), strain.first, strain.last, work.load)
     if wrenches:
         force = work.extra[0]
         project(work.J, work.wrench, node_rows(), strain.first, strain.tip, force)
@@ -80,18 +71,16 @@ def effect_loads(arm, work):
         work.wrench[:] = 0.0
         work.node_stiffness[:] = 0.0
         work.node_damping[:] = 0.0
+        for i in range(effects.count):
+            if effects.wrench[i] != 0:
+                call(effects.wrench[i], effects.parameters[i], (nodes_of(arm, work),))
     if stresses:
         work.stress[:] = 0.0
         work.point_stiffness[:] = 0.0
         work.point_damping[:] = 0.0
-    for i in range(effects.count):
-        if effects.wrench[i] != 0:
-            call(effects.wrench[i], effects.parameters[i], (nodes_of(arm, work),))
-        if effects.stress[i] != 0:
-            call(effects.stress[i], effects.parameters[i], (points_of(arm, work, i),))
-    if rubs:
-        add_lost_stress(arm, work)
-    if stresses:
+        remember(arm, work)
+        if rubs:
+            add_lost_stress(arm, work)
         weigh(arm.rod, work)
     return wrenches, stresses
 
@@ -131,7 +120,8 @@ def add_implicit(arm, work):
 
 @kernel
 def differ_wrenches(arm, work):
-    """Add -d wrench / d twist and -d wrench / d displacement of the effects that ask for it, by differences, to the blocks of the nodes."""
+    """Add -d wrench / d twist and -d wrench / d displacement of the effects that ask for it, by differences, to the blocks of the nodes.
+    Overwrites work.wrench."""
     for i in range(arm.effects.count):
         if arm.effects.implicit[i] != EXPLICIT:
             differ_wrench(arm, i, work)
@@ -143,30 +133,30 @@ def differ_wrench(arm, i, work):
     wanted = arm.effects.implicit[i]
     copy(work.pose, work.beside_pose)
     copy(work.eta, work.beside_twist)
-    wrench_beside(arm, i, work, work.here_wrench)
+    wrench_of(arm, i, work)
+    copy(work.wrench, work.here_wrench)
     for k in range(6):
         way = NODE_SHARE * (1.0 if k < 3 else total(arm.rod.length))
         if wanted & IMPLICIT_POSE:
-            displace(work.beside_pose, k, way)
-            wrench_beside(arm, i, work, work.beside_wrench)
+            displace(work.pose, k, way)
+            wrench_of(arm, i, work)
             if k < 3:
-                turn_back(work.beside_wrench, k, way)
+                turn_back(work.wrench, k, way)
             add_differences(k, way, work, work.node_stiffness)
-            copy(work.pose, work.beside_pose)
+            copy(work.beside_pose, work.pose)
         if wanted & IMPLICIT_TWIST:
             for at in range(k * LANES, work.eta.size, 6 * LANES):
-                store(work.beside_twist, at, load(work.eta, at) + way)
-            wrench_beside(arm, i, work, work.beside_wrench)
+                store(work.eta, at, load(work.eta, at) + way)
+            wrench_of(arm, i, work)
             add_differences(k, way, work, work.node_damping)
-            copy(work.eta, work.beside_twist)
+            copy(work.beside_twist, work.eta)
 
 
 @kernel
-def wrench_beside(arm, i, work, wrench):
-    """Wrench of the i-th effect at work.beside_pose and work.beside_twist into `wrench` (nodes x 6)."""
-    wrench[:] = 0.0
-    nodes = nodes_beside(arm, work, work.beside_pose, work.beside_twist, wrench)
-    call(arm.effects.wrench[i], arm.effects.parameters[i], (nodes,))
+def wrench_of(arm, i, work):
+    """Wrench of the i-th effect alone into work.wrench."""
+    work.wrench[:] = 0.0
+    call(arm.effects.wrench[i], arm.effects.parameters[i], (nodes_of(arm, work),))
 
 
 @kernel
@@ -192,7 +182,7 @@ def add_differences(k, way, work, blocks):
             m, row, column = (pack * 6 + j) * LANES, max(j, k), min(j, k)
             at = (pack * 21 + row * (row + 1) // 2 + column) * LANES
             share = (-1.0 if j == k else -0.5) / way
-            store(blocks, at, load(blocks, at) + share * (load(work.beside_wrench, m) - load(work.here_wrench, m)))
+            store(blocks, at, load(blocks, at) + share * (load(work.wrench, m) - load(work.here_wrench, m)))
 
 
 @kernel
@@ -260,12 +250,6 @@ def remember(arm, work):
     for i in range(arm.effects.count):
         if arm.effects.stress[i] != 0:
             call(arm.effects.stress[i], arm.effects.parameters[i], (points_of(arm, work, i),))
-
-
-@kernel
-def limits_steps(effects):
-    """True if any effect limits the length of integrator steps."""
-    return any_of(effects.limit)
 
 
 @kernel

@@ -1,15 +1,4 @@
-"""Viscoelastic memory: Maxwell branches beside the elastic law of every strain, the generalised standard linear solid.
-
-A branch k is a spring of modulus ratio m_k in series with a damper of relaxation time tau_k. It adds the stress m_k Sigma (e - s_k) with
-e = xi - xi* and the strain s_k of its damper, s_k_dot = (e - s_k) / tau_k: under a strain that is held its stress falls as exp(-t / tau_k),
-and what moves fast meets a modulus that is greater by the sum of the m_k (J. D. Ferry, Viscoelastic Properties of Polymers, 1980,
-chapter 3; J. C. Simo and T. J. R. Hughes, Computational Inelasticity, 1998, section 10.2). At rest it adds nothing.
-
-The internal state is s_k at every point. Between its values at one time and another the strain is taken for a quadratic of time, with
-the rate at the end, for which s_k is exact. Over a time step h a branch answers as a spring of modulus m_k where h is short beside tau_k,
-as a damper of viscosity m_k tau_k where it is long, and as that it enters the implicit step, so that it may be as stiff and as fast as it
-likes.
-"""
+"""Materials: stresses of the strains besides the linear law: stiffening, and viscoelastic memory."""
 
 import math
 
@@ -28,6 +17,51 @@ from soft_tendon_env.tools.types import Positive
 SHORT = 0.25  # of a relaxation time, up to which a time step meets a spring alone: that costs a step less than a spring and a damper
 
 
+@register_effect("nonlinear_elasticity")
+class NonlinearElasticity(Effect):
+    """`[effects.nonlinear_elasticity]`: stress sigma_i = Sigma_i e_i (1 + (e_i / e0_i)^2) of every strain e = xi - xi*.
+
+    The leading term of any law that is odd in the strain (R. W. Ogden, Non-linear Elastic Deformations, 1984, chapter 4), as silicone and
+    rubber stiffen. Its energy per length is 1/2 Sigma_i e_i^2 (1 + (e_i / e0_i)^2 / 2). A strain without an e0_i stays linear.
+    """
+
+    torsion: Positive | None = Field(None, description="e0 of torsion [1/m]")
+    bending: Positive | None = Field(None, description="e0 of both curvatures [1/m]; the surface of a rod of radius r is strained by r e0")
+    stretch: Positive | None = Field(None, description="e0 of stretch [-]")
+    shear: Positive | None = Field(None, description="e0 of both shears [-]")
+
+    @property
+    def rate(self) -> Array:
+        """1 / e0^2 of the six strains."""
+        kinds = self.torsion, self.bending, self.bending, self.stretch, self.shear, self.shear
+        return np.array([0.0 if strain is None else strain**-2.0 for strain in kinds])
+
+    def parameters(self, rod: Discretisation) -> "NonlinearElasticityParameters":
+        return NonlinearElasticityParameters(self.rate)
+
+    def potential_energy(self, arm: Configured) -> float:
+        return 0.25 * float(arm.weight @ (arm.stiffness * arm.strain**4) @ self.rate)
+
+
+class NonlinearElasticityParameters(Struct):
+    """1 / e0^2 of the six strains."""
+
+    rate: Array
+
+
+@adds_stress(NonlinearElasticityParameters)
+@kernel
+def stiffening_stress(law, points):
+    """Sigma e^3 / e0^2 at every point, beside the linear stress."""
+    for block in range(2 * points.packs):
+        for i in range(6):
+            at = (block * 6 + i) * LANES
+            strain, root = load(points.strain, at) - load(points.reference, at), load(points.root_stiffness, at)
+            slope = law.rate[i] * root * root * strain * strain
+            store(points.stress, at, load(points.stress, at) + slope * strain)
+            store(points.stiffness, at, load(points.stiffness, at) + 3.0 * slope)
+
+
 class Branch(Configuration):
     """A Maxwell branch, alike for all strains."""
 
@@ -37,7 +71,14 @@ class Branch(Configuration):
 
 @register_effect("viscoelastic_memory")
 class ViscoelasticMemory(Effect):
-    """`[effects.viscoelastic_memory]` with `[[effects.viscoelastic_memory.branches]]`."""
+    """`[effects.viscoelastic_memory]` with `[[effects.viscoelastic_memory.branches]]`: Maxwell branches, the standard linear solid.
+
+    A branch k, a spring of modulus ratio m_k in series with a damper of relaxation time tau_k, adds the stress m_k Sigma (e - s_k) with
+    e = xi - xi* and the strain s_k of its damper, s_k_dot = (e - s_k) / tau_k (J. C. Simo and T. J. R. Hughes, Computational Inelasticity,
+    1998, section 10.2). At rest it adds nothing. The internal state is s_k at every point, exact for a strain that is a quadratic of time.
+    Over a time step a branch answers as a spring where that is short beside tau_k, as a damper where it is long: so it enters the implicit
+    step, and may be as stiff and fast as it likes.
+    """
 
     branches: tuple[Branch, ...] = Field(min_length=1, description="one or more tables, see `Branch`")
 

@@ -1,7 +1,7 @@
-"""Places of the arm as plain numbers, for effects that act at places: nodes in the packed layout of `Nodes`, and samples between them.
+"""Samples of the arm, at which contact is looked for: balls of its radius, evenly along the axis.
 
-Samples lie on the cubic Hermite curve through neighbouring nodes. With tangents h R e_x for an interval of length h,
-x(t) = H00 r_a + H10 h R_a e_x + H01 r_b + H11 h R_b e_x.
+Each stands for its share of the length, that at the tip for the round cap too. They lie on the cubic Hermite curve through neighbouring
+nodes: with tangents h R e_x for an interval of length h, x(t) = H00 r_a + H10 h R_a e_x + H01 r_b + H11 h R_b e_x.
 """
 
 from typing import NamedTuple
@@ -9,10 +9,18 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.effects.base import Array, Discretisation
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import cross, plus, rotate, times
 from soft_tendon_env.mechanics.effects import BeforeStep, ContactFlags, Nodes
 from soft_tendon_env.tools.types import Triple
+
+MOST_SAMPLES = 10_000
+SMOOTHING = 0.01
+"""Depth over which the stiffness grows to its full size, in radii of the rod."""
+WALL_SPEED, WALL_MASS = 30.0, 8.0
+"""Impact that the wall of a sample stops by itself within twice its width or so: this speed [m/s] of so many times the mass of its
+share."""
 
 
 @kernel(inline=True)
@@ -54,7 +62,6 @@ class Sample(NamedTuple):
     stiffness: float  # k [N/m]
     smoothing: float  # e [m]
     wall: float  # scale [J] of the wall's energy
-    solid: float  # most thickness [m] of obstacles that counts
 
 
 class Ends(NamedTuple):
@@ -73,6 +80,13 @@ def ends_of(nodes, i):
     R_b, r_b = pose_of(nodes, i)
     R_a, r_a = pose_of(nodes, i - 1)
     return Ends(i, R_a, r_a, R_b, r_b)
+
+
+@kernel(inline=True)
+def sample_at(contact, m):
+    """The sample of a row."""
+    s = contact.samples
+    return Sample(s[m, 0], s[m, 1], s[m, 2], s[m, 3], s[m, 4], s[m, 5], s[m, 6], s[m, 7], s[m, 8])
 
 
 @kernel(inline=True)
@@ -108,3 +122,22 @@ def nodes_with(pose, twist, base, time):
     none = np.zeros(0)
     check = BeforeStep(none, none, none), ContactFlags(none, none, none)
     return Nodes(pose.size // (12 * LANES), time, none, none, pose, twist, base, none, none, none, *check)
+
+
+def make_samples(rod: Discretisation) -> tuple[Array, Array, Array]:
+    """Rows of `ContactParameters.intervals` and `.samples`, and the samples' arc lengths (samples,) [m], a radius apart at most."""
+    start = np.concatenate([[0.0], rod.node[:-1]])
+    h = rod.node - start
+    counts = np.ceil(h / np.maximum(rod.radius(0.5 * (start + rod.node)), rod.length / MOST_SAMPLES)).astype(int)
+    last = np.cumsum(counts)
+    t = np.concatenate([np.arange(1, count + 1) / count for count in counts if count])
+    own, share = np.repeat(h, counts), np.repeat(h / np.maximum(counts, 1), counts)
+    place = np.repeat(start, counts) + t * own
+    radius = rod.radius(place)
+    share[-1] = 0.5 * share[-1] + radius[-1]  # the tip's round cap
+    stiffness = rod.elasticity(place)[:, 3] / (2.0 * radius) ** 2 * share  # E A / (2 r)^2 per length and depth
+    wall = WALL_MASS * WALL_SPEED**2 * rod.line_mass(place) * share
+    bases = (1 + 2 * t) * (1 - t) ** 2, own * t * (1 - t) ** 2, t**2 * (3 - 2 * t), own * t**2 * (t - 1)
+    samples = np.stack([*bases, t, radius, stiffness, SMOOTHING * radius, wall], axis=1)  # in the order of Sample
+    largest = [radius[end - count : end].max(initial=0.0) for end, count in zip(last, counts, strict=True)]
+    return np.stack([h, last - counts, last, largest], axis=1), samples, place

@@ -1,25 +1,55 @@
-"""A wrench at the tip, and a payload fixed to it."""
+"""Loads that the arm carries: gravity, a wrench at the tip, a payload."""
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, DeadLoads, Discretisation, Effect, register_effect
-from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.algebra.lie import rotate_back
+from soft_tendon_env.mechanics.algebra.lanes import LANES, load
+from soft_tendon_env.mechanics.algebra.lie import plus, rotate_back, times
 from soft_tendon_env.mechanics.algebra.structs import Struct
+from soft_tendon_env.mechanics.algebra.symmetric6 import load3, store3
 from soft_tendon_env.mechanics.effects import adds_wrench
-from soft_tendon_env.mechanics.terms.kinematics import tip_pose_of
+from soft_tendon_env.mechanics.terms.kinematics import load_pose, tip_pose_of
 from soft_tendon_env.tools.types import NotNegative, Triple
+
+
+@register_effect("gravity")
+class Gravity(Effect):
+    """`[effects.gravity]`: weight of the rod and its payload, in the world frame, in which the straight rod lies along x."""
+
+    acceleration: Triple = Field(description="acceleration (x, y, z) [m/s^2]")
+
+    def parameters(self, rod: Discretisation) -> "GravityParameters":
+        return GravityParameters(self.acceleration)
+
+    def potential_energy(self, arm: Configured) -> float:
+        return -float(arm.mass @ (arm.pose[:, :3, 3] @ np.array(self.acceleration)))
+
+    def dead_loads(self) -> DeadLoads:
+        return DeadLoads(acceleration=self.acceleration)
+
+
+class GravityParameters(Struct):
+    """The acceleration [m/s^2] in the world frame."""
+
+    acceleration: Triple
+
+
+@adds_wrench(GravityParameters)
+@kernel
+def gravity_wrench(gravity, nodes):
+    """The force m R^T g on every node."""
+    for pack in range(nodes.packs):
+        at, down = (pack * 6 + 3) * LANES, rotate_back(load_pose(nodes.pose, pack * 12 * LANES)[0], gravity.acceleration)
+        store3(nodes.wrench, at, plus(load3(nodes.wrench, at), times(load(nodes.mass, pack * LANES), down)))
 
 
 @register_effect("tip_load")
 class TipLoad(Effect):
-    """`[effects.tip_load]`."""
-
-    strengths: ClassVar[tuple[str, ...]] = ("force", "moment", "mass")
+    """`[effects.tip_load]`: a wrench at the tip, and a payload fixed to it."""
 
     force: Triple = Field((0.0, 0.0, 0.0), description="force (x, y, z) at the tip [N]")
     moment: Triple = Field((0.0, 0.0, 0.0), description="moment (x, y, z) at the tip [N m]")

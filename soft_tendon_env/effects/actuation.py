@@ -1,0 +1,109 @@
+"""Actuation: what lies between a command and the tension along a tendon: actuators with lag and delay, elastic tendons, friction.
+
+Kernels read the numbers as `mechanics.effects.Transmission`.
+"""
+
+import math
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from soft_tendon_env.effects.base import Array, Discretisation, Effect, register_effect
+from soft_tendon_env.mechanics.terms.command_filter import NEVER
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.types import NotNegative, Number, Positive
+
+FINEST = 1.0 / 8.0  # of the longest step
+MOST_WAITING = 10_000  # commands
+STEEPEST = 100.0  # mu phi along the stress-free arm
+
+
+@register_effect("actuators")
+class Actuators(Effect):
+    """`[effects.actuators]`: first-order lag with a limited rate, u_dot = clip((c - u) / tau, -r, r), after a dead time.
+
+    u(t) follows the command c(t - delay), exactly for commands that are held: integrator steps end where one arrives (K. J. Astrom and
+    B. Wittenmark, Computer-Controlled Systems, 1997, chapter 2). The internal state is u, the command that acts, and those on their way
+    with the times of their arrival. There is room for one new command in every `integrator.step`: more end the simulation.
+    """
+
+    is_actuation: ClassVar[bool] = True
+
+    time_constant: NotNegative = Field(0.0, description="time constant of the lag [s]")
+    rate_limit: Positive | None = Field(None, description="greatest rate [N/s], with elastic tendons [m/s]")
+    delay: Annotated[float, Field(ge=0, le=100)] = Field(0.0, description="dead time [s]")
+
+    def transmission(self, rod: Discretisation) -> dict[str, Any]:
+        if self.delay > (most := MOST_WAITING * rod.step):
+            text = f"is {self.delay:g}: it should be at most {most:g} s, {MOST_WAITING} integrator steps of {rod.step:g} s"
+            raise ConfigurationError([Problem(("effects", "actuators", "delay"), text)])
+        rate = math.inf if self.rate_limit is None else self.rate_limit
+        lags = int(self.time_constant > 0.0 or self.rate_limit is not None)
+        times = {"delay": self.delay, "time_constant": self.time_constant, "finest": FINEST * rod.step}
+        return {"lags": lags, "rate_limit": rate, **times}
+
+    def state(self, rod: Discretisation) -> Array:
+        tendons = rod.tendon_length.size
+        table = np.zeros((math.ceil(self.delay / rod.step * (1.0 - 1e-9)) + 2 if self.delay else 1, 1 + tendons))
+        table[1:, 0] = NEVER
+        return np.concatenate([np.zeros(tendons), table.ravel()])
+
+
+@register_effect("tendon_elasticity")
+class TendonElasticity(Effect):
+    """`[effects.tendon_elasticity]`: tendons as springs between the arm and actuators that are moved, with slack.
+
+    The command of a tendon is the displacement delta [m] by which its actuator has pulled it in, and its tension
+
+        T = min(max(0, k (delta - (L_0 - L))), T_m)
+
+    with the length L along the strained rod, L_0 along the stress-free one, the stiffness k = E A / length of the whole tendon
+    (D. B. Camarillo et al., IEEE Trans. Robotics 24, 2008) and the strength T_m of the actuator, which gives way beyond. Springs stiffer
+    than the arm are the rule: their tensions are those at the end of every substep. Environments scale actions to `displacement_limits`.
+    """
+
+    is_actuation: ClassVar[bool] = True
+    command_unit: ClassVar[str] = "m"
+
+    stiffness: Positive = Field(description="stiffness of the tendons [N/m]")
+    displacement_limits: tuple[Number, Number] = Field(description="least and greatest displacement of the actuators [m]")
+    strength: Positive | None = Field(None, description="strength of the actuators [N]; by default the greatest of `tension_limits`")
+
+    @field_validator("displacement_limits")
+    @classmethod
+    def _ordered(cls, limits: tuple[float, float]) -> tuple[float, float]:
+        if not limits[0] < limits[1]:
+            raise ValueError("should be (least, greatest), least before greatest")
+        return limits
+
+    def transmission(self, rod: Discretisation) -> dict[str, Any]:
+        tendons = len(rod.tension_limits)
+        strength = np.maximum(rod.tension_limits[:, 1], 0.0) if self.strength is None else np.full(tendons, self.strength)
+        return {"elastic": 1, "stiffness": np.full(tendons, self.stiffness), "strength": strength, "length": rod.tendon_length.copy()}
+
+
+@register_effect("tendon_friction")
+class TendonFriction(Effect):
+    """`[effects.tendon_friction]`: regularised Coulomb friction of tendons in their channels by the capstan equation.
+
+    With the angle phi(s) by which the path has turned and the rate v = -dL/dt at which the tendon is pulled in,
+
+        T(s) = T(0) exp(-mu z phi(s)),    z = v / sqrt(v^2 + v_s^2)
+
+    (T. N. Do et al., Mechatronics 24, 2014), one direction for the whole tendon, at the rates of a step's end. Where friction would hold a
+    tendon it creeps instead, at less than v_s: a soft arm of 0.3 m that friction holds 36 mm off its rest is 13 mm off after 10 s. What
+    friction takes away bends coordinates that tensions alone leave at zero: a strain with passive fields follows it better.
+    """
+
+    is_actuation: ClassVar[bool] = True
+
+    coefficient: Annotated[float, Field(ge=0, le=10)] = Field(description="coefficient of friction mu [-]")
+    stiction_speed: Positive = Field(1e-4, description="speed v_s [m/s] below which friction falls")
+
+    def transmission(self, rod: Discretisation) -> dict[str, Any]:
+        if self.coefficient * (most := float(rod.tendon_turn.max())) > STEEPEST:
+            turned = f"tendon {int(np.argmax(rod.tendon_turn))} turns by {most:.3g} rad: it should be at most {STEEPEST / most:.3g}"
+            text = f"is {self.coefficient:g}: {turned}, or tensions let out grow by more than exp({STEEPEST:g})"
+            raise ConfigurationError([Problem(("effects", "tendon_friction", "coefficient"), text)])
+        return {"friction": self.coefficient, "stiction_speed": self.stiction_speed}
