@@ -91,7 +91,7 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
 def _table(path: Path, markers: MarkerSet, units: Mapping[str, str]) -> tuple[Table, dict[str, tuple[str, float]]]:
     """Table with the columns of quantities, by the names of its header. Raises ValueError for columns that are not there, or twice."""
     wanted, found = markers.sources(units), dict[str, tuple[str, float]]()
-    table = read_table(path)
+    table = read_table(path, [name for name, _ in wanted.values()])
     for quantity, (name, factor) in wanted.items():
         same = [column for column in table.header if column.casefold() == name.casefold()]
         if len(same := [name] * same.count(name) or same) > 1:

@@ -101,6 +101,9 @@ class Simulation:
         if state is not None:
             self.state = state
 
+    def __repr__(self) -> str:
+        return f"Simulation({self.model!r} at {self._motion.clock[0]:g} s)"
+
     def reset(
         self,
         q: ArrayLike | None = None,

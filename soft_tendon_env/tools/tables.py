@@ -4,9 +4,9 @@ import contextlib
 import csv
 import math
 import warnings
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,10 +15,14 @@ from soft_tendon_env.tools.types import Array
 
 LOGGED = "measured_time"
 """Column by which logs of robots are known, every row of which ends with a newline."""
-SEPARATORS, COMMENTS = ",;\t", ("#", "%")
-"""Separators of cells; beginnings of lines that are skipped."""
+SEPARATORS = ",;\t|"
+"""Separators of cells; a header with none of them is separated by spaces."""
+COMMENTS = ("#", "%")
+"""Beginnings of lines that are skipped; the header may be one of them, as NumPy and rostopic write it."""
 ABSENT = {"", "nan", "na", "n/a", "null", "none"}
 """Cells that hold no number."""
+PREAMBLE = 100
+"""Lines among which the header is looked for."""
 
 
 class Table(NamedTuple):
@@ -39,38 +43,71 @@ def read_number(where: str, name: str, text: str, factor: float = 1.0) -> float:
     """A cell as a number, NaN where there is none. Raises ValueError for other text and infinity."""
     if text.casefold() in ABSENT:
         return math.nan
-    with contextlib.suppress(ValueError):
-        if "_" not in text and math.isfinite(value := float(text.replace(",", ".")) * factor):
-            return value
-    raise ValueError(f"{where}: {name} is {text!r}: it should be a finite number, or empty where there is none")
+    try:
+        value = math.nan if "_" in text else float(text.replace(",", ".")) * factor
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"{where}: {name} is {text!r}: it should be a finite number, or empty where there is none")
+    return value
 
 
-def read_table(path: Path) -> Table:
-    """The table of a CSV file, separated by commas, semicolons or tabs.
+def read_table(path: Path, names: Collection[str] = ()) -> Table:
+    """The table of a CSV file.
 
-    Its header is the first line that is no comment (#, %). Blank lines and comments are left out. Raises FileNotFoundError, and ValueError
-    for a file that cannot be read.
+    Its header is the line with most of the `names`, by default the first that is no comment. Its separator is a comma, semicolon, tab,
+    bar or spaces. Blank lines and comments (#, %) are left out. Raises FileNotFoundError, and ValueError for a file that cannot be read.
     """
     lines = _whole_lines(path, read_text(path, "replace"))  # bytes that are no text are no numbers
-    rows = [(number, line) for number, line in enumerate(lines, 1) if line.strip(SEPARATORS + " ") and not line.startswith(COMMENTS)]
-    separator = max(SEPARATORS, key=rows[0][1].count) if rows else ","
-    reader = csv.reader((line for _, line in rows), delimiter=separator, skipinitialspace=True, strict=True)
+    first, separator, header = _header(lines, {name.casefold() for name in names})
+    # a blank line stays one, so that the reader counts all of them
+    kept = ["" if line.startswith(COMMENTS) else line for line in lines[first + 1 :]]
+    reader = _reader(kept, separator)
+    rows, number = [], first + 2
     try:
-        cells = [[cell.strip() for cell in row] for row in reader]
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                cells = cells[: len(header)] if not any(cells[len(header) :]) else cells  # without empty ones beyond the header's
+                rows.append((f"{path}, line {number}", [cell.strip() for cell in cells]))
+            number = first + 2 + reader.line_num
     except csv.Error as error:
-        raise ValueError(f"{path}, line {rows[reader.line_num - 1][0]} cannot be read: {error}") from error
-    (header, *found), numbers = cells or [[]], [number for number, _ in rows]
-    where = f"{path}, line {numbers[0] if rows else 1}" + (f" (separated by {separator!r})" if len(header) > 1 else "")
-    for number, row in zip(numbers[1:], found, strict=True):
-        if len(row) != len(header):
-            raise ValueError(f"{path}, line {number}: there are {len(row)} cells, the header has {len(header)}: {where}")
-    return Table(where, header, [(f"{path}, line {number}", row) for number, row in zip(numbers[1:], found, strict=True)])
+        raise ValueError(f"{path}, line {number} cannot be read: {error}") from error
+    where = f"{path}, line {first + 1}" + (f" (separated by {separator!r})" if len(header) > 1 else "")
+    if odd := next((row for row in rows if len(row[1]) != len(header)), None):
+        raise ValueError(f"{odd[0]}: there are {len(odd[1])} cells, the header has {len(header)}: {where}")
+    return Table(where, header, rows)
+
+
+def _reader(lines: Sequence[str], separator: str) -> Any:
+    """Reader of lines; where spaces separate, any number of them does, and tabs."""
+    spaced = (" ".join(line.split()) for line in lines) if separator == " " else lines
+    return csv.reader(spaced, delimiter=separator, skipinitialspace=True, strict=True)
+
+
+def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]:
+    """Place of the header among the lines, its separator and its cells."""
+    best, most = (0, ",", list[str]()), -1
+    for place, line in enumerate(lines[:PREAMBLE]):
+        is_comment = line.startswith(COMMENTS)
+        for text in (line.lstrip("".join(COMMENTS) + " \t"), line)[not is_comment :]:
+            separator = max(SEPARATORS, key=text.count)
+            separator = separator if separator in text.strip() else " "
+            with contextlib.suppress(csv.Error):  # which the reader tells
+                cells = [cell.strip() for own in _reader([text], separator) for cell in own]
+                found = len(names.intersection(map(str.casefold, cells))) - is_comment  # a comment counts by its names alone
+                if any(cells) and found > most:
+                    best, most = (place, separator, cells), found
+    place, separator, cells = best
+    while cells and not cells[-1]:
+        cells = cells[:-1]
+    return place, separator, cells
 
 
 def _whole_lines(path: Path, text: str) -> list[str]:
     """Lines of a table, without a last one that was cut off when the writer was killed, or power was lost; a warning says so."""
-    lines = text.rstrip("\0").splitlines()  # of blocks that never came to the disk
-    if len(lines) > 1 and not text.rstrip("\0").endswith("\n"):
+    text = text.rstrip("\0")  # of blocks that never came to the disk
+    lines = text.splitlines()
+    if len(lines) > 1 and not text.endswith("\n"):
         earlier, last = (sum(map(line.count, SEPARATORS)) for line in lines[-2:])
         if LOGGED in lines[0] or last < earlier:
             warnings.warn(f"{path}, line {len(lines)} was cut off: it is left out, the rows before it are whole", stacklevel=2)

@@ -58,7 +58,7 @@ def test_pages_of_environments_have_sizes_sections_and_arguments():
     shown = site_environments.on_page_markdown("<!-- environment: Reach -->\n\n<!-- arguments -->\n\n<!-- presets -->", page("a.md"))
     env = site_environments.made("Reach", fidelity="fast")
     assert f'| `"fast"` | {env.unwrapped.model.coordinate_count} | {site_environments.size_of(env)} |' in shown
-    assert "\n### Version History\n" in shown and "<!--" not in shown
+    assert "\n### Rewards\n" in shown and "<!--" not in shown
     assert all(f"\n| `{name}` | " in shown for name in site_environments.Options.model_fields)
     assert all(f'\n| `"{name}"` | ' in shown for name in site_environments.PRESETS)
     with pytest.raises(KeyError):

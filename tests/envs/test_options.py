@@ -26,7 +26,11 @@ BAD = [
     (TipPoseEnv, {"tension_limits": [3.0, 1.0]}, r"tension_limits is \[3.0, 1.0\]: it should be \(least, greatest\)"),
     (TipPoseEnv, {"tension_limits": [1000.0, 1500.0]}, r"scene has an arm that cannot begin at rest, under \[1000, 1000, 1000\] N"),
     (TipPoseEnv, {"action": "torque"}, "action is 'torque': it should be 'tension' or 'increment'"),
-    (TipPoseEnv, {"target": "circel"}, r"target\.type is 'circel': did you mean 'circle'\? valid: circle, hold, ramp, random"),
+    (
+        TipPoseEnv,
+        {"target": "circel"},
+        r"target\.type is 'circel': did you mean 'circle'\? valid: circle, hold, out_of_reach, ramp, random",
+    ),
     (TipPoseEnv, {"target": 3}, "target is 3"),
     (TipPoseEnv, {"target": {"type": "random", "knot_period": 20.0}}, r"target\.knot_period is 20: it should be 0.001 to 2.5 s"),
     (TipPoseEnv, {"target": {"type": "random", "fraction": [0.5, 0.2]}}, r"target\.fraction is \[0\.5, 0\.2\]: it should be a number"),

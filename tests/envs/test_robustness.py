@@ -37,7 +37,7 @@ def test_saturated_actions_at_the_limits_of_the_paper_s_arm(kind):
 def test_saturated_actions_on_random_arms(kind, arm, everything):
     options = {**arm, "randomize": everything, "observation": "measurable", "sensors": [0.1, 0.3]}
     buckles = isinstance(arm.get("scene"), dict) and "strain.include_loads" in arm["scene"]  # soft ones do, under the loads inside
-    assert saturate(kind(16, 40, **options), 100)[1] <= (4 if buckles else 0)
+    assert saturate(kind(16, 40, **options), 20 if buckles else 100)[1] <= (4 if buckles else 0)
 
 
 WILD = {
@@ -109,6 +109,7 @@ def live_among(steps, **options):
     return deepest, fastest
 
 
+@pytest.mark.slow
 def test_every_effect_at_once():
     """Nobody sinks in by half of the radius, nor flies off."""
     deepest, fastest = live_among(150, scene=EVERY_EFFECT, fidelity="scene")

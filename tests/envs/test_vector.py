@@ -84,7 +84,9 @@ MORE = {
 }
 
 
-@pytest.mark.parametrize("kind", ["loaded", "explicit", *MORE])
+@pytest.mark.parametrize(
+    "kind", [pytest.param("loaded", marks=pytest.mark.slow), "explicit", pytest.param("elastic", marks=pytest.mark.slow), "contact"]
+)
 def test_rows_are_single_environments_with_everything_random(kind, arms, everything, same):
     """On threads, with more rows than fill a share of them."""
     made = {"scene": {"scene": "three_tendon", **MORE[kind]}, "fidelity": "fast"} if kind in MORE else arms[kind]

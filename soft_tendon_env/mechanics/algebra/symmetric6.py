@@ -107,6 +107,21 @@ def solve_upper(f, b, free):
 
 
 @kernel(inline=True)
+def multiply_upper(f, b, free):
+    """Product L^T b."""
+    (b0, b1, b2), (b3, b4, b5) = b
+    b0 = b0 + f[0] * b1 + f[1] * b2
+    b1 = b1 + f[2] * b2
+    if len(free) > 3:
+        b0, b1, b2 = b0 + f[3] * b3, b1 + f[4] * b3, b2 + f[5] * b3
+    if len(free) > 4:
+        b0, b1, b2 = b0 + f[6] * b4 + f[10] * b5, b1 + f[7] * b4 + f[11] * b5, b2 + f[8] * b4 + f[12] * b5
+        b3 = b3 + f[9] * b4 + f[13] * b5
+        b4 = b4 + f[14] * b5
+    return (b0, b1, b2), (b3, b4, b5)
+
+
+@kernel(inline=True)
 def scaled(s, x):
     """Component by component product of two twist-shaped tuples."""
     return (s[0][0] * x[0][0], s[0][1] * x[0][1], s[0][2] * x[0][2]), (s[1][0] * x[1][0], s[1][1] * x[1][1], s[1][2] * x[1][2])
@@ -116,6 +131,12 @@ def scaled(s, x):
 def solve(f, b, free):
     """Solution H^-1 b by the factor of H."""
     return solve_upper(f, scaled(((f[15], f[16], f[17]), (f[18], f[19], f[20])), solve_lower(f, b, free)), free)
+
+
+@kernel(inline=True)
+def inverse_diagonal(f):
+    """Inverse pivots 1 / D, twist-shaped."""
+    return (f[15], f[16], f[17]), (f[18], f[19], f[20])
 
 
 @kernel(inline=True)
