@@ -107,6 +107,7 @@ DRAWN = {"stiffness": [0.5, 2.0], "payload": [0.0, 0.02]}
 HANGING = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*has no passive fields")
 @pytest.mark.cases(
     "options",

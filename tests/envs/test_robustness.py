@@ -50,7 +50,7 @@ WILD = {
 }
 
 
-@pytest.mark.parametrize("how", WILD)
+@pytest.mark.parametrize("how", [pytest.param(how, marks=[pytest.mark.slow] * (how == "pushing")) for how in WILD])
 def test_wild_arms_end_in_order(how):
     saturate(ShapeVectorEnv(4, 40, **{"fidelity": "fast", **WILD[how]}), 50)
 

@@ -84,9 +84,7 @@ MORE = {
 }
 
 
-@pytest.mark.parametrize(
-    "kind", [pytest.param("loaded", marks=pytest.mark.slow), "explicit", pytest.param("elastic", marks=pytest.mark.slow), "contact"]
-)
+@pytest.mark.parametrize("kind", [*(pytest.param(kind, marks=pytest.mark.slow) for kind in ("loaded", "explicit", "elastic")), "contact"])
 def test_rows_are_single_environments_with_everything_random(kind, arms, everything, same):
     """On threads, with more rows than fill a share of them."""
     made = {"scene": {"scene": "three_tendon", **MORE[kind]}, "fidelity": "fast"} if kind in MORE else arms[kind]
@@ -128,6 +126,7 @@ def test_ended_rows_must_be_reset_where_nothing_resets_them():
 SEED, MASK = "seed should be", "reset_mask should be a bool array of shape"
 
 
+@pytest.mark.slow
 @pytest.mark.cases(
     "given, message",
     [
