@@ -59,7 +59,8 @@ def pose_logarithm(pose: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
     """SE(3) logarithms log(g^-1 g_bar) (m, 6), angular before linear, from a pose g (4, 4) to wanted ones g_bar (m, 4, 4), float64, by
     operations that ONNX has. Rotations go by way of unit quaternions (Shepperd 1978), which are exact at half turns too.
     """
-    q = _quaternion(pose[:3, :3].T @ wanted[:, :3, :3])
+    turn = (pose[None, :3, :3, None] * wanted[:, :3, None, :3]).sum(1)  # R^T R_bar: not all runtimes have products of transposed doubles
+    q = _quaternion(turn)
     p, w, v = (wanted[:, :3, 3] - pose[:3, 3]) @ pose[:3, :3], q[:, :1], q[:, 1:]
     s = (v * v).sum(1, keepdim=True).sqrt()
     half = torch.atan((s / w.clamp(min=1e-30)).float()).double()  # runtimes have no atan of doubles: a step of Newton's adds the digits
