@@ -201,6 +201,10 @@ def _register(hook: str, kind: type) -> Decorator:
         raise TypeError(f"parameters of an effect should be a class derived from soft_tendon_env.effects.Struct, not {kind!r}")
 
     def register(function: Any) -> Any:
+        if not (config.DISABLE_JIT or hasattr(function, "kernel") or hasattr(function, "compile")):
+            raise TypeError(
+                f"{getattr(function, '__name__', function)!r} should be a kernel: put @kernel beneath the decorator for {kind.__name__}"
+            )
         _KERNELS[hook, kind] = function
         return function
 
