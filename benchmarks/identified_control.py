@@ -192,7 +192,9 @@ def identified(robot: Robot, seed: int) -> Estimate:
 
 def views_of(robot: Robot, estimate: Estimate) -> list[tuple[Scene, np.ndarray]]:
     """What is believed of a robot by each of MODELS: its scene, and the frame in which its tip and targets are seen."""
-    return [(DRAWING, robot.mount), (estimate.scene, estimate.markers.frame.matrix @ robot.mount), (robot.scene, np.eye(4))]
+    found, frame = np.eye(4), estimate.markers.frame
+    found[:3, :3], found[:3, 3] = frame.rotation, frame.translation
+    return [(DRAWING, robot.mount), (estimate.scene, found @ robot.mount), (robot.scene, np.eye(4))]
 
 
 def error_of(policy: str, robot: Robot, scene: Scene, frame: np.ndarray, seed: int, seconds: float) -> float:

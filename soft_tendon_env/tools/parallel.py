@@ -5,8 +5,11 @@ Cells of an experiment, trainings of a sweep, trials of a search and motions of 
 
 import contextlib
 import os
+import runpy
 import socket
+import sys
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 from soft_tendon_env.tools.extensions import extensions, import_extensions
@@ -33,7 +36,8 @@ def run_all(
 
     Args:
         call: a function of a module, as other processes have to find it, of values that can be pickled.
-        workers: processes of one thread each, which import what --import names; 1: this process alone.
+        workers: processes of one thread each, which first import what --import names, and run the script that was started, for what it
+            registers (but not below its `if __name__ == "__main__"`); 1: this process alone.
         label, unit: of the progress bar, which SOFT_TENDON_ENV_QUIET=1 leaves out.
         cluster: address of a Ray cluster, or "auto" for the one that this machine belongs to; None: this machine alone.
         threads: threads of this process in place of processes of this machine, for calls that spend their time in kernels or wait.
@@ -44,8 +48,10 @@ def run_all(
     import joblib
     from tqdm import tqdm  # not for everyone who imports an environment
 
-    results, workers = dict[int, Result](), max(min(workers, len(runs)), 1)
-    jobs = [joblib.delayed(_run)(call, extensions(), place, run) for place, run in enumerate(runs)]
+    results, workers, main = dict[int, Result](), max(min(workers, len(runs)), 1), sys.modules["__main__"]
+    script = Path(str(main.__file__)).absolute() if getattr(main, "__spec__", None) is None and hasattr(main, "__file__") else None
+    origin = os.getpid(), extensions(), script
+    jobs = [joblib.delayed(_run)(call, origin, place, run) for place, run in enumerate(runs)]
     with tqdm(total=len(runs), desc=label, unit=unit, leave=False, disable=QUIET) as bar, _backend(workers, cluster, threads):
         with contextlib.closing(joblib.Parallel(batch_size=1, return_as="generator_unordered")(jobs)) as found:
             for place, result in found:
@@ -56,10 +62,18 @@ def run_all(
     return [results[place] for place in range(len(runs))]
 
 
-def _run(call: Callable[[Run], Result], names: list[str], place: int, run: Run) -> tuple[int, Result]:
-    """The run's place and its result, in a process that has a user's own modules."""
-    import_extensions(names)
+def _run(call: Callable[[Run], Result], origin: tuple[int, list[str], Path | None], place: int, run: Run) -> tuple[int, Result]:
+    """The run's place and its result, in a process that has what a user's own modules and script register."""
+    process, names, script = origin
+    if os.getpid() != process:
+        import_extensions(names)
+        if script is not None and script.is_file() and script not in _SCRIPTS:
+            _SCRIPTS.add(script)
+            runpy.run_path(str(script), run_name="__mp_main__")
     return place, call(run)
+
+
+_SCRIPTS = set[Path]()  # that were run in this process
 
 
 @contextlib.contextmanager
