@@ -4,6 +4,7 @@ Making an arm takes longer than a reset. So an environment has BANK arms, which 
 the one whose number its generator draws.
 """
 
+import contextlib
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -23,6 +24,7 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Key, Problem
 from soft_tendon_env.tools.types import Array
 
 BANK = 64  # arms of an environment that draws numbers of its scene
+REDRAWS = 20  # times that an arm of the bank is drawn again which begins inside of drawn obstacles
 DRAWS = 4  # numbers that an episode takes from its generator before anything else, of which the first chooses the arm
 
 
@@ -64,13 +66,12 @@ class Starts:
     def _make_bank(self) -> None:
         """Look at the ends of the ranges, and at the softest and heaviest arm, and make the arms that need no search."""
         for own in self._ranges:
-            if any(key.startswith("effects.contact.obstacles.") for key in own.keys):
-                raise _problem(("randomize", own.name), "cannot be drawn: obstacles are those of the scene in every episode")
             for end in {own.least, own.greatest}:
                 self._model_with(own.changes(end), own.name)
         self._size = BANK if any(own.least < own.greatest for own in self._ranges) else 1
+        self._redraws = REDRAWS * any(key.startswith("effects.contact.obstacles.") for own in self._ranges for key in own.keys)
         soft = np.array([own.name.endswith(".young_modulus") for own in self._ranges])
-        for shares in (np.zeros(soft.size), np.ones(soft.size), 1.0 - soft) if self._ranges else ():
+        for shares in (np.zeros(soft.size), np.ones(soft.size), 1.0 - soft) if self._ranges and not self._redraws else ():
             self._made(shares)
         for number in range(0 if self._model.arm.effects.load or self.q.any() else self._size):
             self._arm(number)
@@ -86,7 +87,11 @@ class Starts:
         if not self._ranges:
             return self._usual
         if number not in self._bank:
-            self._bank[number] = self._made(np.random.default_rng([BANK, number]).random(len(self._ranges)))
+            random = np.random.default_rng([BANK, number])
+            for left in range(self._redraws, -1, -1):
+                with contextlib.suppress(*[ConfigurationError] * (left > 0)):
+                    self._bank[number] = self._made(random.random(len(self._ranges)))
+                    break
         return self._bank[number]
 
     def _made(self, shares: Array) -> Drawn:
@@ -95,7 +100,7 @@ class Starts:
         for own, share in zip(self._ranges, shares.tolist(), strict=True):
             changes |= own.changes(own.least + (own.greatest - own.least) * share)
         model = self._model_with(changes)
-        q, reason = self._settled(model) if model.arm.effects.load or self.tension.any() else (self.q, "")
+        q, reason = self._settled(model) if model.arm.effects.load or self.tension.any() or self._redraws else (self.q, "")
         if reason:
             why = f"cannot begin at rest, under {shown_numbers(self.tension)} N: {reason}"
             raise _problem(("randomize",), f"can make arms that {why}: {_listed(changes)}")

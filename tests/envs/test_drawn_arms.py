@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.envs import ReachEnv, TipPoseEnv, TipPoseVectorEnv
+from soft_tendon_env.envs.contacts import why_inside
 from soft_tendon_env.envs.starts import BANK
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.simulation import Simulation
@@ -126,15 +127,24 @@ def test_what_cannot_be_drawn_is_refused_when_the_environment_is_made(how):
     [
         ({"segments.0.length": [0.2, 0.3]}, "segments.0.length is no parameter: it decides where the quadrature points lie"),
         ({"quadrature.intervals": 4}, "quadrature.intervals is an unknown key"),
-        (
-            {"effects.contact.obstacles.0.radius": [0.01, 0.02]},
-            r"randomize.effects.contact.obstacles.0.radius cannot be drawn: obstacles are",
-        ),
     ],
 )
 def test_other_keys_that_cannot_be_drawn_are_refused(ranges, message):
     with pytest.raises(ConfigurationError, match=message):
         TipPoseEnv(scene={"scene": "three_tendon", "effects.contact.obstacles": [BALL]}, fidelity="fast", randomize=ranges)
+
+
+def test_arms_rest_beside_drawn_obstacles():
+    ball = {"type": "sphere", "position": [0.25, 0.06, 0.0], "radius": 0.03}
+    ranges = {"effects.contact.obstacles.0.position": [0.25, [0.0, 0.06], 0.0]}
+    env = TipPoseEnv(scene={"scene": "three_tendon", "effects.contact.obstacles": [ball]}, fidelity="fast", randomize=ranges)
+    places = []
+    for seed in range(4):
+        env.reset(seed=seed)
+        model = env.episodes.arms.model_of(0)
+        places.append(model.scene.effects.contact.obstacles[0].position[1])
+        assert why_inside(model, env.episodes.arms.rows.q[0]) == ""
+    assert len({*places}) > 1
 
 
 def test_an_arm_that_cannot_be_held_is_refused_when_the_environment_is_made():
