@@ -10,8 +10,8 @@ from soft_tendon_env.identification.fit import UNSEEN, Fit, fit
 from soft_tendon_env.identification.markers import UNITS
 from soft_tendon_env.identification.parameters import Parameter
 from soft_tendon_env.identification.readings import Plants, Readings, mean_of_finite
-from soft_tendon_env.identification.recordings import COMMANDS, Recording, check_commands
-from soft_tendon_env.tools.types import Array
+from soft_tendon_env.identification.recordings import Recording, check_commands
+from soft_tendon_env.tools.types import COMMANDS, Array
 
 AT_BOUND = 1e-3  # distance from a bound, of that of both, at which a parameter is at it
 EXACT = 1e-6  # error of data without noise, as a share of the rod's length: cameras see 1e-5 at best

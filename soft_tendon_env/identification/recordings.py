@@ -18,9 +18,8 @@ from soft_tendon_env.identification.parameters import command_limits
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import not_among
 from soft_tendon_env.tools.tables import Table, read_number, read_table
-from soft_tendon_env.tools.types import Array
+from soft_tendon_env.tools.types import COMMANDS, Array
 
-COMMANDS = {"N": "tension", "m": "displacement"}  # names of command columns by the unit of the scene's commands
 REACH = 1.5  # share of the rod's length, from its base, within which a marker may be
 LEAST = 0.05  # share of what is allowed from which numbers in another unit are plausible
 UNEVEN = 0.3  # share of the sample period by which times may be off equal steps

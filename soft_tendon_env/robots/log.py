@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from soft_tendon_env.robots.protocol import COMMANDS, Measurement, Unit
+from soft_tendon_env.robots.protocol import Measurement, Unit
 from soft_tendon_env.scene.strain import STRAINS
-from soft_tendon_env.tools.types import Array
+from soft_tendon_env.tools.types import COMMANDS, Array
 
 
 def check_log(path: Path) -> None:

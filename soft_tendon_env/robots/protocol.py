@@ -13,8 +13,6 @@ from soft_tendon_env.tools.extensions import look_in_this_folder
 from soft_tendon_env.tools.types import Array
 
 Unit = Literal["N", "m"]
-COMMANDS: Mapping[str, str] = {"N": "tension", "m": "displacement"}
-"""Quantities that are commanded: tensions, or displacements by which actuators pull tendons in."""
 RIGID = 1e-3  # tolerance of the entries of a measured pose: rotations that are sent with four digits, or as float32, keep it
 
 

@@ -45,6 +45,8 @@ Length = Annotated[float, Field(gt=0), _between(SHORTEST, LONGEST, " m")]
 Triple = tuple[Number, Number, Number]
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
+COMMANDS = {"N": "tension", "m": "displacement"}
+"""Quantities that are commanded, by their unit: tensions, or displacements by which actuators pull tendons in."""
 LENGTH = re.compile(rf"\s*([-+.\de]+)\s*({'|'.join(UNITS)})\s*")
 
 
