@@ -40,6 +40,13 @@ def test_saturated_actions_on_random_arms(kind, arm, everything):
     assert saturate(kind(16, 40, **options), 20 if buckles else 100)[1] <= (4 if buckles else 0)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_saturated_actions_on_arms_with_loads_inside(kind, arms, everything):
+    options = {**arms["loads inside"], "randomize": everything, "observation": "measurable", "sensors": [0.1, 0.3]}
+    assert saturate(kind(16, 40, **options), 100)[1] <= 4
+
+
 WILD = {
     "pushing": {"tension_limits": [-600.0, 0.0]},
     "pulling": {"tension_limits": [0.0, 3000.0]},
