@@ -102,11 +102,12 @@ def targets() -> str:
 
 
 def groups() -> str:
-    """The observation groups: what each is, and the ready-made observations of the tasks that have it."""
-    rows = [["group", "entries", *TASKS], ["---"] * (2 + len(TASKS))]
+    """The observation groups: what each is, its size on the default arm, and the ready-made observations of the tasks that have it."""
+    slices = made("Shape", fidelity="fast", sensors=1, observation=tuple(GROUPS)).unwrapped.episodes.layout.slices
+    rows = [["group", "what", 'size at `"fast"`, one sensor', *TASKS], ["---"] * (3 + len(TASKS))]
     for name, group in GROUPS.items():
         have = [", ".join(kind for kind, chosen in task.observations.items() if name in chosen) for task in TASKS.values()]
-        rows.append([f"`{name}`", group.description, *have])
+        rows.append([f"`{name}`", group.description, slices[name].stop - slices[name].start, *have])
     return table(rows)
 
 
