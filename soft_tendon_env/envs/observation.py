@@ -112,7 +112,7 @@ GROUPS: Mapping[str, Group] = {
     "target_error": Group("SE(3) logarithm from tip to target", lambda o: o.error[:, 0], _error_unit, FAR, of_target=True),
     "target_twist": Group("twist of the target, target frame", lambda o: o.target.tip_twist[:, 0], _twist_unit, of_target=True),
     "preview": Group("target_error at each preview time", lambda o: _flat(o.error[:, 1:]), _error_unit, FAR, of_target=True),
-    "target_coordinates": Group("coordinates of the target minus the arm's", lambda o: o.target.q[:, 0] - o.q, lambda u: u.q, of_shape=True),
+    "target_coordinates": Group("the target's coordinates minus the arm's", lambda o: o.target.q[:, 0] - o.q, lambda u: u.q, of_shape=True),
     "coordinate_preview": Group(
         "the same at each preview time", lambda o: _flat(o.target.q[:, 1:] - o.q[:, None]), lambda u: u.q, of_shape=True
     ),
