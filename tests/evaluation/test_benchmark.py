@@ -129,10 +129,10 @@ def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
     main([*command, "--write-docs", str(docs)])
     said = capsys.readouterr().out
     assert "3 cells, 2 of them to be played" in said
-    assert re.search(r"\| filtered:tracking@fast +\| controller, kalman estimator \| - +\| [0-9.]+ \(", said), (
+    assert re.search(r"\| filtered:tracking@fast +\| controller, kalman estimator \| - +\| [0-9.]+ / ", said), (
         "it does not play in the nominal setting"
     )
-    assert re.search(r"\| best learned less best controller \| - +\| - +\| -?[0-9.]+ \(", said), "where both kinds play"
+    assert re.search(r"\| best learned minus best controller \| - +\| - +\| -?[0-9.]+ \(", said), "where both kinds play"
     main(command)
     assert "3 cells, 0 of them to be played" in capsys.readouterr().out
     assert docs.with_suffix(".png").stat().st_size > 10_000 and "(page.png)" in docs.read_text()
