@@ -62,8 +62,9 @@ def play(settings: Settings, tasks: Sequence[str], policies: tuple[str, ...], ou
     for task, experiment in experiments.items():
         experiment.play(f"{task}: policies x model errors", settings.workers, settings.cluster)
         found, summaries = comparison.standings_of(experiment, files[task])
-        texts[task] = tables.error_table(found)
-        several = f"{texts[task]}\n\n{tables.ERRORS_LEGEND}\n\n" if len(files[task]) > 1 else ""
+        errors = tables.error_table(found)
+        texts[task] = f"{what.capitalize()}.\n\n{errors}"
+        several = f"{errors}\n\n{tables.ERRORS_LEGEND}\n\n" if len(files[task]) > 1 else ""
         print(f"\n## {task}\n\n{several}{comparison.numbers_table(task, files[task], summaries)}\n")
         write_json(folder / f"{task}.json", {**origin(), **comparison.results_record(settings, task, arms[task], found, summaries)})
         tables.write_csv(folder / f"{task}.csv", tables.records(found))
