@@ -25,7 +25,7 @@ from soft_tendon_env.scene.scene import Scene, rod_length
 SCENES = ("paper", "four_tendon", "three_tendon", "two_segment_six", "helical")
 KINDS = MOTIONS[:4]
 SEEDS = range(100, 103)
-OWN = (6, 9, 12, 18)
+OWN = (6, 9, 18)
 INTERVALS, STEP, COLUMNS = 16, 0.005, 4
 REFERENCE, WILD_REFERENCE = 5e-5, 2e-3  # of the length
 ANGULAR, STRAINS = ["torsion", "bend_y", "bend_z"], ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
