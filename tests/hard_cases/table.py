@@ -19,8 +19,8 @@ HEAD = """\
 
 {stamp}
 
-Inputs and arms that are known to break simulators of soft arms, and what was measured. Each is a test in `tests/hard_cases`, whose docstring
-says why the case is hard and what is expected. A test with several parameters has the least and the greatest number; at most the first
+Inputs and arms that are known to break simulators of soft arms, and what was measured. Each is a test in `tests/hard_cases`, whose
+docstring says why the case is hard and what is expected. A test with several parameters has the least and the greatest number; at most
 {numbers} quantities are listed. `python tests/hard_cases/table.py` runs the tests and writes this page.
 """
 NUMBERS = 3
