@@ -1,7 +1,7 @@
 """Figures 3 and 4: shapes by feedforward alone and with the feedback of (37) and (38), kp = 1000 and kd = 100.
 
-The paper gives its desired shapes as plots only. Ours: what tendons 2, 5, 8 and 9 hold with 8, 3, 4 and 3 N, approached within 2.5 s by the
-polynomial of least degree that is twice differentiable. The shape error is ||q_bar - q||, in newton for the tensions and in square roots of
+The paper gives its desired shapes as plots only. Ours: what tendons 2, 5, 8 and 9 hold with 8, 3, 4 and 3 N. They are approached within
+2.5 s by a polynomial that is twice differentiable. The shape error is ||q_bar - q||, in newton for the tensions and in square roots of
 joules for the passive coordinates. In brackets: feedforward alone.
 """
 
