@@ -133,6 +133,7 @@ def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
         "it does not play in the nominal setting"
     )
     assert re.search(r"\| best learned minus best controller \| - +\| - +\| -?[0-9.]+ \(", said), "where both kinds play"
+    assert re.search(r"against the best controller: (ahead in|behind in|not separated in) latency\.", said)
     main(command)
     assert "3 cells, 0 of them to be played" in capsys.readouterr().out
     assert docs.with_suffix(".png").stat().st_size > 10_000 and "(page.png)" in docs.read_text()
