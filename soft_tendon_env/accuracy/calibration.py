@@ -27,7 +27,7 @@ from soft_tendon_env.tools.user_cache import new_data_folder
 
 SEEDS = range(500, 505)  # of the motions of each kind that a scene is calibrated on
 MARGIN = 2.0
-"""Factor by which the error on those motions must stay below what is asked for, see docs/appendix/accuracy_command.md."""
+"""Factor by which the error on those motions must stay below what is asked for, see docs/appendix/accuracy.md."""
 REFERENCE = 3e-5  # of the rod's length, error of the reference motions
 SOURCES = tuple(f"{folder}/**/*.py" for folder in ("mechanics", "effects", "scene", "model", "accuracy"))
 

@@ -1,4 +1,4 @@
-"""Fidelity: presets of accuracy against time, strain field, quadrature and integrator together, see docs/appendix/fidelity.md."""
+"""Fidelity: presets of accuracy against time, strain field, quadrature and integrator together, see docs/appendix/speed.md."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def build_model(scene: Scene, fidelity: str | None = UNSAID) -> Model:
     """Model of a scene at a fidelity: chooses its quadrature and prepares the arrays of its kernels.
 
     fidelity: "scene", as the scene says of strain, quadrature and integrator, where it says nothing the coordinates of the tensions alone;
-    "fast", "standard" or "fine", a preset, see docs/appendix/fidelity.md; a length as "1mm", what a calibration finds for this error of the
+    "fast", "standard" or "fine", a preset, see docs/appendix/speed.md; a length as "1mm", what a calibration finds for this error of the
     tip; None, as in `gym.make`, "standard" for what the scene leaves open; left out, "scene", with a warning where that differs.
 
     Raises TypeError if it is not a Scene, ValueError for another fidelity, ConfigurationError if its coordinates are not independent. Warns

@@ -62,9 +62,10 @@ def play(settings: Settings, tasks: Sequence[str], policies: tuple[str, ...], ou
     for task, experiment in experiments.items():
         experiment.play(f"{task}: policies x model errors", settings.workers, settings.cluster)
         found, summaries = comparison.standings_of(experiment, files[task])
-        shown = comparison.comparison_tables(task, files[task], found, summaries)
-        print(f"\n## {task}\n\n{shown}\n")
-        texts[task] = f"{what.capitalize()}.\n\n{shown}"
+        errors = tables.error_table(found)
+        texts[task] = f"{what.capitalize()}.\n\n{errors}"
+        several = f"{errors}\n\n{tables.ERRORS_LEGEND}\n\n" if len(files[task]) > 1 else ""
+        print(f"\n## {task}\n\n{several}{comparison.numbers_table(task, files[task], summaries)}\n")
         write_json(folder / f"{task}.json", {**origin(), **comparison.results_record(settings, task, arms[task], found, summaries)})
         tables.write_csv(folder / f"{task}.csv", tables.records(found))
         draw_errors({task: found}, folder / f"{task}.png")

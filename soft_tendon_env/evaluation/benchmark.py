@@ -13,8 +13,8 @@ from soft_tendon_env.evaluation.conditions import SEEDS, SETTINGS
 from soft_tendon_env.evaluation.entrants import agents_of, model_in_the_loop
 from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.settings import RegimeNames, SettingNames, TaskName, Workers, episode_steps
-from soft_tendon_env.evaluation.summaries import Standing, Standings, difference
-from soft_tendon_env.evaluation.tables import error_table, number
+from soft_tendon_env.evaluation.summaries import Mean, Standing, Standings, difference
+from soft_tendon_env.evaluation.tables import ERRORS_LEGEND, error_table, number
 from soft_tendon_env.policies.agent_files import INTERFACE
 from soft_tendon_env.policies.names import Agent, Controller, PolicyName
 from soft_tendon_env.policies.regimes import REGIMES
@@ -166,24 +166,43 @@ def standings_by_regime(benchmark: Benchmark, experiment: Experiment[Label]) -> 
 
 
 def benchmark_tables(benchmark: Benchmark, found: Mapping[str, Standings]) -> str:
-    """A table per regime: errors by policy and setting, and the gap between the best that has learned and the best controller."""
+    """A table per regime: errors by policy and setting, the gap between the best that has learned and the best controller, and in words
+    where it is ahead."""
     played = {name for of in found.values() for name, _ in of}
     first = {own.label: (next(iter(own.members(benchmark.task).values())), own.told) for own in benchmark.entrants if own.label in played}
     models = {label: model_in_the_loop(*policy) for label, policy in first.items()}
     learned, texts = {label for label, (policy, _) in first.items() if not isinstance(policy, Controller)}, list[str]()
     for regime, of in found.items():
-        texts.append(f"### {regime}\n\n{REGIMES[regime].description.capitalize()}.\n\n{error_table(of, models, [gaps(of, learned)])}")
-    legend = "The last row has the interquartile mean of the paired difference with its interval; both are chosen by these episodes."
-    return "\n\n".join([*texts, legend])
+        apart = gaps(of, learned)
+        told = f"{REGIMES[regime].description.capitalize()}.{verdict(apart)}"
+        texts.append(f"### {regime}\n\n{told}\n\n{error_table(of, models, [gap_row(of, apart)] if apart else [])}")
+    return "\n\n".join([*texts, ERRORS_LEGEND])
 
 
-def gaps(of: Standings, learned: set[str]) -> dict[str, str]:
-    """Row of the errors of the best learned policy less those of the best controller, by setting where both kinds play."""
-    row = {"": "best learned less best controller"}
+def gaps(of: Standings, learned: set[str]) -> dict[str, Mean]:
+    """Error of the best learned policy minus that of the best controller, by setting where both kinds play."""
+    found = dict[str, Mean]()
     for setting in dict.fromkeys(setting for _, setting in of):
         kinds = [[own for (name, at), own in of.items() if at == setting and (name in learned) == kind] for kind in (True, False)]
         if all(kinds):
             one, other = (min(kind, key=lambda own: own.mean(f"{own.error}_rms").value) for kind in kinds)
-            factor = error_unit(one.error).factor
-            row[setting] = "{} ({} to {})".format(*(number(factor * value) for value in difference(one, other, f"{one.error}_rms")))
-    return row
+            found[setting] = difference(one, other, f"{one.error}_rms")
+    return found
+
+
+def gap_row(of: Standings, apart: Mapping[str, Mean]) -> dict[str, str]:
+    """Row of a table, with the intervals."""
+    factor = error_unit(next(iter(of.values())).error).factor
+    texts = {setting: "{} ({} to {})".format(*(number(factor * value) for value in gap)) for setting, gap in apart.items()}
+    return {"": "best learned minus best controller", **texts}
+
+
+def verdict(apart: Mapping[str, Mean]) -> str:
+    """Sentence that says where the interval of the gap leaves out zero, and on which side."""
+    kinds = {
+        "ahead": [setting for setting, gap in apart.items() if gap.high < 0.0],
+        "behind": [setting for setting, gap in apart.items() if gap.low > 0.0],
+    }
+    kinds["not separated"] = [setting for setting in apart if setting not in kinds["ahead"] + kinds["behind"]]
+    said = "; ".join(f"{kind} in {', '.join(settings)}" for kind, settings in kinds.items() if settings)
+    return f" The best learned policy against the best controller: {said}." if said else ""

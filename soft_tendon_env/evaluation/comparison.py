@@ -19,7 +19,7 @@ from soft_tendon_env.evaluation.metrics import EpisodeScore, record
 from soft_tendon_env.evaluation.play import evaluate
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Settings
 from soft_tendon_env.evaluation.summaries import Standing, Standings, Summary, summarise
-from soft_tendon_env.evaluation.tables import error_table, summary_table
+from soft_tendon_env.evaluation.tables import summary_table
 from soft_tendon_env.policies.agent_files import ARM
 from soft_tendon_env.policies.names import Agent, PolicyName
 from soft_tendon_env.policies.protocol import Policy
@@ -84,17 +84,17 @@ def standings_of(experiment: Experiment[tuple[str, str]], files: Files) -> tuple
     return found, {key: replace(summarise(own.episodes), action_time=times[key[0]]) for key, own in found.items()}
 
 
-def comparison_tables(task: str, files: Files, found: Standings, summaries: Summaries) -> str:
-    """Tables of a task: a row per model error of a single policy; errors of several by policy and model error, and below all numbers on the
-    arm of the model, or on the first that there is. Raises ValueError, OSError."""
+def numbers_table(task: str, files: Files, summaries: Summaries) -> str:
+    """Table of all numbers: a row per model error of a single policy; of several a row each, on the arm of the model, or under the first
+    model error that there is. Raises ValueError, OSError."""
     models = {policy: model_in_the_loop(PolicyName.parse(next(iter(of.values())), task)) for policy, of in files.items()}
-    errors = [error for _, error in found]
+    errors = [*dict.fromkeys(error for _, error in summaries)]
     if len(files) == 1:
         ((policy, model),) = models.items()
         return summary_table("model error", {error: summaries[policy, error] for error in errors}, dict.fromkeys(errors, model))
     error = NOMINAL if NOMINAL in errors else errors[0]
     of_error = {policy: summaries[policy, error] for policy in files}
-    return f"{error_table(found)}\n\n{summary_table(f'policy ({error})', of_error, models)}"
+    return summary_table(f"policy ({error})", of_error, models)
 
 
 def results_record(settings: Settings, task: str, arms: Arms, found: Standings, summaries: Summaries) -> dict[str, Any]:

@@ -76,7 +76,7 @@ class Rollout(NamedTuple):
     """Simulated motion over N periods and its linearisation: n coordinates, n_a tendons, m internal states of effects, k forces.
 
     The derivatives are those of a linearly implicit method with the matrices of the period's beginning, see
-    docs/appendix/derivatives_measured.md: 2 to 15 percent of the largest entry off on most arms, all of it at an impact.
+    docs/explanation/derivatives.md: 2 to 15 percent of the largest entry off on most arms, all of it at an impact.
     """
 
     q: Array  # (N + 1, n) where every period begins, and where the last one ends, as the next four

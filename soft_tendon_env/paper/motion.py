@@ -12,7 +12,6 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 import soft_tendon_env as ste
-from soft_tendon_env.control import Controller
 from soft_tendon_env.control.feedforward import ReferenceGovernor, StaticFeedforward
 from soft_tendon_env.control.objectives import TipPose
 from soft_tendon_env.control.tip_tracking import TipTracking
@@ -115,19 +114,14 @@ def when(time: float) -> str:
     return "always" if time == 0.0 else "never for good" if np.isinf(time) else f"from {time:.2f} s"
 
 
-def track(scene: str, feedforward: bool, circle: Circle, duration: float) -> Motion:
-    """An episode of `duration` [s], sampled at the ends of the control periods; tensions are those of the period that ends.
-
-    feedforward: whether the controller is told the tensions that would hold the target at rest, as in the catalogue.
-    """
+def track(scene: str, circle: Circle, duration: float) -> Motion:
+    """An episode of `duration` [s], sampled at the ends of the control periods; tensions are those of the period that ends."""
     count = round(duration / PERIOD)
     options: dict[str, Any] = {"scene": scene, "target": circle.model_dump(), "tension_limits": LIMITS, "control_period": PERIOD}
     env = gym.make(IDS["TipPose"], preview=(PERIOD, 2.0 * PERIOD), max_episode_steps=count, **options)
     episodes = episodes_of(env)
     model, limits, aim = episodes.model, episodes.limits, TipPose(0.1 * episodes.model.length)
-    controller: Controller = TipTracking(model, limits, PERIOD, aim, **GAINS)
-    if feedforward:
-        controller = ReferenceGovernor(StaticFeedforward(model, limits, PERIOD, aim), controller)
+    controller = ReferenceGovernor(StaticFeedforward(model, limits, PERIOD, aim), TipTracking(model, limits, PERIOD, aim, **GAINS))
     samples = []
     say(f"Figures 5 and 6, {scene} at {1e3 * PERIOD:g} ms")
     for step in play_steps(ControllerPolicy(controller, env), env, [0]):
