@@ -56,10 +56,10 @@ def pareto_front(items: Iterable[Item], key: Callable[[Item], tuple[float, float
 def measure(model: Model, setting: Setting, inputs: Sequence[Array], reference: Reference) -> Point:
     """Errors of a model, which has this setting, under inputs (rows, n_a) [N]."""
     found = [trajectory(model, tensions) for tensions in inputs]
-    pairs = zip(found, reference.tips, strict=True)
-    errors = tuple(distance(None if motion is None else motion.tip_pose[:, :3, 3], exact) for motion, exact in pairs)
+    errors = tuple(map(distance, found, reference.tips))
     present = [motion for motion in found if motion is not None]
-    evaluations = sum(own.evaluations for own in present) / (HOLD * sum(len(own.time) - 1 for own in present)) if present else np.inf
+    periods = sum(len(motion.time) - 1 for motion in present)
+    evaluations = sum(motion.evaluations for motion in present) / (HOLD * periods) if present else np.inf
     return Point(setting, model.coordinate_count, errors, evaluations, evaluations * evaluation_cost(model))
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.polynomial import legendre
 
-from soft_tendon_env.accuracy.reference import LEVELS, distance, full_physics, reference_motions, tips, trajectory
+from soft_tendon_env.accuracy.reference import LEVELS, distance, full_physics, reference_motions, trajectory
 from soft_tendon_env.accuracy.test_inputs import MOTIONS, USUAL, Motion, motion_tensions
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.coordinates import actuation_columns
@@ -49,16 +49,9 @@ def make_passive_fields(scene: Scene) -> PassiveFields:
     scene = scene.replace({"effects": scene.effects.everywhere()})
     bare = scene.replace({"strain": {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders)}})
     coefficients, singular_values = decompose(bare, *snapshots(bare))
-    made = PassiveFields(
-        arm=arm_of(bare),
-        tension_limits=np.array([tendon.tension_limits for tendon in scene.tendons]),
-        effects=scene.effects,
-        borders=breakpoints(bare),
-        coefficients=coefficients,
-        singular_values=singular_values,
-        errors={},
-    )
-    return replace(made, errors=tested(bare, made))
+    limits = np.array([tendon.tension_limits for tendon in scene.tendons])
+    made = PassiveFields(arm_of(bare), limits, breakpoints(bare), coefficients, scene.effects, singular_values, errors={})
+    return replace(made, errors=tip_errors(bare, made))
 
 
 def fields_path(scene: Scene) -> Path:
@@ -156,7 +149,7 @@ def fitted_polynomials(fields: Array, scene: Scene, grid: Grid) -> Array:
     return np.asarray(np.round(found * np.sign(largest) / unit) * unit)
 
 
-def tested(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ...]]:
+def tip_errors(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ...]]:
     """Largest tip distance [m] from full physics on TESTS other motions of each usual kind, for COUNTS of the fields, under the loads."""
     counts = [count for count in COUNTS if count <= len(fields.coefficients)]
     inputs = [motion_tensions(scene, kind, seed) for kind in USUAL for seed in range(TESTS)]
@@ -167,8 +160,8 @@ def tested(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ...]]:
         def largest(count: int) -> Array:
             passive = {"type": "snapshots", "fields": count, "file": str(path)} if count else []
             model = model_on(scene.replace({"strain.passive": passive, "integrator": {"step": 0.005, "columns": 4}}), 16)
-            apart = [distance(tips(model, tensions), own) for tensions, own in zip(inputs, exact, strict=True)]
-            return np.array(apart).reshape(len(USUAL), TESTS).max(axis=1)
+            errors = [distance(trajectory(model, tensions), tips) for tensions, tips in zip(inputs, exact, strict=True)]
+            return np.array(errors).reshape(len(USUAL), TESTS).max(axis=1)
 
         found = np.array(run_all(largest, counts, processors(), "tests of the fields", unit="model", threads=True)).T.tolist()
-    return {"fields": tuple(map(float, counts)), **{kind: tuple(own) for kind, own in zip(USUAL, found, strict=True)}}
+    return {"fields": tuple(map(float, counts)), **{kind: tuple(errors) for kind, errors in zip(USUAL, found, strict=True)}}

@@ -32,10 +32,8 @@ def run(settings: Accuracy) -> None:
     """Calibrate, print, draw and write. Raises ConfigurationError where no setting is within the tolerance."""
     with mistakes():
         scene, tolerance, out = settings.changed_scene(), settings.within, writable_folder(Path(settings.out))
-        calibration.refuse_obstacles(scene)
+        calibration.check_calibration(scene, np.inf if tolerance is None else tolerance)
         scene = scene.replace({"effects": scene.effects.on_arm()})  # without what lies between commands and tensions
-        if tolerance is not None:
-            calibration.check_tolerance(scene, tolerance)
         inputs = calibration.usual_inputs(scene)
     fields = calibration.own_fields(scene) if tolerance is None else calibration.made_fields(scene)
     found = calibration.calibrate(scene, inputs, fields)

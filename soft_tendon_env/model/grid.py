@@ -133,10 +133,10 @@ def at_points(scene: Scene, grid: Grid) -> AtPoints:
     there = geometry[:, grid.real, :, 4].reshape(len(chord), -1)
     rate, distance = np.cross(k[grid.real].reshape(-1, 3), t), np.diff(grid.points[grid.real].ravel())[:, None]
     turn = np.diff(t, axis=1) + 0.5 * distance * (rate[:, 1:] + rate[:, :-1])
-    turned = (np.linalg.norm(turn, axis=-1) * there[:, 1:] * there[:, :-1]).sum(axis=1)
-    first, last = np.array([pack_range((own[..., 4] > 0.0).any(axis=1) & grid.real) for own in geometry], dtype=np.int64).T.copy()
+    angle = (np.linalg.norm(turn, axis=-1) * there[:, 1:] * there[:, :-1]).sum(axis=1)
+    first, last = pack_ranges((geometry[..., 4] > 0.0).any(axis=2) & grid.real)
     tendons = Tendons(size=len(geometry), geometry=point_field(geometry), first=first, last=last)
-    return AtPoints(elasticity, damping, k, geometry, tendons, length, np.asarray(turned))
+    return AtPoints(elasticity, damping, k, geometry, tendons, length, np.asarray(angle))
 
 
 def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], here: AtPoints, seen: Discretisation) -> Rod:
@@ -219,7 +219,8 @@ def chords(geometry: Array, k: Array, p: Array) -> tuple[Array, Array]:
     return d, np.cross(k, d) + p + d_prime
 
 
-def pack_range(intervals: np.ndarray) -> tuple[int, int]:
-    """First pack with a marked interval, and one past the last."""
-    marked = np.flatnonzero(intervals.reshape(-1, LANES).any(axis=1))
-    return int(marked[0]), int(marked[-1]) + 1
+def pack_ranges(intervals: np.ndarray) -> tuple[IntVector, IntVector]:
+    """First pack with a marked interval, and one past the last, of each row (m, intervals): (m,) each."""
+    marked = intervals.reshape(len(intervals), intervals.shape[1] // LANES, LANES).any(axis=2)
+    first, behind = marked.argmax(axis=1), marked[:, ::-1].argmax(axis=1)
+    return first.astype(np.int64), (marked.shape[1] - behind).astype(np.int64)

@@ -16,6 +16,7 @@ from soft_tendon_env.model.equilibrium_residual import Balance
 from soft_tendon_env.model.grid import over_nodes, screw_matrices
 from soft_tendon_env.model.load_continuation import LoadPath
 from soft_tendon_env.model.model import SINGULAR, Model, least_eigenvalue, model_on
+from soft_tendon_env.model.statics import rests_at_tensions
 from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.scene.radius import RadiusProfile
 from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene, breakpoints
@@ -46,11 +47,13 @@ class QuadratureEstimate(NamedTuple):
     intervals: int  # per piece
     error: float  # of the tip at rest, as a share of the length, a margin included; inf: not even the coordinates are right
     problem: str  # what is worst where the quadrature is too coarse; empty where it suffices
+    excess: float  # by what factor the worst of its errors exceeds what is allowed
 
 
 def quadrature_estimate(scene: Scene, intervals: int | None = None) -> QuadratureEstimate:
     """Estimate of the error with this many intervals per piece; None: with those that the scene says, or as few as its tolerance allows."""
-    return QuadratureTest(scene).estimate(intervals or scene.quadrature.intervals)
+    test, intervals = QuadratureTest(scene), intervals or scene.quadrature.intervals
+    return test.search(scene.quadrature.least) if intervals is None else test.error_estimate(intervals)
 
 
 def model_on_needed(scene: Scene) -> Model:
@@ -65,13 +68,11 @@ def model_on_needed(scene: Scene) -> Model:
             text = f"is {shown(segment.curvature)}: it turns the segment {turns:.3g} times, and the finest quadrature tells {most} turns"
             raise ConfigurationError([Problem(("segments", i, "curvature"), text)])
     test, given = QuadratureTest(scene), scene.quadrature.intervals
-    found = test.estimate(given)
+    found = test.search(scene.quadrature.least) if given is None else test.error_estimate(given)
     if found.problem:
         enough = found if given is None else test.search(given)
-        advice = f"not even {enough.intervals} would do"
-        if not enough.problem:
-            advice = f"{enough.intervals} would do, or leave quadrature.intervals out"
-        text = f"quadrature too coarse: with {found.intervals} intervals per piece {found.problem}; {advice}"
+        advice = "not even {} would do" if enough.problem else "{} would do, or leave quadrature.intervals out"
+        text = f"quadrature too coarse: with {found.intervals} intervals per piece {found.problem}; {advice.format(enough.intervals)}"
         warnings.warn(text, QuadratureWarning, stacklevel=3)
     return test.model(found.intervals) if test.scene.effects == scene.effects else model_on(scene, found.intervals)
 
@@ -82,7 +83,6 @@ class QuadratureTest:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene.model_copy(update={"effects": scene.effects.everywhere()})
         self.model = functools.cache(functools.partial(model_on, self.scene))
-        self.error_estimate = functools.cache(self._error_estimate)
         self.limits = np.array([tendon.tension_limits for tendon in scene.tendons])
         self.slack, count = np.clip(0.0, *self.limits.T), len(self.limits)
         alone = [np.where(np.arange(count) == i, limit, self.slack) for i in range(count) for limit in self.limits[i]]
@@ -97,27 +97,23 @@ class QuadratureTest:
         self.resolving = min(max(per_piece, 3 * (scene.strain.highest_order + 1)), MOST_INTERVALS)
         """Intervals that a finer quadrature has at least: coarser ones could agree with each other and be both wrong."""
 
-    def estimate(self, intervals: int | None) -> QuadratureEstimate:
-        """The estimate with this many intervals per piece; None: with as few as the scene's tolerance allows."""
-        return self.search(self.scene.quadrature.least) if intervals is None else self.error_estimate(intervals)[0]
-
     def search(self, intervals: int) -> QuadratureEstimate:
         """The estimate for the first number from this one on that suffices, in steps as the fourth order suggests; or MOST_INTERVALS."""
         before = np.inf  # the excess with half as many, where that was tried
         while True:
-            found, excess = self.error_estimate(intervals)
-            hopeless = intervals >= max(HOPELESS, self.resolving) and excess > 0.5 * before
+            found = self.error_estimate(intervals)
+            hopeless = intervals >= max(HOPELESS, self.resolving) and found.excess > 0.5 * before
             if not found.problem or intervals == MOST_INTERVALS or hopeless:
                 return found
-            factor = min(1.05 * excess**0.25, 2.0)
-            before = excess if factor == 2.0 else np.inf
+            factor = min(1.05 * found.excess**0.25, 2.0)
+            before = found.excess if factor == 2.0 else np.inf
             intervals = min(max(intervals + 1, math.ceil(intervals * factor)), MOST_INTERVALS)
 
-    def _error_estimate(self, intervals: int) -> tuple[QuadratureEstimate, float]:
-        """The estimate against a finer quadrature, and by what factor the worst of its errors exceeds what is allowed."""
+    def error_estimate(self, intervals: int) -> QuadratureEstimate:
+        """The estimate with this many intervals per piece, against a finer quadrature."""
         coarse, fine = self.model(intervals), self.model(max(2 * intervals + 1, self.resolving))
         error, kept, problem = np.inf, 1.0, f"its points do not tell all {fine.coordinate_count} coordinates apart"
-        refused = QuadratureEstimate(intervals, 0.0, ""), 0.0  # by build_model, on any quadrature
+        refused = QuadratureEstimate(intervals, 0.0, "", 0.0)  # by build_model, on any quadrature
         if fine.coordinate_count == 0:
             return refused
         with np.errstate(all="ignore"):  # forces of a hopeless quadrature may be infinite or NaN
@@ -141,22 +137,22 @@ class QuadratureTest:
             (mass / MASS_TOLERANCE, f"the moment of the rod's mass is off by {100 * mass:.2g} %"),
             (LEAST_INERTIA / max(kept, LEAST_INERTIA**4), f"a combination of coordinates keeps {100 * kept:.2g} % of its inertia"),
         )
-        return QuadratureEstimate(intervals, error, problem if excess > 1.0 else ""), excess
+        return QuadratureEstimate(intervals, error, problem if excess > 1.0 else "", excess)
 
     def displacement(self, coarse: Model, fine: Model) -> tuple[float, Array]:
         """Largest displacement of the tip at rest that was found between two quadratures, as a share of the length, and the tensions."""
         responses = [_response(model) for model in (coarse, fine)]
         shares = [(_unloaded_share(coarse, fine, responses, tension), tension) for tension in self.tensions]
         shares.sort(key=lambda found: found[0], reverse=True)
-        loaded = coarse.arm.effects.load
-        if isinstance(coarse.arm.strain, Implicit) and not loaded:  # they are at rest there
+        if rests_at_tensions(coarse):
             return shares[0]
-        full, q, settled = self.limits[:, 1], np.zeros(coarse.coordinate_count), list[tuple[float, Array]]()
-        for tension in [self.slack, full, 0.5 * (self.slack + full)] * loaded + [tension for _, tension in shares[:SETTLED]]:
+        full, q, rests = self.limits[:, 1], np.zeros(coarse.coordinate_count), list[tuple[float, Array]]()
+        loaded = [self.slack, full, 0.5 * (self.slack + full)] if coarse.arm.effects.load else []
+        for tension in loaded + [tension for _, tension in shares[:SETTLED]]:
             share, rest = _share_at_rest(coarse, fine, tension, q + responses[0] @ tension)
-            settled.append((share, tension))
+            rests.append((share, tension))
             q = rest if tension is self.slack else q  # the answer to the loads
-        return max(settled, key=lambda found: found[0])
+        return max(rests, key=lambda found: found[0])
 
 
 def inertia_kept(coarse: Model, fine: Model) -> float:
@@ -198,7 +194,7 @@ def _share_at_rest(coarse: Model, fine: Model, tension: Array, guess: Array) -> 
         path, finer = LoadPath(Balance(coarse, tension, work), MOST_LINEARISATIONS), LoadPath(Balance(fine, tension, fine_work))
         found = path.equilibrium(guess, 1.0) if guess.any() else None
         if found is None or not found.stability.stable:
-            found = path.rest().point
+            found, _ = path.rest()
         fallen = found.at.part < 1.0
         q = found.at.q + FALL * found.stability.modes[:, 0] if fallen else found.at.q
         near = None if fallen else finer.equilibrium(q, 1.0)

@@ -13,18 +13,26 @@ from soft_tendon_env.mechanics.motion.advance import Control, Record
 from soft_tendon_env.mechanics.motion.period_map import linearised_rollout, make_plan
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.mechanics.terms.external_forces import rest_states
-from soft_tendon_env.model.derivatives import Linearization, linearized
+from soft_tendon_env.model.derivatives import Linearization, period_derivatives
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.state import SHORTEST, State, checked_motion, state_of
 from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.model.step_control import Command, cause_of, command_table, linear_rate, step_control, step_method
+from soft_tendon_env.model.step_control import (
+    RESOLVED,
+    Command,
+    cause_of,
+    command_table,
+    slowest_vibration,
+    step_control,
+    step_count,
+    step_method,
+)
 from soft_tendon_env.model.strain_limits import nearest_limit
 from soft_tendon_env.model.tension_limits import warn_beyond_limits
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type, shown_numbers
 from soft_tendon_env.tools.types import Array
 
 STEPS_LOGGED = 4096  # of a period that is linearised
-MOST_STEPS = 2 * 10**6  # of one call, whose commands and samples are kept
 
 
 class SimulationDiverged(RuntimeError):
@@ -35,8 +43,8 @@ class SimulationDiverged(RuntimeError):
         self.state, self.cause, self.command, self.unit = state, cause, command, unit
 
     def __str__(self) -> str:
-        held = f"{'tensions' if self.unit == 'N' else 'commands'} {shown_numbers(self.command)} {self.unit}"
-        return f"no step succeeds at {self.state.time:.6g} s under {held}: {self.cause}"
+        kind = "tensions" if self.unit == "N" else "commands"
+        return f"no step succeeds at {self.state.time:.6g} s under {kind} {shown_numbers(self.command)} {self.unit}: {self.cause}"
 
 
 class NoEquilibriumError(ValueError):
@@ -66,17 +74,12 @@ class Trajectory(NamedTuple):
     error: float  # [m], as in StepReport
     evaluations: int
 
-    @property
-    def tension(self) -> Array:
-        """The commands, where they are tensions [N]."""
-        return self.command
-
 
 class Rollout(NamedTuple):
     """Simulated motion over N periods and its linearisation: n coordinates, n_a tendons, m internal states of effects, k forces.
 
-    The derivatives are those of a linearly implicit method with the matrices of the period's beginning, see
-    docs/appendix/derivatives_measured.md: 2 to 15 percent of the largest entry off on most arms, all of it at an impact.
+    The derivatives are those of a linearly implicit method with the matrices of the period's beginning, 2 to 15 percent of the largest
+    entry off on most arms, all of it at an impact: docs/appendix/derivatives_measured.md.
     """
 
     q: Array  # (N + 1, n) where every period begins, and where the last one ends, as the next four
@@ -94,7 +97,7 @@ class Simulation:
 
     def __init__(self, model: Model, state: State | None = None) -> None:
         self.model = checked_type("model", model, Model, "see build_model")
-        self._method = step_method(model)
+        self._method, self._unit = step_method(model), model.command_unit
         self._limits = model.scene.effects.command_limits(model.discretisation.tension_limits).tolist()
         self._scratch = make_scratch(model.arm, self._method.columns, STEPS_LOGGED)
         self.reset()
@@ -119,12 +122,13 @@ class Simulation:
         held at q since long before.
         """
         still, clock = np.zeros(self.model.coordinate_count), np.array([checked_number("time", time, -np.inf, "a finite number")])
-        start, rate = (checked_array(name, still if own is None else own, still.shape) for name, own in (("q", q), ("q_dot", q_dot)))
-        held = self.model.command(np.zeros(self.model.tendon_count) if tension is None else tension, start)
+        start = checked_array("q", still if q is None else q, still.shape)
+        rate = checked_array("q_dot", still if q_dot is None else q_dot, still.shape)
+        command = self.model.command(np.zeros(self.model.tendon_count) if tension is None else tension, start)
         strain, work = self.model.packed_strain(start), self._scratch.work
         if effects is None and work.state.size:
             work.xi[:] = strain
-            rest_states(self.model.arm, held, work)
+            rest_states(self.model.arm, command, work)
         states = work.state.copy() if effects is None else checked_array("effects", effects, work.state.shape).copy()
         self._take(Motion(start, rate, strain, states, clock), self.model.scene.integrator.step)
         return self.state
@@ -167,18 +171,16 @@ class Simulation:
         duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
         if duration == 0.0:
             return StepReport(0, 0, 0.0, 0)
-        warn_beyond_limits(self._limits, u, self.model.command_unit)
+        warn_beyond_limits(self._limits, u, self._unit)
         control = step_control(self.model, duration)
-        _check_length(duration, control)
-        return self._run(np.tile(u, (round(duration / control.step), 1)), control, self._sample)
+        return self._run(u[None].repeat(step_count(duration, control), axis=0), control, self._sample)
 
     def linearize(self, command: ArrayLike, duration: float) -> Linearization:
         """Linearisation of `step` over `duration` [s] under a constant command (n_a,), which leaves the simulation where it is.
 
-        Central differences with the integrator's steps held: a coordinate is moved by 1e-4 of its unit, `Model.coordinate_scale`, a rate
-        by three times that a second, a command by 1e-4 of its limit, an internal state by 1e-4 of itself; among obstacles by a hundredth of
-        these. The error is below 1e-6 of the largest entry of a block where the motion is smooth. At a kink both sides are mixed; where one
-        side jumps or fails, the other one counts. Raises what `step` raises, LinAlgError where both sides fail.
+        Central differences with the integrator's steps held, by 1e-4 of units, `Model.coordinate_scale`, limits of commands and internal
+        states, among obstacles by a hundredth of that. The error is below 1e-6 of the largest entry of a block where the motion is smooth.
+        At a kink both sides are mixed; where one jumps or fails, the other one counts. Raises as `step`, LinAlgError where both sides fail.
         """
         start, step = self._motion.copy(), self._step
         try:
@@ -186,7 +188,7 @@ class Simulation:
                 raise ValueError(f"duration should be of at most {STEPS_LOGGED} integrator steps, not {steps}")
             inputs = np.concatenate([start.q, start.q_dot, start.state, np.asarray(command, dtype=np.float64)])
             taken = self._scratch.taken[:steps].copy() if steps else np.array([[0.0, self._method.columns]])
-            return linearized(self.model, start, inputs, taken, self.state)
+            return period_derivatives(self.model, start, inputs, taken, self.state)
         finally:
             self._take(start.copy(), step)
 
@@ -205,9 +207,9 @@ class Simulation:
         checked_number("duration", float(parts.sum()), SHORTEST, "a positive number of seconds")
         plan = make_plan(self.model.arm, checked_count("commands", len(played), 1), parts.size, others)
         plan.command[:], plan.duration[:] = played.reshape(plan.command.shape), parts
-        warn_beyond_limits(self._limits, plan.command, self.model.command_unit)
+        warn_beyond_limits(self._limits, plan.command, self._unit)
         period, motion = float(plan.duration.sum()), self._motion.copy()
-        steps = math.ceil(period * linear_rate(self.model)) if steps is None else checked_count("steps", steps, 1)
+        steps = math.ceil(period * slowest_vibration(self.model) / RESOLVED) if steps is None else checked_count("steps", steps, 1)
         control = step_control(self.model, period)
         code, row = linearised_rollout(self.model.arm, advance.Scheme(self._method, control), motion, steps, self._scratch, plan)
         if code != status.OK:
@@ -236,7 +238,7 @@ class Simulation:
         cause = cause_of(code, self.model, control)
         if code == status.NO_STRAIN:
             cause += f"; in the last good state {nearest_limit(self.model.arm, self.model.grid, motion.q, motion.xi)}"
-        return SimulationDiverged(state_of(self.model, motion, self._step), cause, command, self.model.command_unit)
+        return SimulationDiverged(state_of(self.model, motion, self._step), cause, command, self._unit)
 
 
 def simulate(model: Model, command: Command, duration: float, sample_period: float, initial: State | None = None) -> Trajectory:
@@ -253,23 +255,17 @@ def simulate(model: Model, command: Command, duration: float, sample_period: flo
     period = checked_number("sample_period", sample_period, SHORTEST, "a positive number of seconds")
     duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
     control = step_control(model, period)
-    _check_length(duration, control)
+    step_count(duration, control)
     samples = round(duration / period)
     if abs(samples * period - duration) > 1e-9 * max(duration, period):
         raise ValueError(f"duration should be a multiple of sample_period {period:g} s, not {duration:g} s")
     commands = command_table(model, command, simulation.state.time, samples, round(period / control.step), control.step)
     warn_beyond_limits(simulation._limits, commands, model.command_unit)
     start = simulation.reset_at_rest() if initial is None else simulation.state
-    record = Record(*(np.repeat(own[None], samples + 1, axis=0) for own in (start.q, start.q_dot, simulation.tip_pose)))
+    record = Record(*(value[None].repeat(samples + 1, axis=0) for value in (start.q, start.q_dot, simulation.tip_pose)))
     report = StepReport(0, 0, 0.0, 0)
     if samples:
         report = simulation._run(commands.reshape(-1, model.tendon_count), control, Record(*(values[1:] for values in record)))
     times = start.time + period * np.arange(samples + 1, dtype=np.float64)
     steps, rejected, error, evaluations = report
     return Trajectory(times, *record, commands, simulation.state, steps, rejected, error, evaluations)
-
-
-def _check_length(duration: float, control: Control) -> None:
-    """Raises ValueError where one call would have to keep too many samples and commands."""
-    if duration > (most := MOST_STEPS * control.step):
-        raise ValueError(f"duration should be at most {most:g} s in one call, not {duration:g} s: go on from the last state")

@@ -13,14 +13,13 @@ class StrainLimitError(ArithmeticError):
     """Raised where no strain balances the tensions: a tendon pulls its chord to nothing, or pushes the section past its shear stiffness."""
 
 
-def limit_at(arm: Arm, grid: Grid, block: int, q: Array, xi: Array, reached: float) -> str:
-    """Message about what ended a search for the strain at a block, see mechanics."""
-    buckles = "the arm buckles under the loads inside of its strain (strain.include_loads)"
-    return buckles if block == 2 * grid.packs else nearest_limit(arm, grid, q, xi, reached)
+def nearest_limit(arm: Arm, grid: Grid, q: Array, xi: Array, reached: float = 1.0, block: int = -1) -> str:
+    """Message that names what is nearest to the limit of what sections balance, a tendon and its place, or loads inside of the strain.
 
-
-def nearest_limit(arm: Arm, grid: Grid, q: Array, xi: Array, reached: float = 1.0) -> str:
-    """Message that names the tendon and place nearest to the limit of what the section can balance; xi: where a part of q was reached."""
+    xi: where a part of q was reached; block: at which a search for the strain ended, see mechanics.
+    """
+    if block == 2 * grid.packs:
+        return "the arm buckles under the loads inside of its strain (strain.include_loads)"
     rod, strain, tendons = arm.rod, arm.strain, arm.tendons
     if isinstance(strain, Explicit):
         return "an explicit strain has no such limit"

@@ -54,8 +54,7 @@ def summary(time: np.ndarray, error: np.ndarray) -> dict[str, float]:
 
 def claims(numbers: dict[str, dict[str, float]], length: float) -> list[Claim]:
     full, under = (numbers[name] for name in REDUCED)
-    size = "mm of tip mismatch on an arm of 1 m"
-    similar = f"largest {full['largest']:.1f}, root mean square {full['rms']:.1f} {size}"
+    similar = f"largest {full['largest']:.1f}, root mean square {full['rms']:.1f} mm of tip mismatch on an arm of 1 m"
     better = f"largest {under['largest']:.2f}, root mean square {under['rms']:.2f} mm: {full['rms'] / under['rms']:.0f} times less"
     found = [
         Claim("2(e)", "10 coordinates move like the high-order model", similar, full["largest"] < 1e3 * SIMILAR * length),

@@ -43,7 +43,7 @@ try:
     import pyarrow
     import rerun as rr
 
-    from soft_tendon_env.recording.rerun_layout import DrawnArm, LineStyle, layout, line_styles, part
+    from soft_tendon_env.recording.rerun_layout import DrawnArm, layout, line_styles, part
 except ImportError as error:
     raise DependencyNotInstalled('Rerun is not installed, run `pip install "soft_tendon_env[recording]"`') from error
 
@@ -59,23 +59,16 @@ TENDON_WIDTH, TRAIL_WIDTH, TARGET_WIDTH, TARGET_SIZE = -1.0, -1.25, -0.75, -4.0
 """Radii of lines and points in pixels: Rerun takes negative ones so."""
 
 
-def new_recording(name: str) -> rr.RecordingStream:
-    """A recording that goes nowhere yet."""
-    return rr.RecordingStream(name)
-
-
 class RerunStream:
     """A recording of Rerun, and the arms in it; `RerunFile` and `RerunViewer` say where it goes."""
 
     live = False
 
-    def __init__(self, recording: rr.RecordingStream, name: str, where: str) -> None:
+    def __init__(self, name: str, where: str) -> None:
         """`name`: of the recording, in the viewer, which keeps one layout per name; `where` it goes, for messages."""
-        self._where = where
-        self._arms: dict[str, DrawnArm] = {}
-        self._styles: dict[str, LineStyle] = {}
-        self._recording: rr.RecordingStream | None = recording
-        recording.send_recording_name(name)
+        self._where, self._arms = where, dict[str, DrawnArm]()
+        self._recording: rr.RecordingStream | None = rr.RecordingStream(name)
+        self._recording.send_recording_name(name)
 
     def __enter__(self) -> Self:
         return self
@@ -159,15 +152,15 @@ class RerunStream:
         along_x = rr.Quaternion(xyzw=[0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)])
         behind = [-depth / 2, 0.0, 0.0]
         tube = body(new.model, new.station, np.zeros((1, new.station.size, 3)))
-        colors = (*new.color, TRANSPARENCY)
+        colors = (*new.style.colour, TRANSPARENCY)
         parts: dict[str, rr.AsComponents] = {
             "": rr.Transform3D(translation=new.place),
-            "/name": rr.Points3D.from_fields(positions=[label_place(new.model)], radii=0.0, colors=new.color, show_labels=True),
+            "/name": rr.Points3D.from_fields(positions=[label_place(new.model)], radii=0.0, colors=new.style.colour, show_labels=True),
             "/body": rr.Cylinders3D.from_fields(lengths=tube.length, radii=tube.radius, fill_mode=solid, colors=colors),
             "/mount": rr.Cylinders3D(lengths=depth, radii=radius, centers=behind, quaternions=along_x, fill_mode=solid, colors=MOUNT_COLOR),
-            "/backbone": rr.LineStrips3D.from_fields(radii=0.5 * TENDON_WIDTH, colors=new.color),
+            "/backbone": rr.LineStrips3D.from_fields(radii=0.5 * TENDON_WIDTH, colors=new.style.colour),
             "/tendons": rr.LineStrips3D.from_fields(radii=TENDON_WIDTH),
-            "/trail": rr.LineStrips3D.from_fields(radii=TRAIL_WIDTH, colors=new.color),
+            "/trail": rr.LineStrips3D.from_fields(radii=TRAIL_WIDTH, colors=new.style.colour),
             "/tip": rr.TransformAxes3D(0.05 * length),
             "/target_backbone": rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR),
             "/target_trail": rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR),
@@ -248,11 +241,8 @@ class RerunStream:
 
     def _lay_out(self) -> None:
         """Send the names and colours of all lines in plots, and what the viewer is to show of all arms."""
-        styles = line_styles(self._arms)
-        for entity, style in styles.items():
-            if self._styles.get(entity) != style:
-                self._send_static(entity, rr.SeriesLines(names=style.names, colors=style.colors))
-        self._styles = styles
+        for entity, style in line_styles(self._arms).items():
+            self._send_static(entity, style)
         self._open_recording().send_blueprint(layout(self._arms, TRAIL, live=self.live))
 
 

@@ -16,13 +16,6 @@ from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.types import SHORTEST, Array, Length, Number
 
 
-def one_per_arc_length(values: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
-    """Validator of a table's column: as long as its `arc_length`."""
-    if len(values) != len(info.data.get("arc_length", values)):
-        raise ValueError(f"should have one entry per arc_length, {len(info.data['arc_length'])}")
-    return values
-
-
 class AlongRod(Configuration):
     """Base of what varies along the rod: radius profiles of a segment and routings of a tendon."""
 
@@ -34,6 +27,20 @@ class AlongRod(Configuration):
         """Shortest wavelength [m], which quadrature has to resolve; infinite for a line, twice the least distance of a table."""
         table = getattr(self, "arc_length", ())
         return 2 * float(np.diff(table).min()) if table else float("inf")
+
+    @field_validator("arc_length", check_fields=False)
+    @classmethod
+    def _increases(cls, arc_length: tuple[float, ...]) -> tuple[float, ...]:
+        if not np.all(np.diff(arc_length) >= SHORTEST):
+            raise ValueError(f"should increase, by at least {SHORTEST:g} m")
+        return arc_length
+
+    @field_validator("radius", "y", "z", check_fields=False)
+    @classmethod
+    def _one_per_arc_length(cls, values: Any, info: ValidationInfo) -> Any:
+        if "arc_length" in info.data and len(values) != len(info.data["arc_length"]):
+            raise ValueError(f"should have one entry per arc_length, {len(info.data['arc_length'])}")
+        return values
 
 
 class RadiusProfile(AlongRod):
@@ -66,15 +73,6 @@ class RadiusTable(RadiusProfile):
     arc_length: tuple[Number, ...] = Field(min_length=2)
     radius: tuple[Length, ...]
 
-    @field_validator("arc_length")
-    @classmethod
-    def _increases_from_zero(cls, arc_length: tuple[Number, ...]) -> tuple[float, ...]:
-        if arc_length[0] != 0 or not np.all(np.diff(arc_length) >= SHORTEST):
-            raise ValueError(f"should start at 0 and increase, by at least {SHORTEST:g} m")
-        return arc_length
-
-    _fits = field_validator("radius")(one_per_arc_length)
-
     def radius_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
         from scipy.interpolate import PchipInterpolator  # here: it takes longer to import than all else that most scenes need
 
@@ -82,9 +80,10 @@ class RadiusTable(RadiusProfile):
         return curve(arc_length), curve.derivative()(arc_length)
 
     def misfit(self, segment_length: float) -> str | None:
-        if abs(self.arc_length[-1] - segment_length) > 1e-9 * segment_length:
-            return f"should end at the segment's length, {segment_length:g}, but its arc_length ends at {self.arc_length[-1]:g}"
-        return None
+        first, last = self.arc_length[0], self.arc_length[-1]
+        if first == 0.0 and abs(last - segment_length) <= 1e-9 * segment_length:
+            return None
+        return f"should cover the segment, 0 to {segment_length:g}, but its arc_length runs from {first:g} to {last:g}"
 
 
 Radius = Annotated[

@@ -7,10 +7,10 @@ from abc import abstractmethod
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 
-from soft_tendon_env.scene.radius import AlongRod, one_per_arc_length
-from soft_tendon_env.tools.types import SHORTEST, Array, Length, NotNegative, Number
+from soft_tendon_env.scene.radius import AlongRod
+from soft_tendon_env.tools.types import Array, Length, NotNegative, Number
 
 Offset = tuple[Number, Number]
 Ends = tuple[float, float]
@@ -97,15 +97,6 @@ class TableRouting(TendonRouting):
     arc_length: tuple[Number, ...] = Field(min_length=4)
     y: tuple[Number, ...]
     z: tuple[Number, ...]
-
-    @field_validator("arc_length")
-    @classmethod
-    def _increases(cls, arc_length: tuple[float, ...]) -> tuple[float, ...]:
-        if not np.all(np.diff(arc_length) >= SHORTEST):
-            raise ValueError(f"should increase, by at least {SHORTEST:g} m")
-        return arc_length
-
-    _fits = field_validator("y", "z")(one_per_arc_length)
 
     def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
         from scipy.interpolate import CubicSpline  # here: it takes longer to import than all else that most scenes need

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.accuracy.pareto import cpu_time, explore, measure, pareto_front, worst
-from soft_tendon_env.accuracy.reference import LEVELS, Reference, distance, full_physics, reference_motions, tips
+from soft_tendon_env.accuracy.reference import LEVELS, Reference, distance, full_physics, reference_motions, trajectory
 from soft_tendon_env.accuracy.settings import Setting, evaluation_cost, strain_fields
 from soft_tendon_env.accuracy.test_inputs import HOLD, MOTIONS, motion_tensions
 from soft_tendon_env.model.build import build_model
@@ -43,7 +43,7 @@ def test_more_cost_buys_less_error_and_every_setting_is_a_scene(points):
 def test_errors_are_distances_from_the_reference(inputs):
     """A motion that the model has not counts as infinitely far, one that full physics has not does not count."""
     model, setting = full_physics(ARM, LEVELS[0]), Setting("", {}, 12, 1e-5)
-    own = tips(model, inputs[0])
+    own = trajectory(model, inputs[0]).tip_pose[:, :3, 3]
     found = measure(model, setting, [inputs[0]] * 2, Reference((own, own + [0.0, 0.0018, 0.0024]), (0.0, 0.0), LEVELS[0]))
     assert found.tip_errors == (0.0, pytest.approx(0.003))
     assert found.evaluations == 700.0, "4 columns take 7 evaluations every 10 ms"

@@ -30,7 +30,7 @@ def scene():
 REFUSED = [
     ({"segments.0.length": "0.2"}, "segments[0].length is '0.2': it should be a valid number"),
     ({"segments.0.length": float("nan")}, "segments[0].length is nan: it should be a finite number"),
-    ({"segments.0.radius": {"type": "table", "arc_length": [0.0, 0.1], "radius": [0.01, 0.01]}}, "should end at the segment's length, 0.2"),
+    ({"segments.0.radius": {"type": "table", "arc_length": [0.0, 0.1], "radius": [0.01, 0.01]}}, "should cover the segment, 0 to 0.2, but"),
     ({"segments.0.curvature": [0.0, 1.0]}, "segments[0].curvature[2] is missing: it is required"),
     ({"tendons.1.routing.type": "helx"}, "tendons[1].routing.type is 'helx': did you mean 'helix'? valid: converging, helix, straight"),
     ({"tendons.1.end": 0.05}, "tendons[1].end is 0.05: it should be greater than start, 0.1"),
