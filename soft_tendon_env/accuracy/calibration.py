@@ -64,7 +64,7 @@ def calibrated(scene: Scene, tolerance: float) -> Scene:
 
 
 def check_calibration(scene: Scene, tolerance: float = np.inf) -> None:
-    """Raises ConfigurationError that names obstacles, among which reference motions hardly converge, or for a tolerance [m] below their error."""
+    """Raises ConfigurationError among obstacles, where reference motions hardly converge, and for a tolerance [m] below their error."""
     for name, effect in scene.effects.chosen().items():
         if effect.is_contact:
             text = "cannot be calibrated, where the arm touches something: take a preset, or leave this table out"

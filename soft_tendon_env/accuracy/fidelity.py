@@ -26,7 +26,7 @@ class FidelityWarning(UserWarning):
 
 
 class Preset(NamedTuple):
-    """How accurate a part of the simulation is to be, as shares of the rod's length."""
+    """Accuracy of each part of a simulation, as shares of the rod's length."""
 
     fields: float  # error of the passive fields on motions of the usual kinds: as many of the arm's own are taken, or all there are
     moments: int  # Legendre order of the passive moments over the rod, for an arm that has no fields of its own
@@ -73,13 +73,12 @@ def at_fidelity(scene: Scene, fidelity: str | None) -> Scene:
         return scene
     if fidelity is not None and is_length(fidelity):
         return calibrated(scene, read_length(fidelity))
-    preset = PRESETS["standard" if fidelity is None else fidelity]
-    changes: dict[str, Any] = {}
-    if fidelity is not None or _leaves_strain_open(scene):
+    preset, everything, changes = PRESETS[fidelity or "standard"], fidelity is not None, dict[str, Any]()
+    if everything or _leaves_strain_open(scene):
         changes["strain"] = {**_rod_of(scene), "passive": _passive(scene, preset)}
-    if fidelity is not None or scene.quadrature == Quadrature():
+    if everything or scene.quadrature == Quadrature():
         changes["quadrature"] = preset.quadrature
-    if fidelity is not None or scene.integrator == Integrator():
+    if everything or scene.integrator == Integrator():
         changes["integrator"] = {"tolerance": preset.tolerance * rod_length(scene)}
     return scene.replace(changes)
 

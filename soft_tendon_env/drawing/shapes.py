@@ -1,7 +1,5 @@
 """Curves, bodies and solids of arms in space, where several arms stand, and the cameras that see them, for pictures and recordings."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from soft_tendon_env.effects import Effects, Solid
@@ -147,20 +145,9 @@ def mount_size(scene: Scene) -> tuple[float, float]:
     return BEHIND * length, max(1.9 * float(rod_radius(scene, np.zeros(1))[0][0]), 0.03 * length)
 
 
-class Body(NamedTuple):
-    """Cylinders from station to station, axis along their z: all that a tapered rod needs to be seen."""
-
-    length: Array  # (m - 1,) [m], unstrained
-    radius: Array  # (m - 1,) [m]
-    center: Array  # (samples, m - 1, 3) [m]
-    quaternion: Array  # (samples, m - 1, 4), x y z w
-
-
-def body(model: Model, arc_length: Array, position: Array) -> Body:
-    """The body at stations (m,) [m] whose positions are (samples, m, 3) [m]."""
-    radius, _ = rod_radius(model.scene, 0.5 * (arc_length[1:] + arc_length[:-1]))
-    center = 0.5 * (position[:, 1:] + position[:, :-1])
-    return Body(np.diff(arc_length), radius, center, rotation_from_z(np.diff(position, axis=1)))
+def cylinders(position: Array) -> tuple[Array, Array]:
+    """Centres (samples, m - 1, 3) [m] and quaternions, x y z w, of cylinders along z that go from station to station (samples, m, 3)."""
+    return 0.5 * (position[:, 1:] + position[:, :-1]), rotation_from_z(np.diff(position, axis=1))
 
 
 def rotation_from_z(direction: Array) -> Array:
@@ -189,7 +176,7 @@ def camera(model: Model, places: Array) -> tuple[Array, Array, Array]:
     """Position, target [m] and upward direction of the camera that sees arms at places (arms, 3) [m] whole, in a view wider than high."""
     lower, upper, vertical, upright = view_box(model.scene)
     middle = 0.5 * (lower + upper) + 0.5 * (places.min(axis=0) + places.max(axis=0))
-    distance = float(np.linalg.norm(upper - lower) + 0.5 * np.linalg.norm(np.ptp(places, axis=0)))
+    distance = float(0.8 * np.linalg.norm(upper - lower) + 0.3 * np.linalg.norm(np.ptp(places, axis=0)))
     towards = viewpoint(vertical, upright, ELEVATION)[2]
     return middle + distance * towards, middle, np.eye(3)[vertical] * (1.0 if upright else -1.0)
 

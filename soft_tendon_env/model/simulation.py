@@ -17,16 +17,7 @@ from soft_tendon_env.model.derivatives import Linearization, period_derivatives
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.state import SHORTEST, State, checked_motion, state_of
 from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.model.step_control import (
-    RESOLVED,
-    Command,
-    cause_of,
-    command_table,
-    slowest_vibration,
-    step_control,
-    step_count,
-    step_method,
-)
+from soft_tendon_env.model.step_control import Command, cause_of, command_table, linear_rate, step_control, step_count, step_method
 from soft_tendon_env.model.strain_limits import nearest_limit
 from soft_tendon_env.model.tension_limits import warn_beyond_limits
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type, shown_numbers
@@ -209,7 +200,7 @@ class Simulation:
         plan.command[:], plan.duration[:] = played.reshape(plan.command.shape), parts
         warn_beyond_limits(self._limits, plan.command, self._unit)
         period, motion = float(plan.duration.sum()), self._motion.copy()
-        steps = math.ceil(period * slowest_vibration(self.model) / RESOLVED) if steps is None else checked_count("steps", steps, 1)
+        steps = math.ceil(period * linear_rate(self.model)) if steps is None else checked_count("steps", steps, 1)
         control = step_control(self.model, period)
         code, row = linearised_rollout(self.model.arm, advance.Scheme(self._method, control), motion, steps, self._scratch, plan)
         if code != status.OK:

@@ -23,7 +23,7 @@ from soft_tendon_env.drawing.renderer import normals
 from soft_tendon_env.drawing.shapes import (
     backbones,
     base_poses,
-    body,
+    cylinders,
     drawing_stations,
     label_place,
     mount_size,
@@ -36,7 +36,7 @@ from soft_tendon_env.drawing.shapes import (
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.recording.rollout import Rollout
-from soft_tendon_env.scene.scene import rod_length, scene_to_dict
+from soft_tendon_env.scene.scene import rod_length, rod_radius, scene_to_dict
 from soft_tendon_env.tools.types import Array
 
 try:
@@ -95,8 +95,8 @@ class RerunStream:
         if arm in self._arms:
             raise ValueError(f"arm {arm!r} is in {self._where} already")
         where = np.array([*(side_by_side(model, len(self._arms)) if place is None else place)], dtype=float)
-        own = palette.style(arm, [other.style for other in self._arms.values()])
-        new = DrawnArm(model, own, where, drawing_stations(model, STATIONS))
+        style = palette.style(arm, [other.style for other in self._arms.values()])
+        new = DrawnArm(model, style, where, drawing_stations(model, STATIONS))
         straight = model.grid.unpacked(model.arm.rod.reference_strain)
         backbones(model, straight[None], new.station)  # compiles, if need be, before an episode waits for it
         self._arms[arm] = new
@@ -131,7 +131,7 @@ class RerunStream:
         self._send_numbers(arm, known, rollout, times)
         known.step += rollout.samples
         known.shown += rollout.samples
-        known.time += rollout.samples * _nanoseconds(rollout.period)
+        known.time += rollout.samples * round(1e9 * rollout.period)
 
     def _open_recording(self) -> rr.RecordingStream:
         if self._recording is None:
@@ -151,12 +151,12 @@ class RerunStream:
         depth, radius = mount_size(scene)
         along_x = rr.Quaternion(xyzw=[0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)])
         behind = [-depth / 2, 0.0, 0.0]
-        tube = body(new.model, new.station, np.zeros((1, new.station.size, 3)))
+        radii, _ = rod_radius(scene, 0.5 * (new.station[1:] + new.station[:-1]))
         colors = (*new.style.colour, TRANSPARENCY)
         parts: dict[str, rr.AsComponents] = {
             "": rr.Transform3D(translation=new.place),
             "/name": rr.Points3D.from_fields(positions=[label_place(new.model)], radii=0.0, colors=new.style.colour, show_labels=True),
-            "/body": rr.Cylinders3D.from_fields(lengths=tube.length, radii=tube.radius, fill_mode=solid, colors=colors),
+            "/body": rr.Cylinders3D.from_fields(lengths=np.diff(new.station), radii=radii, fill_mode=solid, colors=colors),
             "/mount": rr.Cylinders3D(lengths=depth, radii=radius, centers=behind, quaternions=along_x, fill_mode=solid, colors=MOUNT_COLOR),
             "/backbone": rr.LineStrips3D.from_fields(radii=0.5 * TENDON_WIDTH, colors=new.style.colour),
             "/tendons": rr.LineStrips3D.from_fields(radii=TENDON_WIDTH),
@@ -176,9 +176,9 @@ class RerunStream:
             self._send(f"{root}/mount", times, _poses(base))
         frames = backbones(rollout.model, rollout.strain, known.station, base)
         position = frames[..., :3, 3]
-        pieces = body(rollout.model, known.station, position)
-        cylinders = rr.Cylinders3D.columns(centers=pieces.center.reshape(-1, 3), quaternions=pieces.quaternion.reshape(-1, 4))
-        self._send(f"{root}/body", times, cylinders.partition([known.station.size - 1] * rollout.samples))
+        centers, quaternions = cylinders(position)
+        pieces = rr.Cylinders3D.columns(centers=centers.reshape(-1, 3), quaternions=quaternions.reshape(-1, 4))
+        self._send(f"{root}/body", times, pieces.partition([known.station.size - 1] * rollout.samples))
         self._send(f"{root}/backbone", times, _lines(position))
         curves = tendon_curves(rollout.model, frames, known.station)
         strips = rr.LineStrips3D.columns(
@@ -251,15 +251,11 @@ def _kind(scalar: str) -> str:
     return "reward" if scalar.startswith("reward") else "error" if scalar.endswith("error") else "other"
 
 
-def _nanoseconds(period: float) -> int:
-    return round(1e9 * period)
-
-
 def _times(arm: DrawnArm, samples: int, period: float) -> list[rr.TimeColumn]:
     """Places of the arm's next samples on the timelines."""
     passed = np.arange(samples)
     return [
-        rr.TimeColumn("sim_time", duration=(arm.time + passed * _nanoseconds(period)).astype("timedelta64[ns]")),
+        rr.TimeColumn("sim_time", duration=(arm.time + passed * round(1e9 * period)).astype("timedelta64[ns]")),
         rr.TimeColumn("step", sequence=arm.step + passed),
         rr.TimeColumn("episode", sequence=np.full(samples, arm.episode)),
     ]
