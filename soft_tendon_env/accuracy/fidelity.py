@@ -49,15 +49,14 @@ def build_model(scene: Scene, fidelity: str | None = UNSAID) -> Model:
     "fast", "standard" or "fine", a preset, see docs/appendix/fidelity.md; a length as "1mm", what a calibration finds for this error of the
     tip; None, as in `gym.make`, "standard" for what the scene leaves open; left out, "scene", with a warning where that differs.
 
-    Raises TypeError if it is not a Scene, ValueError for another fidelity, ConfigurationError if its coordinates are not independent. Warns
-    (`QuadratureWarning`) if `quadrature.intervals` is too coarse.
+    Raises TypeError, ValueError for another fidelity, and otherwise as model.build.build_model, which warns too.
     """
     checked_type("scene", scene, Scene, "see load_scene")
     if fidelity is UNSAID:
         if _leaves_strain_open(scene):
-            text = f"{scene.name!r} leaves its strain open, so that this model has the coordinates of the tensions alone and may be far off"
-            text = f"{text} in motion: say fidelity='standard', as gym.make has it, or fidelity='scene' for this"
-            warnings.warn(text, FidelityWarning, stacklevel=2)
+            text = "leaves its strain open, so that this model has the coordinates of the tensions alone and may be far off in motion"
+            advice = "say fidelity='standard', as gym.make has it, or fidelity='scene' for this"
+            warnings.warn(f"{scene.name!r} {text}: {advice}", FidelityWarning, stacklevel=2)
         fidelity = AS_SCENE
     if fidelity is not None:
         try:

@@ -78,18 +78,18 @@ def explore(scene: Scene, inputs: Sequence[Array], reference: Reference, fields:
     """Settings that may lie on the Pareto front, with costs and errors under inputs (rows, n_a) [N]; fields: the arm's own, if any."""
     tolerances = [share * rod_length(scene) for share in TOLERANCES]
 
-    def measured(setting: Setting) -> Point:
+    def point_of(setting: Setting) -> Point:
         return measure(model_on(setting.of(scene), setting.intervals), setting, inputs, reference)
 
-    def fine(named: tuple[str, dict[str, Any]]) -> list[Point]:
+    def finest(named: tuple[str, dict[str, Any]]) -> list[Point]:
         name, table = named
         with contextlib.suppress(ConfigurationError):  # no independent coordinates
             needed = quadrature_estimate(scene.replace({"strain": table, "quadrature": {"tolerance": QUADRATURE_TOLERANCE, "least": 2}}))
             tried = [] if needed.problem else quadratures(scene, needed.intervals)[:QUADRATURES]
-            return [measured(Setting(name, table, intervals, tolerances[-1])) for intervals in tried]
+            return [point_of(Setting(name, table, intervals, tolerances[-1])) for intervals in tried]
         return []
 
-    strains = run_all(fine, list(strain_fields(scene, fields).items()), processors(), "strain fields", unit="field", threads=True)
-    kept = pareto_front((point for points in strains for point in points), lambda point: (point.cost, point.tip_error))
-    others = [point.setting._replace(tolerance=tolerance) for point in kept for tolerance in tolerances[:-1]]
-    return [*kept, *run_all(measured, others, processors(), "tolerances", unit="setting", threads=True)]
+    strains = run_all(finest, list(strain_fields(scene, fields).items()), processors(), "strain fields", unit="field", threads=True)
+    front = pareto_front((point for points in strains for point in points), lambda point: (point.cost, point.tip_error))
+    others = [point.setting._replace(tolerance=tolerance) for point in front for tolerance in tolerances[:-1]]
+    return [*front, *run_all(point_of, others, processors(), "tolerances", unit="setting", threads=True)]

@@ -33,8 +33,7 @@ RUNS, FIRST_SEED = 10, 1000  # motions of each kind that snapshots are taken of,
 WILD = 0.2  # weight of samples of wild motions, which are several times as large as the others
 RESOLVED = 1e-3  # of the rod's length: full physics may change by so much at its next refinement, to take snapshots of
 ENERGY = 0.01  # weight of the energy beside displacements and rotations, which fix no field that moves nothing
-TESTS, COUNTS = 2, (0, 3, 4, 6, 7, 8, 9, 10, 12, 15, 18, 24)
-"""Motions of each usual kind, with seeds from 0, that fields are tested on, and their numbers."""
+TESTS, COUNTS = 2, (0, 3, 4, 6, 7, 8, 9, 10, 12, 15, 18, 24)  # motions of each usual kind, and numbers of fields, that are tested
 REFERENCE = 1e-4  # of the rod's length, error of the reference motions
 DIGITS = 9  # of the coefficients
 DEPENDENT = 1e-4  # relative size of tensions' fields that count as combinations of others
@@ -46,11 +45,11 @@ def make_passive_fields(scene: Scene) -> PassiveFields:
     Loads are those of the scene in half of the motions, and in the other half of random direction and size up to theirs; obstacles are left
     out. Raises ConfigurationError where full physics has none of the motions.
     """
-    scene = scene.replace({"effects": scene.effects.everywhere()})
-    bare = scene.replace({"strain": {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders)}})
+    strain = {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders)}
+    bare = scene.replace({"effects": scene.effects.everywhere(), "strain": strain})
     coefficients, singular_values = decompose(bare, *snapshots(bare))
     limits = np.array([tendon.tension_limits for tendon in scene.tendons])
-    made = PassiveFields(arm_of(bare), limits, breakpoints(bare), coefficients, scene.effects, singular_values, errors={})
+    made = PassiveFields(arm_of(bare), limits, breakpoints(bare), coefficients, bare.effects, singular_values, errors={})
     return replace(made, errors=tip_errors(bare, made))
 
 

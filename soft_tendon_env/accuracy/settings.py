@@ -11,12 +11,9 @@ from soft_tendon_env.scene.strain import ExplicitStrain
 OWN_FIELDS = (3, 6, 9, 12, 18, 24)  # numbers of the arm's own passive fields that are tried
 LEGENDRE_ORDERS = (2, 3)  # of passive moments over the rod
 ANGULAR = ("torsion", "bend_y", "bend_z")
-TOLERANCES = (1e-3, 3e-4, 1e-4, 5e-5, 3e-5, 2e-5, 1e-5, 3e-6)
-"""Error tolerances of the integrator, as shares of the rod's length; its order and then its step follow them."""
-PACKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
-"""Numbers of packs of quadrature intervals that are tried: what fills a pack costs no more than a part of it."""
-QUADRATURE_TOLERANCE = 5.0 * TIP_TOLERANCE
-"""Displacement of the tip at rest by quadrature, at the limits of tension, beyond which intervals are too few whatever motions say."""
+TOLERANCES = (1e-3, 3e-4, 1e-4, 5e-5, 3e-5, 2e-5, 1e-5, 3e-6)  # of the integrator, as shares of the rod's length
+PACKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)  # of quadrature intervals that are tried: what fills a pack costs no more than a part of it
+QUADRATURE_TOLERANCE = 5.0 * TIP_TOLERANCE  # of the tip at rest, beyond which intervals are too few whatever motions say
 FIXED, PER_PACK, PER_FIELD, SOLVE = 3.37e-6, 4.87e-7, 9.81e-8, 4.51e-9
 """Cost model [s], as `python benchmarks/evaluation_cost.py` fits it to measured times on an AMD EPYC."""
 

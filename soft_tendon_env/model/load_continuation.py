@@ -9,23 +9,17 @@ import numpy as np
 from soft_tendon_env.model.equilibrium_residual import NEUTRAL, At, Balance, Linearised, Stability
 from soft_tendon_env.tools.types import Array
 
-RESIDUAL, ON_THE_WAY = 1e-10, 1e-7
-"""Residual, see statics.Equilibrium, below which forces count as balanced, at the full load and on the way to it."""
+RESIDUAL, ON_THE_WAY = 1e-10, 1e-7  # residual below which forces count as balanced, at the full load and on the way to it
 CORRECTION, STRAY, FIRST_REACH = 0.5, 0.1, 3.0
 """[rad] that Newton's method may go from the predicted equilibrium, that the middle of a step may be off the cubic through its ends, and
 that the first step may move the arm to first order, its answer to the tensions alone left out."""
-SHORTEST, BEYOND, LEAST_LOAD = 2e-5, 1e-2, 1e-7
-"""Step, as a share of the load that was reached: a limit is told to this accuracy; how far past the end of its path an arm settles; and the
-load below which no step is tried."""
+SHORTEST, BEYOND, LEAST_LOAD = 2e-5, 1e-2, 1e-7  # steps, and how far past its path's end an arm settles, of the load reached; least step
 MOST_LINEARISATIONS, MOST_CORRECTIONS, MOST_SETTLINGS = 5000, 25, 20
 SLOW, FEW = 0.05, 8  # contraction of Newton's method above which its stiffness is computed anew; coordinates up to which that costs little
 NEAR, SOFT, SOFTEST = 0.05, 0.3, 1e-2
-"""[rad] from an equilibrium up to which a stiffness stands for its own, where the least eigenvalue, 1 for the unloaded arm, is above SOFT;
-and that below which steps need be no shorter."""
+"""[rad] from an equilibrium up to which a stiffness stands for its own where the least eigenvalue is above SOFT; that of shortest steps."""
 WATCHED = 3  # softest modes whose stiffness is watched in the middle of a step
-PUSH, FLOW_STEP, SHORTEST_FLOW = 1e-3, 0.1, 1e-9
-"""[rad] out of an equilibrium that is not stable, and of a step of an arm that settles; step of its time, in that in which damping lets a
-stiffness like the unloaded arm's relax."""
+PUSH, FLOW_STEP, SHORTEST_FLOW = 1e-3, 0.1, 1e-9  # [rad] out of an unstable equilibrium, and of a step that settles; step of its time
 SNAPS = "the arm snaps to another shape (limit point: no equilibrium is near)"
 BUCKLES = "the arm is no longer stable (bifurcation: it buckles)"
 FLUTTERS = "the arm is no longer stable (flutter: oscillations grow)"

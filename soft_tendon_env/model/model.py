@@ -29,7 +29,7 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
 TOLERANCE = 1e-12  # relative size of the last Newton correction at which a strain counts as found: round-off
-SINGULAR = 1e-14  # least eigenvalue of a matrix, scaled to a unit diagonal, up to which it counts as singular
+SINGULAR = 1e-14  # eigenvalue that counts as 0, see is_singular
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,8 +262,8 @@ class Model:
         q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
         tension = np.zeros(self.tendon_count) if u is None else checked_array("tension", u, (self.tendon_count,))
         work.clock[0] = time
-        out, rests = empty_terms(self.coordinate_count, self.tendon_count), work.state.size > 0
-        block, reached, placed = equation_of_motion(self.arm, tension, q, q_dot, rests, TOLERANCE, work, out)
+        out = empty_terms(self.coordinate_count, self.tendon_count)
+        block, reached, placed = equation_of_motion(self.arm, tension, q, q_dot, work.state.size > 0, TOLERANCE, work, out)
         self._check(q, work, block, reached, placed != TOO_LARGE)
         if placed == TOO_FAST:
             raise OverflowError(f"the rates q_dot are too large to compute with, up to {np.abs(q_dot).max():.3g}")
@@ -284,10 +284,10 @@ def model_on(scene: Scene, intervals: int) -> Model:
     return Model(scene, grid, make_arm(scene, grid))
 
 
-def least_eigenvalue(matrix: Array) -> float:
-    """The least eigenvalue of a matrix scaled to a unit diagonal."""
+def is_singular(matrix: Array) -> bool:
+    """Whether the least eigenvalue of a matrix, scaled to a unit diagonal, is 0 to round-off."""
     scale = np.sqrt(np.diag(matrix))
-    return float(np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0]) if scale.min() > 0.0 else 0.0
+    return not (scale.min() > 0.0 and np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] > SINGULAR)
 
 
 def _poses(rows: Array) -> Array:

@@ -1,8 +1,4 @@
-"""Quadrature error of a scene, and the number of intervals that it needs: the tip at rest, measured against a finer quadrature.
-
-Tensions within their limits hold the arm on two quadratures, and what its tip moves by from the one to the other is the error of the
-coarser one (of fourth order, so that of the finer one is far smaller).
-"""
+"""Quadrature error of a scene, and the intervals that it needs: what the tip at rest under tensions moves by on a finer quadrature."""
 
 import functools
 import math
@@ -15,19 +11,18 @@ from soft_tendon_env.mechanics.types import Implicit
 from soft_tendon_env.model.equilibrium_residual import Balance
 from soft_tendon_env.model.grid import over_nodes, screw_matrices
 from soft_tendon_env.model.load_continuation import LoadPath
-from soft_tendon_env.model.model import SINGULAR, Model, least_eigenvalue, model_on
+from soft_tendon_env.model.model import Model, is_singular, model_on
 from soft_tendon_env.model.statics import rests_at_tensions
 from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.scene.radius import RadiusProfile
 from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene, breakpoints
 from soft_tendon_env.tools.checks import shown_numbers
-from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.types import Array
 
 SAFETY = 0.75  # part of the tolerance that the largest displacement found may reach, since not all tensions are tried
 MASS_TOLERANCE, LEAST_INERTIA, NO_INERTIA = 0.02, 0.1, 1e-9
-"""Largest relative error of the rod's mass; least part of its inertia that a combination of coordinates must keep, as fields of high order
-need as many nodes; and the share of the largest up to which a combination has none on any quadrature."""
+"""Largest relative error of the rod's mass; least part of its inertia that a combination of coordinates must keep; share of the largest up
+to which a combination has none on any quadrature."""
 PER_WAVE = 4.0  # intervals of the finer quadrature for the shortest wavelength of the geometry
 CORNERS, SETTLED = 32, 6  # sets of tendons at their limits that are tried; of the worst tensions equilibria are solved under
 HOPELESS = 96  # intervals from which on the search ends where twice as many do not even halve the error
@@ -56,17 +51,8 @@ def quadrature_estimate(scene: Scene, intervals: int | None = None) -> Quadratur
     return test.search(scene.quadrature.least) if intervals is None else test.error_estimate(intervals)
 
 
-def model_on_needed(scene: Scene) -> Model:
-    """Model of a scene on the quadrature in use. Warns (QuadratureWarning) where that is too coarse.
-
-    Raises ConfigurationError where the stress-free rod turns more often than the finest quadrature could tell.
-    """
-    most = MOST_INTERVALS * (breakpoints(scene).size - 1)
-    for i, segment in enumerate(scene.segments):
-        turns = math.hypot(*segment.curvature) * segment.length / (2.0 * math.pi)
-        if turns > most:
-            text = f"is {shown(segment.curvature)}: it turns the segment {turns:.3g} times, and the finest quadrature tells {most} turns"
-            raise ConfigurationError([Problem(("segments", i, "curvature"), text)])
+def choose_quadrature(scene: Scene) -> Model:
+    """Model of a scene on the quadrature in use. Warns (QuadratureWarning) where that is too coarse."""
     test, given = QuadratureTest(scene), scene.quadrature.intervals
     found = test.search(scene.quadrature.least) if given is None else test.error_estimate(given)
     if found.problem:
@@ -118,7 +104,7 @@ class QuadratureTest:
             return refused
         with np.errstate(all="ignore"):  # forces of a hopeless quadrature may be infinite or NaN
             try:
-                if coarse.coordinate_count == fine.coordinate_count and least_eigenvalue(coarse.metric) > SINGULAR:
+                if coarse.coordinate_count == fine.coordinate_count and not is_singular(coarse.metric):
                     share, tension = self.displacement(coarse, fine)
                     error, kept = share / SAFETY, inertia_kept(coarse, fine)
                     off = f"the tip is off by about {100 * error:.2g} % of the length, {1e3 * error * coarse.length:.2g} mm"

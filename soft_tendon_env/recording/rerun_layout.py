@@ -15,7 +15,6 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 
 RECENT, AHEAD = 10.0, 1.5  # times [s] that plots of a running simulation show, before now and as room for legends
-TOTAL = "reward"  # the scalar that the terms of rewards add up to
 LEGEND, NO_LEGEND = rrb.PlotLegend(rrb.Corner2D.RightTop), rrb.PlotLegend(visible=False)
 
 
@@ -106,16 +105,12 @@ def _tensions(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> list[rrb.
 
 def _others(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> list[rrb.View | rrb.Container]:
     """Rewards, what else is counted, the titles of episodes, the scene."""
-    plots: dict[str, list[str]] = {"reward": [], "reward terms": [], "other": []}
-    for arm, known in arms.items():
-        for kind in ("reward", "other"):
-            for name in known.series.get(kind, []):
-                plots["reward terms" if kind == "reward" and name != TOTAL else kind].append(f"/{kind}/{part(arm)}/{part(name)}")
-    views = [
-        rrb.TimeSeriesView(contents=shown, name=name, axis_x=axis, plot_legend=LEGEND if len(shown) > 1 else NO_LEGEND)
-        for name, shown in plots.items()
-        if shown
-    ]
+    views: list[rrb.View] = []
+    for kind in ("reward", "other"):
+        shown = [f"/{kind}/{part(arm)}/{part(name)}" for arm, known in arms.items() for name in known.series.get(kind, [])]
+        if shown:
+            legend = LEGEND if len(shown) > 1 else NO_LEGEND
+            views.append(rrb.TimeSeriesView(contents=shown, name=kind, axis_x=axis, plot_legend=legend))
     scenes = [rrb.TextDocumentView(origin=f"/scene/{part(next(iter(arms)))}", name="scene")]
     return [*views, rrb.TextLogView(origin="/episodes", name="episodes"), *scenes]
 
