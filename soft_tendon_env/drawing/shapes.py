@@ -7,7 +7,7 @@ from soft_tendon_env.mechanics.motion.batch import read_backbones
 from soft_tendon_env.mechanics.terms.external_forces import place_base
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.coordinates import effects_outside
-from soft_tendon_env.model.grid import discretisation
+from soft_tendon_env.model.grid import at_points
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene, rod_length, rod_radius, tendon_ends, tendon_offset
 from soft_tendon_env.tools.types import Array
@@ -38,7 +38,7 @@ def base_poses(model: Model, times: Array, effects: Effects | None = None) -> Ar
         return poses
     if effects is not None:
         scene = model.scene.model_copy(update={"effects": effects})
-        table = effects_outside(scene).table(discretisation(scene, model.grid))
+        table = effects_outside(scene).table(at_points(scene, model.grid).rod)
     arm, work = model.arm.replaced(effects=table), make_workspace(model.arm)
     for pose, time in zip(poses, times, strict=True):
         work.clock[0] = time

@@ -5,7 +5,7 @@ from numpy.polynomial import legendre
 
 from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded, StaticsBased, point_field
-from soft_tendon_env.model.grid import STRAIGHT, AtPoints, Grid, at_points, chords, discretisation, make_rod, pack_ranges
+from soft_tendon_env.model.grid import STRAIGHT, AtPoints, Grid, at_points, chords, make_rod, pack_ranges
 from soft_tendon_env.scene.passive_fields import fields_of
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Modes, Snapshots
@@ -17,13 +17,12 @@ from soft_tendon_env.tools.types import Array
 def make_arm(scene: Scene, grid: Grid, strain: StaticsBased | Loaded | Explicit | None = None) -> Arm:
     """All that the kernels read of a scene, on this grid; strain: with the combinations of tensions and passive fields that stay."""
     here = at_points(scene, grid)
-    seen = discretisation(scene, grid, here)
-    effects = effects_outside(scene).table(seen)
+    effects = effects_outside(scene).table(here.rod)
     if effects.base.any() and effects_inside(scene):
         text = "is given, but the loads inside of a strain have to stand still beside the arm's base, which moves: leave it out"
         raise ConfigurationError([Problem(("strain", "include_loads"), text)])
     law = None if strain is None or isinstance(strain, Explicit) else strain.law
-    rod, strain = make_rod(scene, grid, scene.strain.free, here, seen), make_strain(scene, grid, here, law)
+    rod, strain = make_rod(scene, grid, scene.strain.free, here), make_strain(scene, grid, here, law)
     return Arm(rod=rod, tendons=here.tendons, strain=strain, effects=effects)
 
 
@@ -37,11 +36,8 @@ def effects_outside(scene: Scene) -> Effects:
     return scene.effects.outside() if effects_inside(scene) else scene.effects
 
 
-def make_strain(
-    scene: Scene, grid: Grid, here: AtPoints | None = None, law: StaticsBased | None = None
-) -> StaticsBased | Loaded | Explicit:
+def make_strain(scene: Scene, grid: Grid, here: AtPoints, law: StaticsBased | None = None) -> StaticsBased | Loaded | Explicit:
     """Arrays of the scene's strain parametrisation: an explicit basis, or a law, made anew if None, with its dead loads, if any."""
-    here = here or at_points(scene, grid)
     if isinstance(scene.strain, ExplicitStrain):
         fields = mode_fields(scene.strain.modes, grid)
         first, last = pack_ranges(fields.any(axis=(2, 3)) & grid.real)

@@ -117,8 +117,7 @@ class AtPoints(NamedTuple):
     curvature: Array  # (intervals, 2, 3) [1/m]
     geometry: Array  # (n_a, intervals, 2, 5), see `tendon_geometry`
     tendons: Tendons
-    tendon_length: Array  # (n_a,) [m]
-    tendon_turn: Array  # (n_a,) [rad]
+    rod: Discretisation  # as effects see it
 
 
 def at_points(scene: Scene, grid: Grid) -> AtPoints:
@@ -136,11 +135,26 @@ def at_points(scene: Scene, grid: Grid) -> AtPoints:
     angle = (np.linalg.norm(turn, axis=-1) * there[:, 1:] * there[:, :-1]).sum(axis=1)
     first, last = pack_ranges((geometry[..., 4] > 0.0).any(axis=2) & grid.real)
     tendons = Tendons(size=len(geometry), geometry=point_field(geometry), first=first, last=last)
-    return AtPoints(elasticity, damping, k, geometry, tendons, length, np.asarray(angle))
+    rod = Discretisation(
+        length=float(grid.breakpoints[-1]),
+        borders=grid.breakpoints,
+        node=grid.start + grid.length,
+        point=grid.points,
+        radius=lambda arc_length: rod_radius(scene, arc_length)[0],
+        elasticity=lambda arc_length: screw_matrices(scene, arc_length)[0],
+        line_mass=lambda arc_length: screw_matrices(scene, arc_length)[2][:, 3],
+        over_nodes=lambda density: over_nodes(grid, density),
+        tendon_length=length,
+        tendon_turn=np.asarray(angle),
+        tension_limits=np.array([tendon.tension_limits for tendon in scene.tendons]),
+        effects=scene.effects,
+        step=scene.integrator.step,
+    )
+    return AtPoints(elasticity, damping, k, geometry, tendons, rod)
 
 
-def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], here: AtPoints, seen: Discretisation) -> Rod:
-    """Arrays of the rod's section; strains not named in `free` are rigid. seen: the rod as effects see it."""
+def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], here: AtPoints) -> Rod:
+    """Arrays of the rod's section; strains not named in `free` are rigid."""
     exists = np.array([strain in free for strain in STRAINS], dtype=float)
     reference = np.zeros((*grid.points.shape, 6))
     reference[..., :3] = here.curvature
@@ -148,7 +162,7 @@ def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], here: AtPoints, se
     inertia = over_nodes(grid, lambda arc_length: screw_matrices(scene, arc_length)[2])
     mass = inertia[:, 3].copy()
     mass[-1] += scene.effects.payload[3]
-    inertia += scene.effects.added_inertia(seen)
+    inertia += scene.effects.added_inertia(here.rod)
     inertia[-1] += scene.effects.payload
     last = max(STRAINS.index(strain) for strain in free)
     return Rod(
@@ -179,26 +193,6 @@ def over_nodes(grid: Grid, density: Callable[[Array], Array]) -> Array:
         if piece:
             total[first - 1] += shares[0]
     return total
-
-
-def discretisation(scene: Scene, grid: Grid, here: AtPoints | None = None) -> Discretisation:
-    """The rod on this grid, as effects see it. here: its section and shape at the points, if they are at hand."""
-    here = here or at_points(scene, grid)
-    return Discretisation(
-        length=float(grid.breakpoints[-1]),
-        borders=grid.breakpoints,
-        node=grid.start + grid.length,
-        point=grid.points,
-        radius=lambda arc_length: rod_radius(scene, arc_length)[0],
-        elasticity=lambda arc_length: screw_matrices(scene, arc_length)[0],
-        line_mass=lambda arc_length: screw_matrices(scene, arc_length)[2][:, 3],
-        over_nodes=lambda density: over_nodes(grid, density),
-        tendon_length=here.tendon_length,
-        tendon_turn=here.tendon_turn,
-        tension_limits=np.array([tendon.tension_limits for tendon in scene.tendons]),
-        effects=scene.effects,
-        step=scene.integrator.step,
-    )
 
 
 def tendon_geometry(scene: Scene, grid: Grid) -> Array:

@@ -19,7 +19,7 @@ from soft_tendon_env.mechanics.terms.tendons import tendon_lengths
 from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded
 from soft_tendon_env.mechanics.workspace import Workspace, make_workspace
 from soft_tendon_env.model.coordinates import effects_outside, make_arm
-from soft_tendon_env.model.grid import Grid, discretisation, make_grid, screw_matrices
+from soft_tendon_env.model.grid import Grid, at_points, make_grid, screw_matrices
 from soft_tendon_env.model.strain_limits import StrainLimitError, nearest_limit
 from soft_tendon_env.model.terms import Energy, Terms, empty_terms
 from soft_tendon_env.scene.parameters import scene_parameters, scene_with_numbers
@@ -126,7 +126,7 @@ class Model:
     @cached_property
     def discretisation(self) -> Discretisation:
         """The discretised rod as effects see it."""
-        return discretisation(self.scene, self.grid)
+        return at_points(self.scene, self.grid).rod
 
     @property
     def acting(self) -> dict[str, Effect]:

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 from pydantic import Discriminator, Field, Tag, field_validator
 from pydantic_core.core_schema import ValidationInfo
 
@@ -90,11 +89,3 @@ Radius = Annotated[
     Annotated[Length, Tag("number")] | Annotated[LinearRadius, Tag("linear")] | Annotated[RadiusTable, Tag("table")],
     Discriminator(lambda value: value.get("type") if isinstance(value, Mapping) else getattr(value, "type", "number")),
 ]
-
-
-def radius_and_slope(profile: float | RadiusProfile, arc_length: ArrayLike, segment_length: float) -> tuple[Array, Array]:
-    """Radius [m] and d radius/dX [-] of a constant radius [m] or a profile, at arc lengths (...) [m] from the segment's start."""
-    arc_length = np.asarray(arc_length, dtype=float)
-    if isinstance(profile, RadiusProfile):
-        return profile.radius_and_slope(arc_length, segment_length)
-    return np.full_like(arc_length, profile), np.zeros_like(arc_length)

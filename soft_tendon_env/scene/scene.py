@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.effects.base import Effects
-from soft_tendon_env.scene.radius import Radius, RadiusProfile, radius_and_slope
+from soft_tendon_env.scene.radius import Radius, RadiusProfile
 from soft_tendon_env.scene.routing import Ends, Routing
 from soft_tendon_env.scene.strain import ExplicitStrain, StaticsBased
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, override
@@ -186,10 +186,13 @@ def rod_radius(scene: Scene, arc_length: ArrayLike) -> tuple[Array, Array]:
     """Radius [m] and its slope d radius/dX [-] at arc lengths [m] from the rod's base, each (m,). Borders: see `segment_index`."""
     arc_length = np.atleast_1d(np.asarray(arc_length, dtype=float))
     index, starts = segment_index(scene, arc_length), segment_borders(scene)
-    radius, slope = np.empty_like(arc_length), np.empty_like(arc_length)
+    radius, slope = np.zeros((2, *arc_length.shape))
     for i, segment in enumerate(scene.segments):
         here = index == i
-        radius[here], slope[here] = radius_and_slope(segment.radius, arc_length[here] - starts[i], segment.length)
+        if isinstance(segment.radius, RadiusProfile):
+            radius[here], slope[here] = segment.radius.radius_and_slope(arc_length[here] - starts[i], segment.length)
+        else:
+            radius[here] = segment.radius
     return radius, slope
 
 
