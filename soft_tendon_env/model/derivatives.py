@@ -39,7 +39,7 @@ def ends(model: Model, start: Motion, taken: Array, inputs: Array) -> tuple[Arra
     """States (copies, s) and tip poses (copies, 4, 4) after a period, inf where it fails. Raises LinAlgError.
 
     inputs (copies, s + n_a): numbers of the state where it begins, and commands; taken (steps, 2): length [s] and columns of every step,
-    the same for all copies, since an order that follows their own errors would jump.
+    the same for all copies, since an order that follows their errors would jump.
     """
     arm, n, count = model.arm, model.coordinate_count, len(inputs)
     batch = make_batch(arm, model.grid.places(np.zeros(0), np.zeros(0)), start, 0.0, count)

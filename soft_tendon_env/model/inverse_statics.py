@@ -19,14 +19,11 @@ from soft_tendon_env.model.statics import ChordSolver, Equilibrium, static_equil
 from soft_tendon_env.tools.checks import checked_array, checked_type
 from soft_tendon_env.tools.types import Array
 
-EFFORTS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
-"""mu, for errors in lengths of the rod and tensions in those that would move the tip by about as much."""
-NEAR = 3  # a start other than at rest leaves so many of them out: a large mu would lead back to rest
-RANDOM_STARTS = 6
+EFFORTS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)  # mu, for errors in lengths of the rod, and tensions that would move the tip by as much
+NEAR, RANDOM_STARTS = 3, 6  # efforts that a start other than at rest leaves out, as a large mu leads back to rest; such starts
 POSITION_TOLERANCE = 1e-4  # of the rod's length, error up to which a target counts as reached
 ANGLE_WEIGHT = 0.5  # of the rod's length: an arc bent by an angle moves its tip by half its length times that
-OPTIONS = {"method": "trf", "ftol": 1e-8, "xtol": 1e-8, "gtol": 1e-14, "max_nfev": 60}
-"""Settings of the search for each mu; "dogbox" needs fewer steps, but stalls where many tendons reach their limits."""
+OPTIONS = {"method": "trf", "ftol": 1e-8, "xtol": 1e-8, "gtol": 1e-14, "max_nfev": 60}  # "dogbox" stalls where many tendons are at limits
 RIGID = 1e-6  # deviation of R^T R from the identity up to which a matrix counts as a rotation
 
 

@@ -30,14 +30,13 @@ class LoadPath:
 
     def __init__(self, balance: Balance, most: int = MOST_LINEARISATIONS) -> None:
         self.balance, self.most = balance, most
-        model = balance.model
         # with the statics-based strain q = [u; 0] balances the tensions (34): what is left to find is the answer to the effects
-        self._answer = model.arm.strain.rest_coordinates(balance.tension)
+        self._answer = balance.model.arm.strain.rest_coordinates(balance.tension)
 
     def rest(self, settlings: int = 0) -> tuple[Linearised, str]:
-        """Follow the path from the unloaded arm; where it ends let the arm go, at most so many times, and load it further.
+        """The last equilibrium on the path from the unloaded arm, and why it ends there; no reason at the full load.
 
-        The last equilibrium, and why the path ends there; no reason at the full load.
+        Where it ends the arm is let go, at most so many times, and loaded further.
         """
         end, reason = self.follow(self.balance.unloaded())
         for _ in range(settlings):
@@ -86,7 +85,7 @@ class LoadPath:
         tolerance = RESIDUAL if part == 1.0 else ON_THE_WAY
         slow = SLOW if self.balance.size > FEW else 0.0
         here, last = self.balance.linearise(q, part), np.inf
-        at = here and here.at
+        at = None if here is None else here.at
         for _ in range(MOST_CORRECTIONS + 1):  # the last one is looked at too
             if here is None or at is None:
                 return None
@@ -99,17 +98,14 @@ class LoadPath:
                 return None
             if size > slow * last and at is not here.at:
                 here = self.balance.linearise(at.q, part)
-                at = here and here.at
+                at = None if here is None else here.at
             else:
                 at, last = self.balance.at(at.q + change, part), size
         self.balance.obstacle = f"Newton's method did not balance the forces in {MOST_CORRECTIONS} iterations"
         return None
 
     def settle(self, end: Linearised) -> Linearised | None:
-        """Rest of an arm under the load just beyond the end of its path, to which it moves slowly: damping alone resists.
-
-        The flow G q_dot = f by linearly implicit Euler steps of at most FLOW_STEP, from a small push along the softest mode.
-        """
+        """Rest of an arm under the load just beyond the end of its path: the flow G q_dot = f from a small push along the softest mode."""
         from scipy.linalg import cho_factor, cho_solve  # here: it takes longer to import than all else that most scenes need
 
         part, mode, h = min((1.0 + BEYOND) * end.at.part + LEAST_LOAD, 1.0), end.stability.modes[:, 0], 0.1

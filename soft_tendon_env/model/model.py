@@ -180,10 +180,7 @@ class Model:
         return lengths
 
     def energy(self, q: ArrayLike, q_dot: ArrayLike, effects: ArrayLike | None = None) -> Energy:
-        """Kinetic, elastic and load energy. Raises ValueError if an effect has no potential.
-
-        effects (m,): internal states, see State, by default those at rest at q.
-        """
+        """Kinetic, elastic and load energy; effects (m,): internal states, by default at rest. Raises ValueError without a potential."""
         rod, grid, rate = self.arm.rod, self.grid, self._coordinates("q_dot", q_dot)
         with self.workspace() as work:
             mass = self._evaluate(None, q, rate, 0.0, work).mass

@@ -14,7 +14,7 @@ from soft_tendon_env.model.load_continuation import LoadPath
 from soft_tendon_env.model.model import Model, is_singular, model_on
 from soft_tendon_env.model.statics import rests_at_tensions
 from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.radius import RadiusProfile
+from soft_tendon_env.scene.routing import RadiusProfile
 from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene, breakpoints
 from soft_tendon_env.tools.checks import shown_numbers
 from soft_tendon_env.tools.types import Array
@@ -28,8 +28,7 @@ CORNERS, SETTLED = 32, 6  # sets of tendons at their limits that are tried; of t
 HOPELESS = 96  # intervals from which on the search ends where twice as many do not even halve the error
 FARTHEST, MOST_HALVINGS = 2.0, 40  # lengths from the base beyond which no tip is; halvings of tensions that no strain balances
 MOST_LINEARISATIONS = 100  # on the path to an equilibrium
-FALL, MARGIN = 3.0, 2.0
-"""Bend [rad] along its softest mode at which an arm is looked at whose path ends, where it falls over; factor for other such shapes."""
+FALL, MARGIN = 3.0, 2.0  # bend [rad] along its softest mode of an arm whose path ends and that falls over; factor for other such shapes
 
 
 class QuadratureWarning(UserWarning):
@@ -80,8 +79,8 @@ class QuadratureTest:
         radii = [segment.radius for segment in scene.segments if isinstance(segment.radius, RadiusProfile)]
         shortest = min(shape.wavelength() for shape in (*(tendon.routing for tendon in scene.tendons), *radii))
         per_piece = math.ceil(PER_WAVE * np.diff(breakpoints(scene)).max() / shortest)
+        # that a finer quadrature has at least: coarser ones could agree with each other and be both wrong
         self.resolving = min(max(per_piece, 3 * (scene.strain.highest_order + 1)), MOST_INTERVALS)
-        """Intervals that a finer quadrature has at least: coarser ones could agree with each other and be both wrong."""
 
     def search(self, intervals: int) -> QuadratureEstimate:
         """The estimate for the first number from this one on that suffices, in steps as the fourth order suggests; or MOST_INTERVALS."""
@@ -174,8 +173,7 @@ def _unloaded_share(coarse: Model, fine: Model, responses: list[Array], tension:
 
 
 def _share_at_rest(coarse: Model, fine: Model, tension: Array, guess: Array) -> tuple[float, Array]:
-    """Distance of the tips on two quadratures at rest under tensions and loads, as a share of the length, and coordinates (n,) there; where
-    the arm holds only a part of them, in the shape into which it falls over, with a margin."""
+    """`_unloaded_share` at rest under tensions and loads, and coordinates (n,) there; with a margin for an arm that falls over."""
     with coarse.workspace() as work, fine.workspace() as fine_work:
         path, finer = LoadPath(Balance(coarse, tension, work), MOST_LINEARISATIONS), LoadPath(Balance(fine, tension, fine_work))
         found = path.equilibrium(guess, 1.0) if guess.any() else None

@@ -120,7 +120,7 @@ class Simulation:
         if effects is None and work.state.size:
             work.xi[:] = strain
             rest_states(self.model.arm, command, work)
-        states = work.state.copy() if effects is None else checked_array("effects", effects, work.state.shape).copy()
+        states = work.state.copy() if effects is None else checked_array("effects", effects, work.state.shape)
         self._take(Motion(start, rate, strain, states, clock), self.model.scene.integrator.step)
         return self.state
 
@@ -258,5 +258,4 @@ def simulate(model: Model, command: Command, duration: float, sample_period: flo
     if samples:
         report = simulation._run(commands.reshape(-1, model.tendon_count), control, Record(*(values[1:] for values in record)))
     times = start.time + period * np.arange(samples + 1, dtype=np.float64)
-    steps, rejected, error, evaluations = report
-    return Trajectory(times, *record, commands, simulation.state, steps, rejected, error, evaluations)
+    return Trajectory(times, *record, commands, simulation.state, *report)

@@ -1,7 +1,4 @@
-"""Static equilibria: solve B u - K + F = 0 of (23) for the coordinates q at given tensions u, for every strain parametrisation.
-
-Of many equilibria the one found is where a slowly loaded arm goes, see load_continuation.
-"""
+"""Static equilibria B u - K + F = 0 of (23): of many the one where a slowly loaded arm goes, see load_continuation."""
 
 from __future__ import annotations
 
@@ -22,8 +19,7 @@ from soft_tendon_env.model.tension_limits import erring_actuators, warn_beyond_l
 from soft_tendon_env.tools.checks import checked_array, checked_type
 from soft_tendon_env.tools.types import Array
 
-MOST_COMMANDED = 50
-SAME_TENSION = 1e-11  # relative difference of two tensions, or of the rod's length as a spring of a tendon is longer, that counts as none
+MOST_COMMANDED, SAME_TENSION = 50, 1e-11  # iterations under a command; relative difference of tensions that counts as none
 CONTRACTION = 0.5  # from a correction to the next, above which Newton's method with the stiffness of another equilibrium is given up
 SEEN = 1e-4  # share of the rod's length: how far redundant tendons may leave the tip off without a warning
 
@@ -117,11 +113,10 @@ def _tip_error(balance: Balance, at: At, tip: Array) -> float:
 
 
 def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium, Array]:
-    """Static equilibrium under a command (n_a,), and the tensions (n_a,) [N] that hold it: with elastic tendons the command are their
-    actuators' displacements [m], of which tensions depend on the shape, otherwise the tensions themselves.
+    """Static equilibrium under a command (n_a,), see `Model.command_unit`, and the tensions (n_a,) [N] that hold it.
 
-    Newton's method on the tensions, every linear step of it within what tendons and actuators can hold. Where it finds none, `converged`
-    is false. Raises as `static_equilibrium`.
+    With elastic tendons Newton's method on the tensions, every linear step of it within what tendons and actuators can hold. Where it
+    finds none, `converged` is false. Raises as `static_equilibrium`.
     """
     checked_type("model", model, Model, "see build_model")
     given, path, n_a = checked_array("command", command, (model.tendon_count,)), model.arm.effects.transmission, model.tendon_count

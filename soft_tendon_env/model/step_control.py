@@ -20,8 +20,8 @@ MOST_STEPS = 2 * 10**6  # of one call, whose commands and samples are kept
 UNSTABLE = 0.05  # estimated error, as displacement over the rod's length, that a step of fixed size may have
 STRAIN_SHARE, LOOSEST_STRAIN = 2.0, 3e-6  # tolerance of the strain's Newton, as a share of the step's over the rod's length, and the most
 BESIDE_MIDDLE, UNRESOLVED = 0.5 / np.sqrt(3.0), 0.05
-"""Place in a step from its middle where a command that is a function of time is looked at besides, a Gauss point, which no period that fits
-into steps hits; and the share of its range that it may change there otherwise than from step to step."""
+"""Place in a step from its middle, a Gauss point that no period in steps hits, where a function of time is looked at besides; share of its
+range that it may change there otherwise than from step to step."""
 RESOLVED = 0.3  # [rad], phase of the slowest vibration that one step of a linearised motion may cover
 Command = ArrayLike | Callable[[float], ArrayLike]
 

@@ -1,7 +1,7 @@
 """Passive fields from snapshots (proper orthogonal decomposition): their file, and which of those there are fit a scene.
 
-The fields are wrenches along the rod that its tendons cannot make, most important first; accuracy/proper_orthogonal_fields.py makes them.
-They are a basis: for another material or load than a file says they stay valid, and lose accuracy, which is warned of.
+They are wrenches along the rod that its tendons cannot make, see accuracy/proper_orthogonal_fields.py. For another material or load than a
+file says they stay a basis, and lose accuracy, which is warned of.
 """
 
 import functools

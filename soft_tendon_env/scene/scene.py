@@ -13,8 +13,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.effects.base import Effects
-from soft_tendon_env.scene.radius import Radius, RadiusProfile
-from soft_tendon_env.scene.routing import Ends, Routing
+from soft_tendon_env.scene.routing import Ends, Radius, RadiusProfile, Routing
 from soft_tendon_env.scene.strain import ExplicitStrain, StaticsBased
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, override
 from soft_tendon_env.tools.types import Array, Length, NotNegative, Positive, TimeStep, Triple
@@ -125,10 +124,7 @@ class Scene(Configuration):
     effects: Effects = Effects()
 
     def replace(self, changes: Mapping[str, Any]) -> "Scene":
-        """Copy of the scene with dotted keys set, `{"quadrature.intervals": 24, "segments.*.density": 5.0}`; same checks.
-
-        Raises `ConfigurationError`.
-        """
+        """Copy of the scene with dotted keys set, `{"segments.*.density": 5.0}`; same checks. Raises `ConfigurationError`."""
         values = {name: getattr(self, name) for name in type(self).model_fields}
         heads = {re.split(r"[.\[]", key)[0] for key in changes if isinstance(key, str)} if isinstance(changes, Mapping) else set()
         values |= scene_to_dict(self, heads & {*values})  # what is not changed need not be checked again

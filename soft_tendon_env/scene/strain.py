@@ -92,10 +92,8 @@ class StaticsBased(Configuration):
     @field_validator("passive")
     @classmethod
     def _of_the_rod(cls, passive: tuple[Modes, ...] | Snapshots, info: ValidationInfo) -> tuple[Modes, ...] | Snapshots:
-        if isinstance(passive, Snapshots):
-            return passive
-        existing = info.data.get("strains", STRAINS)
-        if rigid := [strain for modes in passive for strain in modes.strains if strain not in existing]:
+        existing, groups = info.data.get("strains", STRAINS), () if isinstance(passive, Snapshots) else passive
+        if rigid := [strain for modes in groups for strain in modes.strains if strain not in existing]:
             raise ValueError(f"should name strains that the rod has, {', '.join(existing)}; not {', '.join(rigid)}")
         return passive
 

@@ -12,12 +12,9 @@ from soft_tendon_env.tools.types import UNITS
 DENSITIES, MODULI = {"g/cm^3": 1e3, "t/mm^3": 1e12}, {"kPa": 1e3, "MPa": 1e6, "GPa": 1e9}
 LENGTH, MODULUS, DENSITY = (1e-3, 20.0), (1e3, 1e12), (10.0, 25e3)
 """Ranges of rods [m], endoscopes to hoses; of Young's moduli [Pa], gels to diamond; of densities [kg/m^3], foams to osmium."""
-SLENDER, FAR_OFF = 0.03, 0.2
-"""Shares of the rod's length: a usual radius or offset, and an offset outside of the rod that no arm has; radii off a wire are usual."""
-METAL, IN_MPA = 5e3, 5e5
-"""Density [kg/m^3] of metals, and of rubbers full of them; a number that no metal's modulus in MPa reaches, and such rubbers' in Pa do."""
-SOFT, STRAINED, STIFF_STRAINED = 1e7, 10.0, 2.0
-"""Modulus [Pa] of rubbers, and strains of a section at the tensions' limits that are far beyond what these, and stiffer ones, can take."""
+SLENDER, FAR_OFF = 0.03, 0.2  # shares of the rod's length: a usual radius or offset, and an offset outside of the rod that no arm has
+METAL, IN_MPA = 5e3, 5e5  # density [kg/m^3] of metals and rubbers full of them; modulus that metals have not in MPa, and such rubbers in Pa
+SOFT, STRAINED, STIFF_STRAINED = 1e7, 10.0, 2.0  # modulus [Pa] of rubbers; strains at the limits that these and stiffer ones cannot take
 CRUSHED, LEAST_BENT, PLACES = 30.0, 1.5e-3, 9
 """Strain by its own weight that not even gel in water has; angle [rad] that tensions bend arms of metres; places along tendons."""
 

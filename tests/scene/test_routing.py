@@ -3,8 +3,15 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.scene.radius import LinearRadius, RadiusTable
-from soft_tendon_env.scene.routing import ConvergingRouting, HelixRouting, StraightRouting, SurfaceRouting, TableRouting
+from soft_tendon_env.scene.routing import (
+    ConvergingRouting,
+    HelixRouting,
+    LinearRadius,
+    RadiusTable,
+    StraightRouting,
+    SurfaceRouting,
+    TableRouting,
+)
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 ENDS, LENGTH = (0.1, 0.5), 0.4

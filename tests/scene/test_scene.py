@@ -6,8 +6,7 @@ import pytest
 from soft_tendon_env.effects import Effect, register_effect
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.radius import LinearRadius
-from soft_tendon_env.scene.routing import StraightRouting
+from soft_tendon_env.scene.routing import LinearRadius, StraightRouting
 from soft_tendon_env.scene.scene import Scene, Segment, Tendon, breakpoints, extrapolation_columns, rod_length, scene_to_dict
 from soft_tendon_env.scene.strain import StaticsBased
 from soft_tendon_env.tools.configuration import ConfigurationError
