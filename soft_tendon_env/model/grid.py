@@ -215,6 +215,6 @@ def chords(geometry: Array, k: Array, p: Array) -> tuple[Array, Array]:
 
 def pack_ranges(intervals: np.ndarray) -> tuple[IntVector, IntVector]:
     """First pack with a marked interval, and one past the last, of each row (m, intervals): (m,) each."""
-    marked: np.ndarray = intervals.reshape(len(intervals), intervals.shape[1] // LANES, LANES).any(axis=2)
+    marked = np.asarray(intervals.reshape(len(intervals), intervals.shape[1] // LANES, LANES).any(axis=2))
     first, behind = marked.argmax(axis=1), marked[:, ::-1].argmax(axis=1)
     return first.astype(np.int64), (marked.shape[1] - behind).astype(np.int64)

@@ -12,7 +12,6 @@ from soft_tendon_env.model.equilibrium_residual import Balance
 from soft_tendon_env.model.grid import over_nodes, screw_matrices
 from soft_tendon_env.model.load_continuation import LoadPath
 from soft_tendon_env.model.model import Model, is_singular, model_on
-from soft_tendon_env.model.statics import rests_at_tensions
 from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.scene.routing import RadiusProfile
 from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene, breakpoints
@@ -129,7 +128,7 @@ class QuadratureTest:
         responses = [_response(model) for model in (coarse, fine)]
         shares = [(_unloaded_share(coarse, fine, responses, tension), tension) for tension in self.tensions]
         shares.sort(key=lambda found: found[0], reverse=True)
-        if rests_at_tensions(coarse):
+        if isinstance(coarse.arm.strain, Implicit) and not coarse.arm.effects.load:  # they are at rest there
             return shares[0]
         full, q, rests = self.limits[:, 1], np.zeros(coarse.coordinate_count), list[tuple[float, Array]]()
         loaded = [self.slack, full, 0.5 * (self.slack + full)] if coarse.arm.effects.load else []

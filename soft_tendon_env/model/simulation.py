@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from typing import NamedTuple
 
@@ -9,21 +10,26 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.mechanics.motion import advance, status
-from soft_tendon_env.mechanics.motion.advance import Control, Record
+from soft_tendon_env.mechanics.motion.advance import Control, Record, Scheme
+from soft_tendon_env.mechanics.motion.batch import make_batch, step_rows
 from soft_tendon_env.mechanics.motion.period_map import linearised_rollout, make_plan
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
+from soft_tendon_env.mechanics.motion.tape import make_tape
 from soft_tendon_env.mechanics.terms.external_forces import rest_states
-from soft_tendon_env.model.derivatives import Linearization, period_derivatives
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.state import SHORTEST, State, checked_motion, state_of
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.step_control import Command, cause_of, command_table, linear_rate, step_control, step_count, step_method
-from soft_tendon_env.model.strain_limits import nearest_limit
+from soft_tendon_env.model.strain_limits import StrainLimitError, nearest_limit
 from soft_tendon_env.model.tension_limits import warn_beyond_limits
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type, shown_numbers
 from soft_tendon_env.tools.types import Array
 
+Given = ArrayLike | None
 STEPS_LOGGED = 4096  # of a period that is linearised
+SHARE, TOUCHING = 1e-4, 1e-2  # steps as shares of units; their factor among obstacles
+RATE, LEAST_STATE = 3.0, 1e-3  # unit of a rate, in those of its coordinate; least unit of a state
+STRAIN, SPARE, JUMP = 1e-12, 2.0, 1e3  # tolerance of the strain's Newton; factor of that of steps; ratio of sides of which one jumps
 
 
 class SimulationDiverged(RuntimeError):
@@ -83,6 +89,18 @@ class Rollout(NamedTuple):
     by_force: Array  # (N, 2 n, k) by generalised forces added throughout it
 
 
+class Linearization(NamedTuple):
+    """The end of a period and its derivatives, with s = 2 n + m numbers of a state: n coordinates, their rates, m internal states.
+
+    Columns are by the numbers of the state before, then by the n_a commands; angular components before linear ones.
+    """
+
+    next: State
+    state: Array  # (s, s) of the next state by the state
+    command: Array  # (s, n_a) of the next state by the command
+    tip: Array  # (6, s + n_a) body twist of the next tip pose [rad, m]
+
+
 class Simulation:
     """Simulation of a model, one control step at a time. Commands are held over a step (zero-order hold); arguments are checked."""
 
@@ -98,15 +116,7 @@ class Simulation:
     def __repr__(self) -> str:
         return f"Simulation({self.model!r} at {self._motion.clock[0]:g} s)"
 
-    def reset(
-        self,
-        q: ArrayLike | None = None,
-        q_dot: ArrayLike | None = None,
-        *,
-        time: float = 0.0,
-        effects: ArrayLike | None = None,
-        tension: ArrayLike | None = None,
-    ) -> State:
+    def reset(self, q: Given = None, q_dot: Given = None, *, time: float = 0.0, effects: Given = None, tension: Given = None) -> State:
         """Resets to q, q_dot (n,), by default zero, at a time [s]; returns the state. Raises ValueError, TypeError, StrainLimitError.
 
         effects (m,): the effects' internal states, see State; by default those of an arm that tensions (n_a,) [N], by default zero, have
@@ -124,7 +134,7 @@ class Simulation:
         self._take(Motion(start, rate, strain, states, clock), self.model.scene.integrator.step)
         return self.state
 
-    def reset_at_rest(self, tension: ArrayLike | None = None, *, time: float = 0.0) -> State:
+    def reset_at_rest(self, tension: Given = None, *, time: float = 0.0) -> State:
         """Resets to the static equilibrium under tensions (n_a,) [N], by default zero, and the loads at time 0; returns the state.
 
         time: what the state's time is set to [s]. Where the branch of stable equilibria ends the arm is let go to where it settles.
@@ -183,7 +193,7 @@ class Simulation:
         finally:
             self._take(start.copy(), step)
 
-    def rollout(self, commands: ArrayLike, duration: ArrayLike, *, forces: ArrayLike | None = None, steps: int | None = None) -> Rollout:
+    def rollout(self, commands: ArrayLike, duration: ArrayLike, *, forces: Given = None, steps: int | None = None) -> Rollout:
         """Simulated motion over N periods from the present state, with its linearisation; leaves the simulation where it was.
 
         commands (N, n_a), each held for `duration` [s], or (N, p, n_a) of p parts of a period with durations (p,) [s]. forces (n, k):
@@ -202,7 +212,7 @@ class Simulation:
         period, motion = float(plan.duration.sum()), self._motion.copy()
         steps = math.ceil(period * linear_rate(self.model)) if steps is None else checked_count("steps", steps, 1)
         control = step_control(self.model, period)
-        code, row = linearised_rollout(self.model.arm, advance.Scheme(self._method, control), motion, steps, self._scratch, plan)
+        code, row = linearised_rollout(self.model.arm, Scheme(self._method, control), motion, steps, self._scratch, plan)
         if code != status.OK:
             raise self._diverged(code, motion, plan.command[min(row, len(plan.command) - 1), 0], control)
         if not np.isfinite(plan.jacobian).all():
@@ -218,7 +228,7 @@ class Simulation:
     def _run(self, commands: Array, control: Control, record: Record) -> StepReport:
         """Advance by control.step under each row of commands (rows, n_a), with the record's samples evenly among them; unchecked."""
         arm, motion, durations = self.model.arm, self._motion, np.full(len(commands), control.step)
-        done = advance.advance(arm, advance.Scheme(self._method, control), commands, durations, motion, self._step, self._scratch, record)
+        done = advance.advance(arm, Scheme(self._method, control), commands, durations, motion, self._step, self._scratch, record)
         self._step = done.step
         if done.status == status.OK:
             return StepReport(done.steps, done.rejected, done.error, done.evaluations)
@@ -258,4 +268,56 @@ def simulate(model: Model, command: Command, duration: float, sample_period: flo
     if samples:
         report = simulation._run(commands.reshape(-1, model.tendon_count), control, Record(*(values[1:] for values in record)))
     times = start.time + period * np.arange(samples + 1, dtype=np.float64)
-    return Trajectory(times, *record, commands, simulation.state, *report)
+    steps, rejected, error, evaluations = report
+    return Trajectory(times, *record, commands, simulation.state, steps, rejected, error, evaluations)
+
+
+def ends(model: Model, start: Motion, taken: Array, inputs: Array) -> tuple[Array, Array]:
+    """States (copies, s) and tip poses (copies, 4, 4) after a period, inf where it fails. Raises LinAlgError.
+
+    inputs (copies, s + n_a): numbers of the state where it begins, and commands; taken (steps, 2): length [s] and columns of every step,
+    the same for all copies, since an order that follows their errors would jump.
+    """
+    arm, n, count = model.arm, model.coordinate_count, len(inputs)
+    batch = make_batch(arm, model.grid.places(np.zeros(0), np.zeros(0)), start, 0.0, count)
+    rows, failed = batch.rows, np.zeros(count, dtype=bool)
+    rows.q[:], rows.q_dot[:], rows.state[:], commands = np.split(inputs, [n, 2 * n, 2 * n + start.state.size], axis=1)
+    for row, q in enumerate(rows.q if rows.state.size else ()):  # a memory remembers the strain before a step
+        with contextlib.suppress(StrainLimitError):
+            rows.xi[row] = model.packed_strain(q)
+    method, control = step_method(model)._replace(strain_tolerance=STRAIN), step_control(model, taken[:, 0].sum() or 1.0)
+    control = control._replace(adaptive=False, tolerance=SPARE * control.tolerance)
+    scratch, tape = make_scratch(arm, method.columns), make_tape(arm, 0, 0)
+    for begins, (length, columns) in zip([True, *[False] * len(taken)], taken, strict=False):
+        scheme = Scheme(method._replace(columns=int(columns), least=int(columns)), control, begins)
+        step_rows(batch, scheme, np.flatnonzero(~failed), commands[:, None].copy(), np.full((count, 1), length), scratch, tape)
+        failed |= batch.outcome.status != status.OK
+    if failed[0]:
+        raise np.linalg.LinAlgError(f"the motion has no derivative: {status.MESSAGES[batch.outcome.status[0]]}")
+    states, poses = np.hstack([rows.q, rows.q_dot, rows.state]), batch.reading.tip_pose
+    states[failed], poses[failed] = np.inf, np.inf
+    return states, poses
+
+
+@np.errstate(invalid="ignore")
+def period_derivatives(model: Model, start: Motion, inputs: Array, taken: Array, following: State) -> Linearization:
+    """Linearization of a period that leads from inputs to a state by the steps taken, see `ends`. Raises LinAlgError."""
+    scale, effects = model.coordinate_scale(), model.scene.effects
+    largest = np.abs(effects.command_limits(model.discretisation.tension_limits)).max(axis=1)
+    step = SHARE * np.concatenate([scale, RATE * scale, np.maximum(np.abs(start.state), LEAST_STATE), largest])
+    step *= TOUCHING if any(effect.is_contact for effect in effects.chosen().values()) else 1.0
+    values, slopes = ends(model, start, taken, np.vstack([inputs, inputs + np.diag(step), inputs - np.diag(step)])), []
+    for value in values:
+        right, left = value[1 : step.size + 1] - value[0], value[0] - value[step.size + 1 :]
+        jumps = [(abs(a) > JUMP * abs(b)) & ((b != 0.0) | np.isinf(a)) for a, b in ((right, left), (left, right))]  # not from rest: a kink
+        slopes.append(np.moveaxis(np.select(jumps, [left, right], 0.5 * (left + right)), 0, -1) / step)
+    by, pose_slopes = slopes
+    if not np.isfinite(by).all():
+        raise np.linalg.LinAlgError("the motion has no derivative: on either side of it a step fails")
+    return Linearization(following, by[:, : len(by)], by[:, len(by) :], _twists(values[1][0], pose_slopes))
+
+
+def _twists(pose: Array, slopes: Array) -> Array:
+    """Body twists (6, m) of a pose (4, 4) with derivatives (4, 4, m)."""
+    turned = np.einsum("ji,jkm->ikm", pose[:3, :3], slopes[:3])
+    return np.stack([turned[2, 1], turned[0, 2], turned[1, 0], *turned[:, 3]])
