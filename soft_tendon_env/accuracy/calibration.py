@@ -11,10 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from filelock import FileLock
 
-from soft_tendon_env.accuracy.pareto import Point, explore, pareto_front, worst
+from soft_tendon_env.accuracy.pareto import Point, Setting, explore, pareto_front, worst
 from soft_tendon_env.accuracy.proper_orthogonal_fields import fields_path, make_passive_fields
 from soft_tendon_env.accuracy.reference import Level, Reference, reference_motions
-from soft_tendon_env.accuracy.settings import Setting
 from soft_tendon_env.accuracy.test_inputs import CALIBRATED, motion_tensions
 from soft_tendon_env.scene.passive_fields import PassiveFields, find_fields
 from soft_tendon_env.scene.scene import Scene, rod_length
@@ -26,8 +25,7 @@ from soft_tendon_env.tools.types import Array, length_text
 from soft_tendon_env.tools.user_cache import new_data_folder
 
 SEEDS = range(500, 505)  # of the motions of each kind that a scene is calibrated on
-MARGIN = 2.0
-"""Factor by which the error on those motions must stay below what is asked for, see docs/appendix/accuracy_command.md."""
+MARGIN = 2.0  # by which the error on those motions stays below what is asked for, see docs/appendix/accuracy_command.md
 REFERENCE = 3e-5  # of the rod's length, error of the reference motions
 SOURCES = tuple(f"{folder}/**/*.py" for folder in ("mechanics", "effects", "scene", "model", "accuracy"))
 

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from soft_tendon_env.accuracy import calibration, pareto
 from soft_tendon_env.accuracy.fidelity import PRESETS, build_model
-from soft_tendon_env.accuracy.settings import Setting
+from soft_tendon_env.accuracy.pareto import Setting
 from soft_tendon_env.cli.errors import is_installed, mistakes, writable_folder
 from soft_tendon_env.cli.options import ArmSettings
 from soft_tendon_env.evaluation.provenance import machine

@@ -132,7 +132,8 @@ class _TipSearch:
     def derivative(self, u: Array) -> Array:
         """d error / du (6, n_a): minus the inverse left Jacobian of SO(3) on the body's turn, minus R on its shift."""
         q, tip, *_ = self.equilibrium(u)
-        motion = ChordSolver(self.model, q, u).tip_jacobian
+        near = ChordSolver(self.model, q, u)
+        motion = near.terms.tip_jacobian @ near.answer
         x, y, z = k = self.distance(tip)[0]
         c = coefficients(k @ k)
         skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

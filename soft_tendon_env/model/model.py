@@ -21,7 +21,7 @@ from soft_tendon_env.mechanics.workspace import Workspace, make_workspace
 from soft_tendon_env.model.coordinates import effects_outside, make_arm
 from soft_tendon_env.model.grid import Grid, at_points, make_grid, screw_matrices
 from soft_tendon_env.model.strain_limits import StrainLimitError, nearest_limit
-from soft_tendon_env.model.terms import Energy, Terms, empty_terms
+from soft_tendon_env.model.terms import Energy, Terms
 from soft_tendon_env.scene.parameters import scene_parameters, scene_with_numbers
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number
@@ -259,7 +259,8 @@ class Model:
         q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
         tension = np.zeros(self.tendon_count) if u is None else checked_array("tension", u, (self.tendon_count,))
         work.clock[0] = time
-        out = empty_terms(self.coordinate_count, self.tendon_count)
+        n, n_a = self.coordinate_count, self.tendon_count
+        out = Terms(*map(np.empty, ((n, n), n, (n, n), (n, n), (n, n_a), n, n, (4, 4), (6, n), 6, (n, n), (n, n))))
         block, reached, placed = equation_of_motion(self.arm, tension, q, q_dot, work.state.size > 0, TOLERANCE, work, out)
         self._check(q, work, block, reached, placed != TOO_LARGE)
         if placed == TOO_FAST:

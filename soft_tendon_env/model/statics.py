@@ -161,11 +161,6 @@ class ChordSolver:
             self._compliance = here.compliance
         self.answer: Array = self._compliance @ self.terms.actuation
 
-    @property
-    def tip_jacobian(self) -> Array:
-        """Static Jacobian of the tip pose (6, n_a): its body twist (angular, linear) by tensions."""
-        return np.asarray(self.terms.tip_jacobian @ self.answer)
-
     def at(self, tension: Array) -> tuple[Array, Array] | None:
         """Coordinates (n,) and tip pose (4, 4) of the equilibrium under other tensions (n_a,); None where there is none."""
         q = self.model.rest_coordinates(tension) if self._known else self.q + self.answer @ (tension - self.tension)

@@ -48,7 +48,6 @@ except ImportError as error:
     raise DependencyNotInstalled('Rerun is not installed, run `pip install "soft_tendon_env[recording]"`') from error
 
 STATIONS, TRAIL = 25, 3.0  # about how many points a backbone is drawn with, and for how long [s] tips leave a line behind
-
 TARGET_COLOR, MOUNT_COLOR, SOLID_COLOR = (255, 255, 255), (110, 112, 120), (186, 164, 128)
 TRANSPARENCY = 80  # alpha of the body, of 255: the tendons inside are to be seen
 
