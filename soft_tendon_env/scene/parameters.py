@@ -11,13 +11,11 @@ from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.scene.scene import Scene, scene_to_dict
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, shown
 
-TABLES = ("segments", "tendons", "effects")
-"""Tables of a scene with the numbers of the arm; the others say how it is computed."""
-FIXED = {
+TABLES = ("segments", "tendons", "effects")  # with the numbers of the arm; the others say how it is computed
+FIXED = {  # patterns of keys whose numbers are no parameters, and why
     r"segments\.\d+\.length|tendons\.\d+\.(start|end)": "it decides where the quadrature points lie; build a model for each value",
     r"tendons\.\d+\.tension_limits\.\d": "it bounds the commands, and nothing changes with it in between",
 }
-"""Patterns of keys whose numbers are no parameters, and why."""
 KINDS = ("factor", "offset")  # of ranges, relative to the scene's number
 NUMBER = "a number, or (least, greatest): the least should come first"
 

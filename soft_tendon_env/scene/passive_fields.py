@@ -26,10 +26,8 @@ from soft_tendon_env.tools.files import read_json, replacing
 from soft_tendon_env.tools.types import Array
 from soft_tendon_env.tools.user_cache import data_folders
 
-ALIKE = 2.0  # factor up to which the material may differ from that which fields were made for
-MATERIAL = ("young_modulus", "density", "damping")  # properties of a segment that are none of its geometry
-SUFFIX = ".fields.json"
-ARRAYS = ("tension_limits", "borders", "singular_values", "coefficients")
+MATERIAL, ALIKE = ("young_modulus", "density", "damping"), 2.0  # of a segment, and the factor up to which it may differ from the fields'
+ARRAYS, SUFFIX = ("tension_limits", "borders", "singular_values", "coefficients"), ".fields.json"
 
 
 class FieldsWarning(UserWarning):

@@ -72,17 +72,11 @@ class Tendon(Configuration):
 
 
 class Quadrature(Configuration):
-    """Quadrature along the rod: Magnus intervals (fourth order, two Gauss points each) per piece between neighbouring `breakpoints`.
+    """Quadrature along the rod: Magnus intervals (fourth order, two Gauss points each) per piece between neighbouring `breakpoints`."""
 
-    Attributes:
-        intervals: how many; None: `least`, or as many as the scene needs for `tolerance`, see quadrature.py.
-        tolerance: how far quadrature may displace the tip at rest under tensions within their limits, as a share of the rod's length.
-        least: fewest intervals where the scene needs fewer.
-    """
-
-    intervals: int | None = Field(default=None, ge=1, le=MOST_INTERVALS)
-    tolerance: Positive = TIP_TOLERANCE
-    least: int = Field(default=6, ge=1, le=MOST_INTERVALS)
+    intervals: int | None = Field(default=None, ge=1, le=MOST_INTERVALS)  # None: `least`, or as many as the scene needs for `tolerance`
+    tolerance: Positive = TIP_TOLERANCE  # by which the tip may be off at rest under tensions within limits, as a share of the rod's length
+    least: int = Field(default=6, ge=1, le=MOST_INTERVALS)  # fewest intervals where the scene needs fewer
 
 
 class Integrator(Configuration):
@@ -93,15 +87,13 @@ class Integrator(Configuration):
 
     With a `tolerance` [m] the order follows the error, and then the step: each step of up to `step` takes 2 columns, or as many more, up
     to `columns`, as bring its estimated error, as root mean square displacement of the rod, below the tolerance, or a shorter step.
-
-    `quasi_static` leaves inertia out: damping and elasticity alone balance tensions and loads.
     """
 
     step: TimeStep = 0.02
     columns: int | None = Field(default=None, ge=1, le=MOST_COLUMNS)
     tolerance: Annotated[float, Field(gt=0)] | None = None
     max_halvings: int = Field(default=10, ge=0, le=20)
-    quasi_static: bool = False
+    quasi_static: bool = False  # leaves inertia out: damping and elasticity alone balance tensions and loads
 
     @field_validator("tolerance")
     @classmethod
