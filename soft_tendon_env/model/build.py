@@ -21,23 +21,21 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem, sho
 from soft_tendon_env.tools.types import Array
 
 SAFETY = 0.75  # part of the tolerance that the largest displacement found may reach, since not all tensions are tried
-MASS_TOLERANCE, LEAST_INERTIA, NO_INERTIA = 0.02, 0.1, 1e-9
-"""Largest relative error of the rod's mass; least part of its inertia that a combination of coordinates must keep; share of the largest up
-to which a combination has none on any quadrature."""
+MASS_TOLERANCE, LEAST_INERTIA = 0.02, 0.1  # largest relative error of the rod's mass; least part of its inertia that a motion keeps
+NO_INERTIA = 1e-9  # share of the largest up to which a combination of coordinates has no inertia on any quadrature
 PER_WAVE = 4.0  # intervals of the finer quadrature for the shortest wavelength of the geometry
 CORNERS, SETTLED = 32, 6  # sets of tendons at their limits that are tried; of the worst tensions equilibria are solved under
 HOPELESS = 96  # intervals from which on the search ends where twice as many do not even halve the error
-FARTHEST, MOST_HALVINGS = 2.0, 40  # lengths from the base beyond which no tip is; halvings of tensions that no strain balances
-MOST_LINEARISATIONS = 100  # on the path to an equilibrium
+FARTHEST = 2.0  # lengths from the base beyond which no tip is
+MOST_HALVINGS, MOST_LINEARISATIONS = 40, 100  # of tensions that no strain balances; on the path to an equilibrium
 FALL, MARGIN = 3.0, 2.0  # bend [rad] along its softest mode of an arm whose path ends and that falls over; factor for other such shapes
 
 
 def build_model(scene: Scene) -> Model:
     """Model of a scene as it says: chooses its quadrature and prepares the arrays of its kernels. At a fidelity: accuracy.fidelity.
 
-    Raises TypeError if it is not a Scene, ConfigurationError if its coordinates are not independent or its stress-free rod turns more often
-    than the finest quadrature tells. Warns (`QuadratureWarning`) if `quadrature.intervals` is too coarse, and (`UnitsWarning`) of numbers
-    that look as if they were in other units than SI's.
+    Raises TypeError, ConfigurationError if its coordinates are not independent or its stress-free rod turns too often for any quadrature.
+    Warns if `quadrature.intervals` is too coarse (`QuadratureWarning`) and where numbers look as if not in SI units (`UnitsWarning`).
     """
     checked_type("scene", scene, Scene, "see load_scene")
     warn_of_units(scene)
@@ -139,8 +137,7 @@ class QuadratureTest:
             except StrainLimitError:  # without tensions the loads inside of its strain buckle the arm
                 return refused
 
-        def moment(places: Array) -> Array:
-            """First moment of the rod's mass about the base, per length."""
+        def moment(places: Array) -> Array:  # of the rod's mass about the base, per length
             return places[:, None] * screw_matrices(self.scene, places)[2][:, 3:4]
 
         exact = moment(fine.grid.points.ravel())[:, 0] @ fine.grid.weights.ravel()

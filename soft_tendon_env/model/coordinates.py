@@ -115,10 +115,7 @@ def actuation_columns(geometry: Array, k: Array, p: Array) -> Array:
 
 
 def independent_tensions(gram: Array, tolerance: float) -> Array:
-    """Basis of the independent tensions, tensions of the strain law by coordinate: (n_a, rank); the identity where all are independent.
-
-    Otherwise it is orthonormal, from the projector on the tensions that strain the straight arm, so that it is the same on every machine.
-    """
+    """Basis of the independent tensions (n_a, rank), the identity where all are; else orthonormal and the same on every machine."""
     scale = np.sqrt(np.diag(gram))
     scale[scale == 0] = 1.0  # a tendon that strains nothing: all that it would strain is rigid
     sizes, directions = np.linalg.eigh(gram / np.outer(scale, scale))

@@ -45,11 +45,11 @@ class Linearised:
     @cached_property
     def stability(self) -> Stability:
         """Stability of the equilibrium: the energy has a minimum there, or, for loads without a potential, motions from it die out."""
-        balance, S = self.balance, self.balance.by_metric(self.stiffness)
-        has_potential = balance.is_symmetric(S)
+        balance, S = self.balance, self.balance._by_metric(self.stiffness)
+        has_potential = balance._is_symmetric(S)
         values, vectors = np.linalg.eigh(0.5 * (S + S.T)) if has_potential else np.linalg.eig(S)
         order = np.argsort(values.real)
-        least, flutters = float(values[order[0]].real), not has_potential and balance.flutters(self)
+        least, flutters = float(values[order[0]].real), not has_potential and balance._flutters(self)
         modes = balance.model.metric_unit @ vectors[:, order].real * math.sqrt(balance.energy)
         return Stability(least > -NEUTRAL * float(np.linalg.norm(S)) and not flutters, least, modes, has_potential, flutters)
 
@@ -97,8 +97,8 @@ class Balance:
             inverse = np.full_like(stiffness, np.nan)
         if np.isfinite(inverse).all() and np.abs(np.diag(self.model.metric) * np.diag(inverse)).max() < 0.1 / NEUTRAL:
             return np.asarray(inverse)
-        S = self.by_metric(stiffness)
-        if np.isfinite(S).all() and self.is_symmetric(S):
+        S = self._by_metric(stiffness)
+        if np.isfinite(S).all() and self._is_symmetric(S):
             values, vectors = np.linalg.eigh(0.5 * (S + S.T))
             stiff = np.abs(values) > NEUTRAL * np.linalg.norm(S)
             modes = self.model.metric_unit @ vectors[:, stiff]
@@ -106,12 +106,10 @@ class Balance:
         self.obstacle = "the stiffness is singular: the arm gives way without further load"
         return None
 
-    def by_metric(self, matrix: Array) -> Array:
-        """A matrix (n, n) of coordinates in the metric of the unloaded arm."""
+    def _by_metric(self, matrix: Array) -> Array:
         return np.asarray(self.model.metric_unit.T @ matrix @ self.model.metric_unit)
 
-    def is_symmetric(self, S: Array) -> bool:
-        """Whether the loads have a potential, by the stiffness in the metric."""
+    def _is_symmetric(self, S: Array) -> bool:
         strain = self.model.arm.strain  # G grows without bound where the arm buckles, and differences of forces lose their symmetry
         is_conservative = isinstance(strain, Loaded) and strain.has_potential and not self.model.arm.effects.load
         return is_conservative or bool(np.linalg.norm(S - S.T) <= ASYMMETRIC * np.linalg.norm(S))
@@ -162,11 +160,11 @@ class Balance:
             self.obstacle = "no strain balances the coordinates on the way: the tendons push past the section's stiffness"
         return found
 
-    def flutters(self, here: Linearised) -> bool:
+    def _flutters(self, here: Linearised) -> bool:
         """Whether M q_ddot + D q_dot + S q = 0 has oscillations that grow."""
         size = self.size
         terms = self.model.terms(here.at.q, np.zeros(size), here.at.part * self.tension)
-        M, D, S = map(self.by_metric, (terms.mass, terms.damping, here.stiffness))
+        M, D, S = map(self._by_metric, (terms.mass, terms.damping, here.stiffness))
         try:
             acceleration = np.linalg.solve(M, np.hstack([-S, -D]))
         except np.linalg.LinAlgError:  # a quadrature that is too coarse, of which build_model warns

@@ -1,7 +1,6 @@
-"""Inverse statics: tensions within limits whose equilibrium has a wanted tip pose or position.
+"""Inverse statics: tensions u within limits whose equilibrium has a wanted tip pose or position.
 
-Bounded nonlinear least squares over the tensions u: the scaled tip error e(u) and, far below it, the effort, |e|^2 + mu^2 |u|^2, for one
-falling mu after the other. The derivative is exact, J_tip dq/du with dq/du = S^-1 B of the equilibrium (implicit function theorem).
+Bounded least squares of the scaled tip error e and of the effort, |e|^2 + mu^2 |u|^2 with mu that fall, with exact derivatives by statics.
 """
 
 from __future__ import annotations
@@ -21,8 +20,7 @@ from soft_tendon_env.tools.types import Array
 
 EFFORTS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)  # mu, for errors in lengths of the rod, and tensions that would move the tip by as much
 NEAR, RANDOM_STARTS = 3, 6  # efforts that a start other than at rest leaves out, as a large mu leads back to rest; such starts
-POSITION_TOLERANCE = 1e-4  # of the rod's length, error up to which a target counts as reached
-ANGLE_WEIGHT = 0.5  # of the rod's length: an arc bent by an angle moves its tip by half its length times that
+POSITION_TOLERANCE, ANGLE_WEIGHT = 1e-4, 0.5  # of the rod's length: error that counts as reached; way of a tip per radian of an arc's bend
 OPTIONS = {"method": "trf", "ftol": 1e-8, "xtol": 1e-8, "gtol": 1e-14, "max_nfev": 60}  # "dogbox" stalls where many tendons are at limits
 RIGID = 1e-6  # deviation of R^T R from the identity up to which a matrix counts as a rotation
 

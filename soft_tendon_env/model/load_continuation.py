@@ -34,10 +34,7 @@ class LoadPath:
         self._answer = balance.model.arm.strain.rest_coordinates(balance.tension)
 
     def rest(self, settlings: int = 0) -> tuple[Linearised, str]:
-        """The last equilibrium on the path from the unloaded arm, and why it ends there; no reason at the full load.
-
-        Where it ends the arm is let go, at most so many times, and loaded further.
-        """
+        """The last equilibrium on the path, and why it ends there, "" at the full load; before that the arm settles so often at most."""
         end, reason = self.follow(self.balance.unloaded())
         for _ in range(settlings):
             if not reason or (point := self.settle(end)) is None:

@@ -29,7 +29,6 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
 TOLERANCE = 1e-12  # relative size of the last Newton correction at which a strain counts as found: round-off
-SINGULAR = 1e-14  # eigenvalue that counts as 0, see is_singular
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +49,7 @@ class Model:
         return f"Model({self.scene.name!r}, {self.coordinate_count} coordinates, {self.tendon_count} tendons)"
 
     def with_scene(self, scene: Scene) -> Model:
-        """Model of a scene with other numbers or effects, on the same grid.
-
-        Quadrature, combinations of tensions and passive fields stay: what it computes is smooth in the numbers. Raises ConfigurationError.
-        """
+        """Model of a scene with other numbers or effects; grid, combinations of tensions and fields stay. Raises ConfigurationError."""
         arm = make_arm(scene, self.grid, self.arm.strain)
         sizes = [(type(arm.strain), arm.effects.count, arm.effects.state.size) for arm in (self.arm, arm)]
         return Model(scene, self.grid, arm, self._idle if sizes[0] == sizes[1] else [])
@@ -114,7 +110,7 @@ class Model:
 
     def strain_at(self, q: ArrayLike, arc_length: ArrayLike) -> tuple[Array, Array]:
         """Strains (m, 6) at arc lengths (m,) [m] and their derivative Phi (m, 6, n), linear between the two points of an interval."""
-        places, q = self.arc_lengths("arc_length", arc_length), self._coordinates("q", q)
+        places, q = self.arc_lengths("arc_length", arc_length), checked_array("q", q, (self.coordinate_count,))
         found = np.empty((1 + q.size, places.size, 6))
         with self.configured(q) as work:
             strain_from_guess(self.arm, q, TOLERANCE, work)
@@ -181,7 +177,7 @@ class Model:
 
     def energy(self, q: ArrayLike, q_dot: ArrayLike, effects: ArrayLike | None = None) -> Energy:
         """Kinetic, elastic and load energy; effects (m,): internal states, by default at rest. Raises ValueError without a potential."""
-        rod, grid, rate = self.arm.rod, self.grid, self._coordinates("q_dot", q_dot)
+        rod, grid, rate = self.arm.rod, self.grid, checked_array("q_dot", q_dot, (self.coordinate_count,))
         with self.workspace() as work:
             mass = self._evaluate(None, q, rate, 0.0, work).mass
             strain, state = grid.at_points(work.xi - rod.reference_strain, 6).reshape(-1, 6), work.state.copy()
@@ -220,9 +216,6 @@ class Model:
             raise ValueError(f"{name} should lie between 0 and {self.length:g}, not {places.min():g} to {places.max():g}")
         return places
 
-    def _coordinates(self, name: str, value: ArrayLike) -> Array:
-        return checked_array(name, value, (self.coordinate_count,))
-
     @contextmanager
     def workspace(self) -> Iterator[Workspace]:
         """A workspace that nobody else uses, with the effects' states at rest; what it holds otherwise is of evaluations before."""
@@ -240,7 +233,7 @@ class Model:
     @contextmanager
     def configured(self, q: ArrayLike) -> Iterator[Workspace]:
         """A workspace with strains and poses at q (n,). Raises StrainLimitError."""
-        q = self._coordinates("q", q)
+        q = checked_array("q", q, (self.coordinate_count,))
         with self.workspace() as work:
             block, reached = configure(self.arm, q, TOLERANCE, work)
             self._check(q, work, block, reached, bool(np.isfinite(work.pose).all()))
@@ -256,7 +249,7 @@ class Model:
             raise StrainLimitError(f"the coordinates are too large to place the rod, up to {np.abs(q).max():.3g}")
 
     def _evaluate(self, u: ArrayLike | None, q: ArrayLike, q_dot: ArrayLike, time: float, work: Workspace) -> Terms:
-        q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
+        q, q_dot = checked_array("q", q, (self.coordinate_count,)), checked_array("q_dot", q_dot, (self.coordinate_count,))
         tension = np.zeros(self.tendon_count) if u is None else checked_array("tension", u, (self.tendon_count,))
         work.clock[0] = time
         n, n_a = self.coordinate_count, self.tendon_count
@@ -285,7 +278,7 @@ def model_on(scene: Scene, intervals: int) -> Model:
 def is_singular(matrix: Array) -> bool:
     """Whether the least eigenvalue of a matrix, scaled to a unit diagonal, is 0 to round-off."""
     scale = np.sqrt(np.diag(matrix))
-    return not (scale.min() > 0.0 and np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] > SINGULAR)
+    return not (scale.min() > 0.0 and np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] > 1e-14)
 
 
 def _poses(rows: Array) -> Array:

@@ -314,10 +314,6 @@ def period_derivatives(model: Model, start: Motion, inputs: Array, taken: Array,
     by, pose_slopes = slopes
     if not np.isfinite(by).all():
         raise np.linalg.LinAlgError("the motion has no derivative: on either side of it a step fails")
-    return Linearization(following, by[:, : len(by)], by[:, len(by) :], _twists(values[1][0], pose_slopes))
-
-
-def _twists(pose: Array, slopes: Array) -> Array:
-    """Body twists (6, m) of a pose (4, 4) with derivatives (4, 4, m)."""
-    turned = np.einsum("ji,jkm->ikm", pose[:3, :3], slopes[:3])
-    return np.stack([turned[2, 1], turned[0, 2], turned[1, 0], *turned[:, 3]])
+    moved = np.einsum("ji,jkm->ikm", values[1][0][:3, :3], pose_slopes[:3])  # in the tip frame
+    tip = np.stack([moved[2, 1], moved[0, 2], moved[1, 0], *moved[:, 3]])
+    return Linearization(following, by[:, : len(by)], by[:, len(by) :], tip)

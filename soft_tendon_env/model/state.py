@@ -15,8 +15,7 @@ from soft_tendon_env.tools.checks import checked_array, checked_number, checked_
 from soft_tendon_env.tools.files import read_arrays
 from soft_tendon_env.tools.types import Array
 
-SAME_STRAIN = 1e-6  # relative difference up to which a state's strain counts as that of its coordinates
-SHORTEST = 1e-12  # [s], what may count as a time step
+SAME_STRAIN, SHORTEST = 1e-6, 1e-12  # relative difference of strains that counts as none; [s], what may count as a time step
 STATE = "state that State.save wrote"
 
 

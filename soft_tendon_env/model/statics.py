@@ -115,8 +115,7 @@ def _tip_error(balance: Balance, at: At, tip: Array) -> float:
 def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium, Array]:
     """Static equilibrium under a command (n_a,), see `Model.command_unit`, and the tensions (n_a,) [N] that hold it.
 
-    With elastic tendons Newton's method on the tensions, every linear step of it within what tendons and actuators can hold. Where it
-    finds none, `converged` is false. Raises as `static_equilibrium`.
+    Newton's method on the tensions, within what elastic tendons and actuators can hold. Raises as `static_equilibrium`.
     """
     checked_type("model", model, Model, "see build_model")
     given, path, n_a = checked_array("command", command, (model.tendon_count,)), model.arm.effects.transmission, model.tendon_count

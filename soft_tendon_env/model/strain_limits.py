@@ -12,10 +12,7 @@ class StrainLimitError(ArithmeticError):
 
 
 def nearest_limit(arm: Arm, grid: Grid, q: Array, xi: Array, reached: float = 1.0, block: int = -1) -> str:
-    """Message that names the tendon and place nearest to the limit of what sections balance, or loads inside of the strain.
-
-    xi: where a part of q was reached; block: at which a search for the strain ended, see mechanics.
-    """
+    """Message that names what is nearest to the limit where a part of q was reached; block: at which its search ended, see mechanics."""
     if block == 2 * grid.packs:
         return "the arm buckles under the loads inside of its strain (strain.include_loads)"
     rod, strain, tendons = arm.rod, arm.strain, arm.tendons
