@@ -35,8 +35,7 @@ RESOLVED = 1e-3  # of the rod's length: full physics may change by so much at it
 ENERGY = 0.01  # weight of the energy beside displacements and rotations, which fix no field that moves nothing
 TESTS, COUNTS = 2, (0, 3, 4, 6, 7, 8, 9, 10, 12, 15, 18, 24)  # motions of each usual kind, and numbers of fields, that are tested
 REFERENCE = 1e-4  # of the rod's length, error of the reference motions
-DIGITS = 9  # of the coefficients
-DEPENDENT = 1e-4  # relative size of tensions' fields that count as combinations of others
+DIGITS, DEPENDENT = 9, 1e-4  # of the coefficients; relative size of tensions' fields that count as combinations of others
 
 
 def make_passive_fields(scene: Scene) -> PassiveFields:
@@ -103,8 +102,7 @@ def energy_norm(scene: Scene, grid: Grid) -> tuple[Array, Array]:
 
 
 def decompose(scene: Scene, samples: Array, grid: Grid) -> tuple[Array, Array]:
-    """The leading fields of wrenches (samples, 6 points) as Legendre coefficients (fields, pieces, 6, orders) of unit energy, to DIGITS
-    digits, and their singular values as shares."""
+    """Legendre coefficients (fields, pieces, 6, orders) of the leading fields of wrenches (samples, 6 points), and singular values."""
     _, root = energy_norm(scene, grid)
     measures = []
     for measure, share in weighted_measures(scene, grid):

@@ -253,7 +253,8 @@ class Model:
         tension = np.zeros(self.tendon_count) if u is None else checked_array("tension", u, (self.tendon_count,))
         work.clock[0] = time
         n, n_a = self.coordinate_count, self.tendon_count
-        out = Terms(*map(np.empty, ((n, n), n, (n, n), (n, n), (n, n_a), n, n, (4, 4), (6, n), 6, (n, n), (n, n))))
+        shapes: list[tuple[int, ...]] = [(n, n), (n,), (n, n), (n, n), (n, n_a), (n,), (n,), (4, 4), (6, n), (6,), (n, n), (n, n)]
+        out = Terms(*(np.empty(shape) for shape in shapes))
         block, reached, placed = equation_of_motion(self.arm, tension, q, q_dot, work.state.size > 0, TOLERANCE, work, out)
         self._check(q, work, block, reached, placed != TOO_LARGE)
         if placed == TOO_FAST:
