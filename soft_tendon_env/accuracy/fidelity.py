@@ -113,9 +113,8 @@ def _passive(scene: Scene, preset: Preset) -> Any:
         count = len(fields.coefficients) if needed is None else needed
         file = {"file": named.file} if named and named.file else {}
         return {"type": "snapshots", "fields": count, "digest": fields.digest, **file} if count else ()
-    text = f"Legendre moments up to order {preset.moments} take their place; `soft-tendon fields SCENE` makes them in a minute"
-    warnings.warn(
-        f"{scene.name!r} has no passive fields of its own, so that its accuracy is not known: {text}", FieldsWarning, stacklevel=2
-    )
+    text = f"{scene.name!r} has no passive fields of its own, so that its accuracy is not known: Legendre moments up to order"
+    text += f" {preset.moments} take their place; `soft-tendon fields SCENE` makes them in a minute"
+    warnings.warn(text, FieldsWarning, stacklevel=2)
     angular = [strain for strain in STRAINS[:3] if strain in scene.strain.free]
     return [{"strains": angular, "order": preset.moments, "span": "rod"}] if angular else ()

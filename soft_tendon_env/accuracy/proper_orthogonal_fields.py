@@ -30,9 +30,8 @@ from soft_tendon_env.tools.user_cache import new_data_folder
 
 KINDS, TRAINED = USUAL, (*USUAL, "wild")  # kinds of motions that fields are tested on, and that snapshots are taken of
 RUNS, FIRST_SEED = 10, 1000  # motions of each kind that snapshots are taken of, and the first of their seeds
-WILD = 0.2  # weight of samples of wild motions, which are several times as large as the others
+WILD, ENERGY = 0.2, 0.01  # weights of samples of wild motions, and of energy beside displacements, which fix no field that moves nothing
 RESOLVED = 1e-3  # of the rod's length: full physics may change by so much at its next refinement, to take snapshots of
-ENERGY = 0.01  # weight of the energy beside displacements and rotations, which fix no field that moves nothing
 TESTS, COUNTS = 2, (0, 3, 4, 6, 7, 8, 9, 10, 12, 15, 18, 24)  # motions of each usual kind, and numbers of fields, that are tested
 REFERENCE = 1e-4  # of the rod's length, error of the reference motions
 DIGITS, DEPENDENT = 9, 1e-4  # of the coefficients; relative size of tensions' fields that count as combinations of others
