@@ -57,8 +57,8 @@ def calibrated(scene: Scene, tolerance: float) -> Scene:
     checked_type("scene", scene, Scene, "see load_scene")
     tolerance = checked_number("tolerance", tolerance, 1e-12, "a positive length in metres")
     check_calibration(scene, tolerance)
-    calibration = calibrate(scene, usual_inputs(scene), made_fields(scene))
-    return recommended(scene, calibration, tolerance).setting.of(scene)
+    calibration = calibrate(scene, usual_inputs(scene), ensure_fields(scene))
+    return cheapest_point(scene, calibration, tolerance).setting.of(scene)
 
 
 def check_calibration(scene: Scene, tolerance: float = np.inf) -> None:
@@ -72,7 +72,7 @@ def check_calibration(scene: Scene, tolerance: float = np.inf) -> None:
         raise ConfigurationError([Problem((), text)])
 
 
-def recommended(scene: Scene, calibration: Calibration, tolerance: float) -> Point:
+def cheapest_point(scene: Scene, calibration: Calibration, tolerance: float) -> Point:
     """The cheapest setting for a tolerance [m]. Raises ConfigurationError that says the best there is."""
     good = [point for point in calibration.points if calibration.within(point) <= tolerance]
     if not good:
@@ -93,7 +93,7 @@ def own_fields(scene: Scene) -> PassiveFields | None:
     return fields if fields is not None and not fields.misfit(scene) else None
 
 
-def made_fields(scene: Scene) -> PassiveFields:
+def ensure_fields(scene: Scene) -> PassiveFields:
     """The arm's own passive fields, made and kept in the user's cache where there are none. Raises ConfigurationError, OSError."""
     path = fields_path(scene)
     with FileLock(path.with_suffix(".lock")):  # one process makes them, the others find them

@@ -57,8 +57,8 @@ def strain_fields(scene: Scene, fields: PassiveFields | None) -> dict[str, dict[
         kept |= scene.strain.model_dump(include={"passive_coordinates", "rank_tolerance", "include_loads"})
     passive: dict[str, Any] = {"tendons alone": []}
     if fields is not None:
-        own = [count for count in OWN_FIELDS if count <= len(fields.coefficients)]
-        passive |= {f"own {count}": {"type": "snapshots", "fields": count, "digest": fields.digest} for count in own}
+        counts = [count for count in OWN_FIELDS if count <= len(fields.coefficients)]
+        passive |= {f"own {count}": {"type": "snapshots", "fields": count, "digest": fields.digest} for count in counts}
     angular = [strain for strain in STRAINS[:3] if strain in free] or free
     passive |= {f"Legendre {order}": [{"strains": angular, "order": order, "span": "rod"}] for order in LEGENDRE_ORDERS}
     return {name: {**kept, "passive": table} for name, table in passive.items()}

@@ -88,7 +88,7 @@ def residual_wrenches(model: Model, q: Array) -> Array:
     elasticity, root = energy_norm(scene, grid)
     columns = (actuation_columns(geometry, k[:, None], p[:, None]) * root).reshape(len(q), model.tendon_count, -1)
     wrench = (strain * elasticity * root).reshape(len(q), -1)
-    rest = [own - basis.T @ np.linalg.lstsq(basis.T, own, rcond=DEPENDENT)[0] for own, basis in zip(wrench, columns, strict=True)]
+    rest = [sample - basis.T @ np.linalg.lstsq(basis.T, sample, rcond=DEPENDENT)[0] for sample, basis in zip(wrench, columns, strict=True)]
     exists = root > 0.0
     return np.array(rest).reshape(strain.shape) / np.where(exists, root, 1.0) * exists
 
@@ -104,17 +104,17 @@ def decompose(scene: Scene, samples: Array, grid: Grid) -> tuple[Array, Array]:
     """Legendre coefficients (fields, pieces, 6, orders) of the leading fields of wrenches (samples, 6 points), and singular values."""
     _, root = energy_norm(scene, grid)
     measures = []
-    for measure, share in weighted_measures(scene, grid):
+    for measure, share in make_measures(scene, grid):
         seen = samples @ measure.T
         measures.append(np.sqrt(share) * seen / np.linalg.norm(seen))
     left, sizes, _ = np.linalg.svd(np.concatenate(measures, axis=1), full_matrices=False)
     count = min(MOST_SNAPSHOT_FIELDS, int(np.count_nonzero(sizes > 1e-9 * sizes[0])))
     fields = left[:, :count].T @ samples
     fields /= np.linalg.norm(fields * root.ravel(), axis=1, keepdims=True)
-    return fitted_polynomials(fields.reshape(count, -1, 6), scene, grid), sizes[:count] / sizes[0]
+    return fit_polynomials(fields.reshape(count, -1, 6), scene, grid), sizes[:count] / sizes[0]
 
 
-def weighted_measures(scene: Scene, grid: Grid) -> tuple[tuple[Array, float], ...]:
+def make_measures(scene: Scene, grid: Grid) -> tuple[tuple[Array, float], ...]:
     """Measures (m, 6 points) of wrenches (points, 6), with their weights: displacements and rotations along the rod, and energy."""
     places, weight = grid.points[grid.real].ravel(), grid.weights[grid.real].ravel()
     elasticity, root = energy_norm(scene, grid)
@@ -129,7 +129,7 @@ def weighted_measures(scene: Scene, grid: Grid) -> tuple[tuple[Array, float], ..
     return *((motion, 1.0) for motion in along), (np.diag(root.ravel()), ENERGY)
 
 
-def fitted_polynomials(fields: Array, scene: Scene, grid: Grid) -> Array:
+def fit_polynomials(fields: Array, scene: Scene, grid: Grid) -> Array:
     """Legendre coefficients (fields, pieces, 6, orders) of fields at the points (fields, points, 6); their largest one is positive."""
     borders, places = breakpoints(scene), grid.points[grid.real].ravel()
     found = np.zeros((len(fields), borders.size - 1, 6, SNAPSHOT_ORDER + 1))

@@ -35,7 +35,7 @@ def run(settings: Accuracy) -> None:
         calibration.check_calibration(scene, np.inf if tolerance is None else tolerance)
         scene = scene.replace({"effects": scene.effects.on_arm()})  # without what lies between commands and tensions
         inputs = calibration.usual_inputs(scene)
-    fields = calibration.own_fields(scene) if tolerance is None else calibration.made_fields(scene)
+    fields = calibration.own_fields(scene) if tolerance is None else calibration.ensure_fields(scene)
     found = calibration.calibrate(scene, inputs, fields)
     points = [(point, build_model(point.setting.of(scene), "scene")) for point in found.front]
     for name in PRESETS:
@@ -55,7 +55,7 @@ def run(settings: Accuracy) -> None:
 
         draw_front(scene.name, costs, tolerance, out / f"{scene.name}.png")
     if tolerance is not None:
-        best = calibration.recommended(scene, found, tolerance).setting
+        best = calibration.cheapest_point(scene, found, tolerance).setting
         write_recommended(best, scene, fields, out / f"{scene.name}_{length_text(tolerance)}.toml")
 
 

@@ -105,9 +105,10 @@ class ArmRenderer:
         areas.set_facecolor(colour[order])
         areas.set_linewidth(width[order])
         target.set_data(*(np.empty((0, 2)) if scene.target_backbone is None else scene.target_backbone @ across).T)
-        at = np.empty((0, 4, 4)) if scene.target_pose is None else scene.target_pose[None]
-        place.set_data(*(at[:, :3, 3] @ across).T)
-        ends = [np.stack([own[:3, 3], own[:3, 3] + AXES * self._model.length * own[:3, k]]) @ across for own in at for k in range(3)]
+        poses = np.empty((0, 4, 4)) if scene.target_pose is None else scene.target_pose[None]
+        place.set_data(*(poses[:, :3, 3] @ across).T)
+        size = AXES * self._model.length
+        ends = [np.stack([frame[:3, 3], frame[:3, 3] + size * frame[:3, k]]) @ across for frame in poses for k in range(3)]
         pose.set_segments([*ends, *ends])
         title.set_text(scene.title)
 

@@ -80,9 +80,9 @@ def surface(solid: Solid, box: tuple[Array, Array]) -> Array:
         return np.asarray(_face(half * np.eye(3)[0], half * np.eye(3)[1]) @ R.T + nearest)
     if solid.kind == "box":
         x, y, z = 0.5 * np.diag(solid.size)
-        faces = [own for a, b, c in ((x, y, z), (y, z, x), (z, x, y)) for own in (_face(a, b) + c, _face(b, a) - c)]
+        faces = [face for a, b, c in ((x, y, z), (y, z, x), (z, x, y)) for face in (_face(a, b) + c, _face(b, a) - c)]
         return np.asarray(np.concatenate(faces) @ R.T + r)
-    return np.asarray(_turned(*_outline(solid)) @ R.T + r)
+    return np.asarray(_revolve(*_outline(solid)) @ R.T + r)
 
 
 def _face(a: Array, b: Array) -> Array:
@@ -102,7 +102,7 @@ def _outline(solid: Solid) -> tuple[Array, Array]:
     return np.concatenate([radii, np.full(side.size, radius), radii[::-1]]), np.concatenate([below, side, -below[::-1]])
 
 
-def _turned(radius: Array, height: Array) -> Array:
+def _revolve(radius: Array, height: Array) -> Array:
     """The surface of revolution around z."""
     angle = np.linspace(0.0, 2.0 * np.pi, AROUND + 1)
     x, y = np.cos(angle)[None, :] * radius[:, None], np.sin(angle)[None, :] * radius[:, None]

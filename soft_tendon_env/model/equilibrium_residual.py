@@ -74,14 +74,14 @@ class Balance:
 
     def at(self, q: Array, part: float) -> At | None:
         """The balance at q (n,)."""
-        computed = self._computed(q, part, False, np.empty((0, self.size)))
+        computed = self._compute(q, part, False, np.empty((0, self.size)))
         return None if computed is None else computed[0]
 
     def linearise(self, q: Array, part: float) -> Linearised | None:
         """The balance at q (n,) and its derivatives."""
         self.linearisations += 1
         unit = self.model.coordinate_scale()
-        if (computed := self._computed(q, part, True, np.diag(unit))) is None:
+        if (computed := self._compute(q, part, True, np.diag(unit))) is None:
             return None
         at, out = computed
         stiffness = out.slopes / unit
@@ -116,7 +116,7 @@ class Balance:
 
     def unloaded(self) -> Linearised:
         """The unloaded arm, where S is G."""
-        computed = self._computed(np.zeros(self.size), 0.0, True, np.empty((0, self.size)))
+        computed = self._compute(np.zeros(self.size), 0.0, True, np.empty((0, self.size)))
         assert computed is not None, "the unloaded arm has a strain and resists every coordinate"
         at, out = computed
         compliance = np.asarray(np.linalg.inv(at.G), dtype=np.float64)
@@ -124,10 +124,10 @@ class Balance:
 
     def curvature(self, q: Array, part: float, modes: Array) -> tuple[At, Array] | None:
         """The balance at q (n,), and V^T S V (m, m) for modes V (n, m), 1 for each of them on the unloaded arm."""
-        computed = self._computed(q, part, False, np.ascontiguousarray(modes.T))
+        computed = self._compute(q, part, False, np.ascontiguousarray(modes.T))
         return None if computed is None else (computed[0], modes.T @ computed[1].slopes / self.energy)
 
-    def _computed(self, q: Array, part: float, with_rate: bool, directions: Array) -> tuple[At, Linearisation] | None:
+    def _compute(self, q: Array, part: float, with_rate: bool, directions: Array) -> tuple[At, Linearisation] | None:
         n = self.size
         out = Linearisation(np.empty(n), np.empty((n, n)), np.empty(n), np.empty((n, len(directions))))
         block, reached = linearise_balance(self.model.arm, self.tension, q, part, with_rate, directions, self.work, out)

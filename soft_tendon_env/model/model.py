@@ -93,7 +93,7 @@ class Model:
 
     def tip_pose(self, q: ArrayLike) -> Array:
         """Pose of the tip in the world frame, (4, 4): forward kinematics."""
-        with self.configured(q) as work:
+        with self.configuration(q) as work:
             return _poses(work.pose.reshape(-1, 12, LANES)[-1:, :, -1])[0]
 
     def backbone(self, q: ArrayLike, points: int = 50) -> Array:
@@ -104,7 +104,7 @@ class Model:
         """Backbone at the given arc lengths (m,) [m]: poses of the sections, (m, 4, 4)."""
         places = self.arc_lengths("arc_length", arc_length)
         poses = np.tile(np.eye(4), (places.size, 1, 1))
-        with self.configured(q) as work:
+        with self.configuration(q) as work:
             poses_inside(self.grid.length, *self.grid.locate(places), work, poses)
         return poses
 
@@ -112,7 +112,7 @@ class Model:
         """Strains (m, 6) at arc lengths (m,) [m] and their derivative Phi (m, 6, n), linear between the two points of an interval."""
         places, q = self.arc_lengths("arc_length", arc_length), checked_array("q", q, (self.coordinate_count,))
         found = np.empty((1 + q.size, places.size, 6))
-        with self.configured(q) as work:
+        with self.configuration(q) as work:
             strain_from_guess(self.arm, q, TOLERANCE, work)
             strain_columns(self.arm, np.zeros(self.tendon_count), q, np.zeros_like(q), work)
             for values, out in zip([work.xi, *work.Phi.reshape(q.size, -1)], found, strict=True):
@@ -165,13 +165,13 @@ class Model:
 
     def packed_strain(self, q: ArrayLike) -> Array:
         """The strain at the points in the kernels' flat layout (points * 6,), see mechanics.types."""
-        with self.configured(q) as work:
+        with self.configuration(q) as work:
             return work.xi.copy()
 
     def tendon_lengths(self, q: ArrayLike) -> Array:
         """Lengths of the tendons along the strained rod (n_a,) [m]."""
         lengths = np.empty(self.tendon_count)
-        with self.configured(q) as work:
+        with self.configuration(q) as work:
             tendon_lengths(self.arm.rod, self.arm.tendons, work, lengths)
         return lengths
 
@@ -231,7 +231,7 @@ class Model:
             self._idle.append(work)
 
     @contextmanager
-    def configured(self, q: ArrayLike) -> Iterator[Workspace]:
+    def configuration(self, q: ArrayLike) -> Iterator[Workspace]:
         """A workspace with strains and poses at q (n,). Raises StrainLimitError."""
         q = checked_array("q", q, (self.coordinate_count,))
         with self.workspace() as work:

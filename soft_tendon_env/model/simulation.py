@@ -214,7 +214,7 @@ class Simulation:
         control = step_control(self.model, period)
         code, row = linearised_rollout(self.model.arm, Scheme(self._method, control), motion, steps, self._scratch, plan)
         if code != status.OK:
-            raise self._diverged(code, motion, plan.command[min(row, len(plan.command) - 1), 0], control)
+            raise self._divergence(code, motion, plan.command[min(row, len(plan.command) - 1), 0], control)
         if not np.isfinite(plan.jacobian).all():
             raise np.linalg.LinAlgError("there is no linearisation of this motion: the matrix of an implicit step is singular")
         by = np.split(plan.jacobian, [2 * n, 2 * n + n_a], axis=2)
@@ -233,9 +233,9 @@ class Simulation:
         if done.status == status.OK:
             return StepReport(done.steps, done.rejected, done.error, done.evaluations)
         self._take(self._motion, done.step)
-        raise self._diverged(done.status, self._motion, commands[done.row], control)
+        raise self._divergence(done.status, self._motion, commands[done.row], control)
 
-    def _diverged(self, code: int, motion: Motion, command: Array, control: Control) -> SimulationDiverged:
+    def _divergence(self, code: int, motion: Motion, command: Array, control: Control) -> SimulationDiverged:
         cause = cause_of(code, self.model, control)
         if code == status.NO_STRAIN:
             cause += f"; in the last good state {nearest_limit(self.model.arm, self.model.grid, motion.q, motion.xi)}"

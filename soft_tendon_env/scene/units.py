@@ -30,7 +30,7 @@ def warn_of_units(scene: Scene) -> None:
         warnings.warn(text, UnitsWarning, stacklevel=4)  # where the user builds it
 
 
-def _asked(value: float, usual: float, units: Mapping[str, float]) -> str:
+def _ask(value: float, usual: float, units: Mapping[str, float]) -> str:
     """The question after the unit that brings a value nearest to a usual one; none where it has a usual size already."""
     nearest = min(["", *units], key=lambda unit: abs(math.log10(value * units.get(unit, 1.0) / usual)))
     return f": is it {nearest}?" if nearest else ""
@@ -40,14 +40,14 @@ def _unlikely(scene: Scene) -> Iterator[str]:
     """Numbers that no arm has, in words."""
     length, usual = rod_length(scene), Tendon.model_fields["tension_limits"].default
     if not LENGTH[0] <= length <= LENGTH[1]:
-        yield f"the rod is {length:g} m long{_asked(length, 0.3, UNITS)}"
+        yield f"the rod is {length:g} m long{_ask(length, 0.3, UNITS)}"
     for i, segment in enumerate(scene.segments):
         E, density = segment.young_modulus, segment.density
         if not MODULUS[0] <= E <= MODULUS[1] or (density > METAL and E < IN_MPA):
             of = f", and its density, {density:g} kg/m^3, that of a metal" if density > METAL else ""
-            yield f"segments[{i}].young_modulus is {E:g} Pa{of}{_asked(E, 5e10 if density > METAL else 5e5, MODULI)}"
+            yield f"segments[{i}].young_modulus is {E:g} Pa{of}{_ask(E, 5e10 if density > METAL else 5e5, MODULI)}"
         if not DENSITY[0] <= density <= DENSITY[1]:
-            yield f"segments[{i}].density is {density:g} kg/m^3{_asked(density, 1e3, DENSITIES)}"
+            yield f"segments[{i}].density is {density:g} kg/m^3{_ask(density, 1e3, DENSITIES)}"
         elif MODULUS[0] <= E and 9.81 * density * length / E > CRUSHED:
             yield f"a rod {length:g} m long with segments[{i}].young_modulus, {E:g} Pa, is crushed by its own weight: is it mm, or MPa?"
     bent = 0.0
@@ -56,10 +56,10 @@ def _unlikely(scene: Scene) -> Iterator[str]:
         places = start + (end - start) * (np.arange(PLACES) + 0.5) / PLACES
         offset, radius = np.linalg.norm(tendon_offset(scene, tendon, places)[0], axis=1), rod_radius(scene, places)[0]
         if (widest := radius.max()) >= length:
-            yield f"the rod has a radius of {widest:g} m on a length of {length:g} m{_asked(widest, SLENDER * length, UNITS)}"
+            yield f"the rod has a radius of {widest:g} m on a length of {length:g} m{_ask(widest, SLENDER * length, UNITS)}"
             return
         if (farthest := offset.max()) > max(FAR_OFF * length, widest):
-            yield f"tendons[{i}] is up to {farthest:g} m off the axis of a rod of {length:g} m{_asked(farthest, SLENDER * length, UNITS)}"
+            yield f"tendons[{i}] is up to {farthest:g} m off the axis of a rod of {length:g} m{_ask(farthest, SLENDER * length, UNITS)}"
             return
         modulus = np.array([segment.young_modulus for segment in scene.segments])[segment_index(scene, places)]
         pull = max(map(abs, tendon.tension_limits))
