@@ -3,7 +3,7 @@
     python benchmarks/evaluation_cost.py [--out out]
 
 Least time of several runs of one second (redrawn tensions, 3 columns, steps of 20 ms) over its evaluations, one thread. The numbers of the
-least-squares fit in relative error are printed as they stand in soft_tendon_env/accuracy/settings.py.
+least-squares fit in relative error are printed as they stand in soft_tendon_env/accuracy/pareto.py.
 """
 
 import argparse

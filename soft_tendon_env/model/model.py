@@ -136,7 +136,7 @@ class Model:
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:
-        """What the numbers of a state mean: effects with internal states or other commands than tensions, "actuators:20", and times."""
+        """Meaning of the numbers of a state: effects with internal states or other commands than tensions, "actuators:20"; times."""
         effects = zip(self.acting.items(), np.diff(self.arm.effects.first_state).tolist(), strict=True)
         names = tuple(f"{name}:{size}" for (name, effect), size in effects if size or effect.command_unit != "N")
         memory = self.scene.effects.viscoelastic_memory
