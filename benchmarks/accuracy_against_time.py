@@ -19,7 +19,7 @@ from _results import APPENDIX, cpu_times, folders, markdown_table, parser_of, wr
 from _trajectory_input import DURATION, tension_table
 
 import soft_tendon_env as ste
-from soft_tendon_env.model.quadrature import QuadratureWarning, quadrature_estimate
+from soft_tendon_env.model.build import QuadratureWarning, quadrature_estimate
 from soft_tendon_env.scene.scene import extrapolation_columns
 
 MODELS = {"paper": "#d1495b", "paper_16dof": "#edae49", "paper_19dof": "#66a182", "paper_22dof": "#2e6f95", "paper_48dof": "#3d2c5e"}

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import soft_tendon_env as ste
-from soft_tendon_env.model.quadrature import QuadratureWarning
+from soft_tendon_env.model.build import QuadratureWarning
 from soft_tendon_env.scene.scene import Scene
 
 from .simulator import HOLD, Array, Motion, Run, cpu_time

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from soft_tendon_env.accuracy import calibration, pareto
 from soft_tendon_env.accuracy.fidelity import PRESETS, build_model
-from soft_tendon_env.accuracy.settings import Setting
+from soft_tendon_env.accuracy.pareto import Setting
 from soft_tendon_env.cli.errors import is_installed, mistakes, writable_folder
 from soft_tendon_env.cli.options import ArmSettings
 from soft_tendon_env.evaluation.provenance import machine
@@ -32,12 +32,10 @@ def run(settings: Accuracy) -> None:
     """Calibrate, print, draw and write. Raises ConfigurationError where no setting is within the tolerance."""
     with mistakes():
         scene, tolerance, out = settings.changed_scene(), settings.within, writable_folder(Path(settings.out))
-        calibration.refuse_obstacles(scene)
+        calibration.check_calibration(scene, np.inf if tolerance is None else tolerance)
         scene = scene.replace({"effects": scene.effects.on_arm()})  # without what lies between commands and tensions
-        if tolerance is not None:
-            calibration.check_tolerance(scene, tolerance)
         inputs = calibration.usual_inputs(scene)
-    fields = calibration.own_fields(scene) if tolerance is None else calibration.made_fields(scene)
+    fields = calibration.own_fields(scene) if tolerance is None else calibration.ensure_fields(scene)
     found = calibration.calibrate(scene, inputs, fields)
     points = [(point, build_model(point.setting.of(scene), "scene")) for point in found.front]
     for name in PRESETS:
@@ -57,7 +55,7 @@ def run(settings: Accuracy) -> None:
 
         draw_front(scene.name, costs, tolerance, out / f"{scene.name}.png")
     if tolerance is not None:
-        best = calibration.recommended(scene, found, tolerance).setting
+        best = calibration.cheapest_point(scene, found, tolerance).setting
         write_recommended(best, scene, fields, out / f"{scene.name}_{length_text(tolerance)}.toml")
 
 

@@ -1,4 +1,4 @@
-"""Motions of an arm under a control law that is continuous in time, small deviations from rest, and the sampled form of (39).
+"""Motions of an arm under a control law that is continuous in time, and the sampled form of (39).
 
 The last is the package's tip tracker in TendonRod-TipPose-v0, on the same circle, at a control period that can be kept.
 """
@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 from scipy.integrate import solve_ivp
-from scipy.optimize import root
 
 import soft_tendon_env as ste
 from soft_tendon_env.control.feedforward import ReferenceGovernor, StaticFeedforward
@@ -26,10 +25,7 @@ TOLERANCE = 1e-4
 """Error tolerance of the integrator, relative, and absolute in coordinates and rates."""
 APART = 1e-6
 """Step of finite differences in coordinates and rates, which are of the order of 10."""
-BALANCED = 1e-8
-"""Unbalanced force in an equilibrium, in square roots of joules; tensions of 10 N store about 1 J."""
-SAMPLE_PERIOD = 0.005  # [s]
-PERIOD = 0.02  # [s]
+SAMPLE_PERIOD, PERIOD = 0.005, 0.02  # [s], of motions under continuous laws, and of control
 LIMITS = (-60.0, 60.0)  # [N]
 GAINS = {"settling_time": 0.396, "damping": 5.0, "integral_time": 0.5}  # kp and kd of the paper at vanishing periods, and an integral
 
@@ -62,26 +58,6 @@ class ClosedLoop:
         """df/dx. The differences that SciPy would choose by itself are so coarse that its Newton iterations hardly converge."""
         here = self.rate(t, x)
         return np.stack([(self.rate(t, x + d) - here) / APART for d in APART * np.eye(x.size)], axis=1)
-
-    def equilibrium(self, guess: np.ndarray) -> np.ndarray:
-        """Coordinates (n,) at which the arm rests, near `guess` (n,), the law being as it is at time 0. Raises ArithmeticError."""
-        still = np.zeros(guess.size)
-        equal = np.linalg.inv(np.linalg.cholesky(self.model.terms(guess, still).stiffness)).T  # of equal energy
-
-        def unbalanced(z: np.ndarray) -> np.ndarray:
-            q = guess + equal @ z
-            terms = self.model.terms(q, still)
-            force = terms.actuation @ self.law(0.0, q, still, terms) + terms.external_force - terms.elastic_force
-            return np.asarray(equal.T @ force)
-
-        found = root(unbalanced, still, options={"xtol": 1e-10})
-        if not np.abs(found.fun).max() < BALANCED:
-            raise ArithmeticError(f"no equilibrium near {guess}: the forces stay {np.abs(found.fun).max():.2g} out of balance")
-        return guess + equal @ found.x
-
-    def largest_real_part(self, q: np.ndarray) -> float:
-        """Largest real part [1/s] of the eigenvalues at rest at q (n,), time 0."""
-        return float(np.linalg.eigvals(self.jacobian(0.0, np.concatenate([q, 0.0 * q]))).real.max())
 
 
 def integrate(loop: ClosedLoop, duration: float, label: str) -> Motion:

@@ -8,10 +8,10 @@ steady-state error, because (39) asks for forces that tensions cannot make.
 "Sampled" is the package's tip tracker in TendonRod-TipPose-v0, with a control period of 20 ms, tensions of at most 60 N, an integral, and
 feedforward. Its gains become the paper's as the period goes to zero.
 
-Real parts are those of the closed loop's eigenvalues for a target at rest. "Later" is the second turn. The threshold of 1 mm is ours.
+"Later" is the second turn. The threshold of 1 mm is ours.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -32,9 +32,7 @@ GAINS = Gains(10_000.0, 1000.0)
 DURATION = 2.0 * CIRCLE.period
 VERY_SMALL = 1e-3  # [m], an error below which the tip is to stay
 SMOOTH = 0.5  # [s] from which on tensions are to be smooth
-PLACES = 8  # around the circle
 APART = 1e-4  # [s] between the twists whose difference is the acceleration
-
 
 FULL, UNDER, PRINTED = "fully actuated", "underactuated", "underactuated, as printed"
 DESIGNS: Mapping[str, tuple[str, str, LeftInverse]] = {
@@ -57,8 +55,8 @@ def target(t: float) -> TipPoseTarget:
     return TipPoseTarget(samples.tip_pose[1], twist, (after - before) / (2.0 * APART))
 
 
-def law_of(left_inverse: LeftInverse, wanted: Callable[[float], TipPoseTarget]) -> Law:
-    return lambda t, q, q_dot, terms: tip_pose_tension(terms, q_dot, wanted(t), GAINS, left_inverse)
+def law_of(left_inverse: LeftInverse) -> Law:
+    return lambda t, q, q_dot, terms: tip_pose_tension(terms, q_dot, target(t), GAINS, left_inverse)
 
 
 def reproduce(seconds: float, folder: Path) -> Result:
@@ -67,13 +65,12 @@ def reproduce(seconds: float, folder: Path) -> Result:
     for name, (scene, passive, inverse) in DESIGNS.items():
         changes = {} if passive == "none" else {"strain.passive_coordinates": passive}
         models[name] = ste.build_model(ste.load_scene(scene).replace(changes), "scene")
-        motions[name] = integrate(ClosedLoop(models[name], law_of(inverse, target)), duration, f"Figures 5 and 6, {name}")
+        motions[name] = integrate(ClosedLoop(models[name], law_of(inverse)), duration, f"Figures 5 and 6, {name}")
     motions |= {name: track(DESIGNS[design][0], CIRCLE, duration) for design, name in SAMPLED.items()}
     for name in (FULL, UNDER):
         draw(name, models[name], motions, folder / f"figure_{SHOWN[name]}.png")
     numbers = {name: summary(motion, duration) for name, motion in motions.items()}
-    real_parts = {name: real_parts_around(models[name], inverse) for name, (*_, inverse) in DESIGNS.items()}
-    return Result(claims(numbers), {"tip_error": numbers, "largest_real_parts_1_per_s": real_parts}, (designs_table(numbers, real_parts),))
+    return Result(claims(numbers), {"tip_error": numbers}, (designs_table(numbers),))
 
 
 def tip_error(motion: Motion) -> np.ndarray:
@@ -125,34 +122,10 @@ def outcome(numbers: dict[str, float]) -> str:
     return f"later {numbers['late_rms_mm']:.2g} mm rms, at most {numbers['late_largest_mm']:.2g} mm"
 
 
-def standing(pose: np.ndarray) -> Callable[[float], TipPoseTarget]:
-    target = TipPoseTarget(pose, np.zeros(6), np.zeros(6))
-    return lambda t: target
-
-
-def real_parts_around(model: ste.Model, left_inverse: LeftInverse) -> list[float]:
-    """Largest real parts of the loop's eigenvalues [1/s] at rest, the target standing still at places around the circle.
-
-    The equilibria are sought from those with the inverse in the energy: some others have several, far away ones among them.
-    """
-    parts = []
-    for pose in COURSE.sample(CIRCLE.period / PLACES * np.arange(PLACES, dtype=np.float64)).tip_pose:
-        q = ste.tension_for_tip_pose(model, pose).q
-        for inverse in dict.fromkeys((energy_left_inverse, left_inverse)):
-            loop = ClosedLoop(model, law_of(inverse, standing(pose)))
-            q = loop.equilibrium(q)
-        parts.append(loop.largest_real_part(q))
-    return parts
-
-
-def designs_table(numbers: dict[str, dict[str, float]], real_parts: dict[str, list[float]]) -> str:
+def designs_table(numbers: dict[str, dict[str, float]]) -> str:
     """Table of the left inverses and passive coordinates for (39)."""
-    designs = [
-        (scene, passive, INVERSES[inverse], f"{max(real_parts[name]):.2f}", outcome(numbers[name]))
-        for name, (scene, passive, inverse) in DESIGNS.items()
-    ]
-    header = ("scene", "passive coordinates", "pseudo-inverse", f"largest real part at {PLACES} places [1/s]", "from rest")
-    return markdown_table(header, designs)
+    designs = [(scene, passive, INVERSES[inverse], outcome(numbers[name])) for name, (scene, passive, inverse) in DESIGNS.items()]
+    return markdown_table(("scene", "passive coordinates", "pseudo-inverse", "from rest"), designs)
 
 
 def draw(name: str, model: ste.Model, motions: dict[str, Motion], path: Path) -> None:

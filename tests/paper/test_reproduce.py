@@ -57,9 +57,6 @@ def test_tip_converges_to_the_circle(reproduced, tmp_path):
         lasting = own["below_1_mm_from_s"] is not None
         assert holds[figure, f"tip error stays below 1 mm, {name}"] == lasting
         assert lasting == (not name.startswith("underactuated") or "sampled" in name), "(39) asks for forces that tensions cannot make"
-    assert all(max(parts) < 0.0 for name, parts in numbers["largest_real_parts_1_per_s"].items() if name in ACTUATED)
-    same = [numbers["largest_real_parts_1_per_s"][name] for name in ("underactuated", "underactuated, moments")]
-    assert same[0] == pytest.approx(same[1], abs=0.02), "in the energy, it hardly matters which passive coordinates there are"
     assert "breaks down" in printed
     assert is_picture(tmp_path / "figure_5.png") and is_picture(tmp_path / "figure_6.png")
 
