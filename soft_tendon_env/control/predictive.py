@@ -92,7 +92,6 @@ class Predictive(ModelController):
         least, greatest = np.tile(self.least, N) - offset, np.tile(self.greatest, N) - offset
         found = allocate(hessian, gradient, least, greatest, None if memory is None else memory.multipliers)
         better = plan + found.x.reshape(N, size)
-        report = {"limited": found.limited, "singular": float(not found.solved), "disturbance": float(np.abs(error.offset).max())}
         rates = effects = None  # predicted for the end of the period, where the model has such a motion
         try:
             with erring_actuators():
@@ -101,7 +100,8 @@ class Predictive(ModelController):
         except FAILURES:
             pass
         response = rollout.by_tension[0, now.q.size :] / self._hold
-        return ControllerOutput(better[0], Plan(better, found.multipliers, error.offset, response, rates, effects), report)
+        plan = Plan(better, found.multipliers, error.offset, response, rates, effects)
+        return self.output(better[0], plan, not found.solved, disturbance=float(np.abs(error.offset).max()))
 
     def _observed(self, memory: Plan, now: ControllerInput) -> Array:
         """The disturbance, moved by the share of the last period's unexplained change of momentum that tensions explain."""

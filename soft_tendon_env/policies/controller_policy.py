@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.control import protocol
 from soft_tendon_env.control.catalogue import CONTROLLERS, LOOKS_AHEAD, Entry
-from soft_tendon_env.control.kalman import USUAL, Uncertainty
+from soft_tendon_env.control.kalman import USUAL, Setting, Uncertainty
 from soft_tendon_env.control.smith_predictor import SAME, SmithPredictor, whole_periods
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.tasks import TASKS, TIP
 from soft_tendon_env.mechanics.motion.pose_errors import move_poses
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
-from soft_tendon_env.policies.estimators import ESTIMATORS, PARAMETERS, EstimatorEntry, Setting
+from soft_tendon_env.policies.estimators import ESTIMATORS, PARAMETERS, EstimatorEntry
 from soft_tendon_env.policies.protocol import LostState
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.tools.checks import checked_number
@@ -87,7 +87,7 @@ def make_policy(
     fields = protocol.Measurement._fields
     seen = tuple(field for group, field in PARAMETERS.items() if group in episodes.layout.slices and field in fields)
     noise, starts = episodes.options.randomize.noise, episodes.start_tension.copy()
-    setting = Setting(episodes.period, starts, episodes.sensors.copy(), noise, seen, late, uncertainty)
+    setting = Setting(episodes.period, starts, seen, episodes.sensors.copy(), noise, late, uncertainty)
     found = None if finds is None else finds.make(believed, setting)
     decides = entry.make(believed, episodes.limits.copy(), episodes.period)
     return ControllerPolicy(decides, env, model if differs else None, found, predictor)
