@@ -100,8 +100,8 @@ class Predictive(ModelController):
         except FAILURES:
             pass
         response = rollout.by_tension[0, now.q.size :] / self._hold
-        plan = Plan(better, found.multipliers, error.offset, response, rates, effects)
-        return self.output(better[0], plan, not found.solved, disturbance=float(np.abs(error.offset).max()))
+        improved = Plan(better, found.multipliers, error.offset, response, rates, effects)
+        return self.output(better[0], improved, not found.solved, disturbance=float(np.abs(error.offset).max()))
 
     def _observed(self, memory: Plan, now: ControllerInput) -> Array:
         """The disturbance, moved by the share of the last period's unexplained change of momentum that tensions explain."""

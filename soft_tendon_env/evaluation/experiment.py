@@ -70,13 +70,8 @@ class Cell(NamedTuple):
         both = resolved_scene(options), believed_scene(policy, self.told)
         scenes = [scene.model_dump(mode="json") for scene in both if scene is not None]
         known = {"policy": policy.fingerprint(), "files": {path: digest(Path(path)) for path in _files_in(scenes)}, "code": code}
-        content = {
-            **self._asdict(),
-            "options": options.model_dump(mode="json"),
-            "told": scenes,
-            **known,
-            "machine": self.alone and machine(),
-        }
+        known |= {"options": options.model_dump(mode="json"), "told": scenes, "machine": self.alone and machine()}
+        content = {**self._asdict(), **known}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
 
 
@@ -133,7 +128,8 @@ class Experiment(Generic[Label]):
 
     def missing(self) -> list[Label]:
         """Labels of cells that have no result yet, one for all cells that are alike."""
-        return [*{path: label for label, path in reversed(self._paths.items()) if not path.exists()}.values()][::-1]
+        first = {path: label for label, path in reversed(self._paths.items())}
+        return [label for label, path in self._paths.items() if first[path] == label and not path.exists()]
 
     def play(self, title: str, workers: int, cluster: str | None = None) -> None:
         """Play the cells that are missing, see `run_all`, and keep each result as soon as it is there. Raises as `measure`."""

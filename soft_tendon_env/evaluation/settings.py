@@ -8,8 +8,8 @@ from pydantic import AfterValidator, Field, field_validator
 
 from soft_tendon_env.envs import IDS, Options
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, MODEL_ERRORS, SETTINGS, model_error
-from soft_tendon_env.policies.agent_files import EnvironmentOptions
-from soft_tendon_env.policies.load import ALL
+from soft_tendon_env.policies.agent import EnvironmentOptions
+from soft_tendon_env.policies.names import ALL
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.tools.configuration import Configuration, not_among
 from soft_tendon_env.tools.types import NotNegative, Positive

@@ -1,6 +1,6 @@
 """Summaries of episodes: root mean squares, interquartile means, their intervals, differences of pairs.
 
-After Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021. `Tails` say what the middle half
+After Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021. `tails` say what the middle half
 hides. NaN, a run without a number, counts as larger than every number, as fits errors.
 """
 
@@ -36,21 +36,12 @@ def interquartile_mean(values: ArrayLike, axis: int = 0) -> float | Array:
     return mean if mean.ndim else float(mean)
 
 
-class Tails(NamedTuple):
-    """Mean of all values, and their percentile HIGH."""
-
-    mean: float
-    high: float
-
-    @classmethod
-    def of(cls, values: ArrayLike) -> "Tails":
-        """Tails of values of any shape, which may be infinite; NaN without any."""
-        given = np.ravel(np.asarray(values, dtype=float))
-        if not given.size:
-            return cls(math.nan, math.nan)
-        with np.errstate(invalid="ignore"):
-            high = np.percentile(given, HIGH)
-        return cls(float(given.mean()), float(np.percentile(given, HIGH, method="lower") if np.isnan(high) else high))
+def tails(values: ArrayLike) -> tuple[float, float]:
+    """Mean of all values, of any shape, and their percentile HIGH; values may be infinite. Raises ValueError without any."""
+    given = np.ravel(np.asarray(values, dtype=float))
+    with np.errstate(invalid="ignore"):
+        high = np.percentile(given, HIGH)
+    return float(given.mean()), float(np.percentile(given, HIGH, method="lower") if np.isnan(high) else high)
 
 
 def bootstrap_interval(values: ArrayLike, axes: int = 1, statistic: Callable[..., Any] = interquartile_mean) -> tuple[Any, Any]:

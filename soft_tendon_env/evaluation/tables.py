@@ -10,7 +10,7 @@ import numpy as np
 
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.metrics import BAD, METRICS
-from soft_tendon_env.evaluation.summaries import HIGH, Standing, Standings, Summary, Tails
+from soft_tendon_env.evaluation.summaries import HIGH, Standing, Standings, Summary, tails
 
 MODEL = "model in the loop"
 FLAG = "!"
@@ -56,7 +56,7 @@ def summary_table(label: str, summaries: Mapping[str, Summary], models: Mapping[
 def error_text(standing: Standing) -> str:
     """Root mean squares of the task's first error in words, see ERRORS_LEGEND."""
     factor, key = error_unit(standing.error).factor, f"{standing.error}_rms"
-    value, low, high, mean, tail = (number(factor * value) for value in (*standing.mean(key), *Tails.of(standing.values(key))))
+    value, low, high, mean, tail = (number(factor * value) for value in (*standing.mean(key), *tails(standing.values(key))))
     bad = np.mean([score.bad for score in standing.episodes])
     return f"{value} ({low}-{high}) / {mean} / {tail} / {100 * bad:.0f} %"
 

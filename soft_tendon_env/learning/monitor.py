@@ -27,8 +27,7 @@ from soft_tendon_env.learning.checkpoints import (
 )
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.vec_env import unwrapped
-from soft_tendon_env.policies.agent import NetworkPolicy, acting_policy
-from soft_tendon_env.policies.agent_files import CONFIG
+from soft_tendon_env.policies.agent import CONFIG, NetworkPolicy, acting_policy
 from soft_tendon_env.tools.files import read_json, read_numbers, replacing
 from soft_tendon_env.tools.messages import UserError
 

@@ -27,7 +27,7 @@ from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.hyperparameters import training_class
 from soft_tendon_env.learning.monitor import TrainingCallback, Watch
 from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env
-from soft_tendon_env.policies.agent_files import CONFIG
+from soft_tendon_env.policies.agent import CONFIG
 from soft_tendon_env.policies.network import policy_arguments
 from soft_tendon_env.tools.files import read_json
 from soft_tendon_env.tools.messages import first_line

@@ -4,7 +4,7 @@ What the controller knows comes out of the observation and of its own state; wha
 """
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,13 +48,13 @@ def observation_options(
     estimator: of ESTIMATORS, which finds the coordinates; None: they are observed. regime: of REGIMES, what a Kalman filter is told, by
     default "sensors". latency: delay of commands [s] that the controller is to make up for, see `make_policy`.
     """
-    finds = None if estimator is None else _among("estimator", estimator, ESTIMATORS)
-    ahead = _periods_ahead(_entry(controller, task), latency, period, finds)
+    finds, reference = _among("estimator", estimator, ESTIMATORS), _among("task", task, TASKS).measured_reference
+    ahead = _periods_ahead(_among("controller", controller, CONTROLLERS.get(task, {})), latency, period, finds)
     options: dict[str, Any] = {"preview": [period * k for k in range(1, ahead + 1)]}
     if estimator is None and regime is None:
         return options
     told = _among("regime", regime or "sensors", REGIMES)
-    return {**options, "observation": (*told.measured, *TASKS[task].measured_reference), "sensors": told.sensors or ()}
+    return {**options, "observation": (*told.measured, *reference), "sensors": told.sensors or ()}
 
 
 def make_policy(
@@ -73,14 +73,14 @@ def make_policy(
     (Smith predictor), by default that of the actuators in its model; with estimator="adaptive" what it believes at first.
     Raises TypeError, ValueError; ConfigurationError where the environment does not show what the controller needs.
     """
-    finds = None if estimator is None else _among("estimator", estimator, ESTIMATORS)
+    finds = _among("estimator", estimator, ESTIMATORS)
     episodes, model = episodes_of(env), episodes_of(env).model if model is None else model
     if (differs := model.coordinate_count != episodes.model.coordinate_count) and (finds is None or episodes.task.shapes):
         there = f"{model.coordinate_count} coordinates where the environment's has {episodes.model.coordinate_count}"
         raise ValueError(f"the controller's model has {there}, which are observed: it should have the same strain parametrisation")
     believed, delay = _under_tensions(model)
     late = checked_number("latency", delay if latency is None else latency, 0.0, "a number of seconds, at least 0")
-    entry = _entry(controller, episodes.task.name)
+    entry: Entry = _among("controller", controller, CONTROLLERS.get(episodes.task.name, {}))
     _check_preview(entry, episodes, _periods_ahead(entry, late, episodes.period, finds))
     greatest = late if finds is None else finds.greatest_latency or late
     predictor = SmithPredictor(believed, greatest, episodes.period) if greatest else None
@@ -117,22 +117,16 @@ def _check_preview(entry: Entry, episodes: Episodes, periods: int) -> None:
         missed = needed > told[-1] * (1.0 + SAME)
     if episodes.task.goal is None and missed.any():
         text = f"tells the target at {shown(told[1:].tolist())} s, and it is needed at every control period up to {needed[-1]:.3g} s"
-        _fail("preview", f"{text}: make the environment with observation_options()")
+        raise ConfigurationError([Problem(("preview",), f"{text}: make the environment with observation_options()")], "environment")
 
 
-def _fail(key: str, text: str) -> NoReturn:
-    raise ConfigurationError([Problem((key,), text)], "environment")
-
-
-def _among(kind: str, name: str, valid: Mapping[str, Any]) -> Any:
-    if name not in valid:
-        raise ValueError(f"{kind} is {name!r}: {not_among(name, valid)}")
-    return valid[name]
-
-
-def _entry(controller: str | Entry, task: str) -> Entry:
-    entries = CONTROLLERS.get(_among("task", task, TASKS).name, {})
-    return controller if isinstance(controller, Entry) else _among("controller", controller, entries)
+def _among(kind: str, chosen: Any, valid: Mapping[str, Any]) -> Any:
+    """What a name in a table stands for; an entry itself, or None, as it is."""
+    if not isinstance(chosen, str):
+        return chosen
+    if chosen not in valid:
+        raise ValueError(f"{kind} is {chosen!r}: {not_among(chosen, valid)}")
+    return valid[chosen]
 
 
 class ControllerPolicy:
@@ -163,10 +157,15 @@ class ControllerPolicy:
         state = ("q", "q_dot") if estimator is None else estimator.needs
         needed += [group for group, field in PARAMETERS.items() if field in state]
         needed += [] if "wanted_coordinates" in groups else of.task.reference
+        problems = list[Problem]()
         if missing := [group for group in needed if group not in groups]:
-            _fail("observation", f"lacks {', '.join(missing)}, which {name} needs: make it with observation_options()")
+            text = f"lacks {', '.join(missing)}, which {name} needs: make it with observation_options()"
+            problems.append(Problem(("observation",), text))
         if (np.diff(of.ahead) <= 0.0).any():
-            _fail("preview", f"is {of.ahead[1:].tolist()} s: it should be times that increase by at least a control period")
+            text = f"is {of.ahead[1:].tolist()} s: it should be times that increase by at least a control period"
+            problems.append(Problem(("preview",), text))
+        if problems:
+            raise ConfigurationError(problems, "environment")
 
     def predict(
         self, observation: Any, state: tuple[RowMemory, ...] | None = None, episode_start: Any = None, deterministic: bool = True
@@ -257,8 +256,7 @@ def _target_poses(values: dict[str, Array], poses: Array) -> Array | None:
     """Target poses (rows, 1 + previews, 4, 4), or None where the observation has none."""
     if "target_error" not in values:
         return None
-    errors = np.concatenate([values["target_error"], values.get("preview", np.empty((len(poses), 0)))], axis=1)
-    errors = np.ascontiguousarray(errors.reshape(len(poses), -1, 6))
+    errors = np.concatenate([values["target_error"], values.get("preview", np.empty((len(poses), 0)))], axis=1).reshape(len(poses), -1, 6)
     out = np.empty((*errors.shape[:2], 4, 4))
     move_poses(poses, errors, out)
     return out

@@ -1,4 +1,4 @@
-"""Names of policies, parsed once into a type: a controller, a trained agent, or a user's policy.
+"""Policies by name: names are parsed once into a type, a controller, a trained agent, or a user's policy.
 
 name = PolicyName.parse("filtered:predictive@fast", "TipPose")
 env = gym.make("TendonRod-TipPose-v0", **name.options({}))
@@ -19,8 +19,7 @@ from soft_tendon_env.control.kalman import USUAL
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.options import Options, given_scene
-from soft_tendon_env.policies.agent import load_agent
-from soft_tendon_env.policies.agent_files import ARM, INTERFACE, SHIPPED, AgentConfig, find_agent, is_agent, read_config
+from soft_tendon_env.policies.agent import ARM, INTERFACE, SHIPPED, AgentConfig, find_agent, is_agent, load_agent, read_config
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.estimators import ESTIMATORS
 from soft_tendon_env.policies.protocol import Policy
@@ -29,7 +28,13 @@ from soft_tendon_env.tools.configuration import Configuration, not_among, read_t
 from soft_tendon_env.tools.files import digest, digests
 
 BEST = "best"  # name of the folder of a training's best agent, within that of the training
+ALL = "all"  # name of all controllers of the catalogue together
 ESTIMATOR = "estimator."  # prefix of parameters of the state estimator among those of a controller
+
+ZIP = """a file of Stable-Baselines3 does not say what its agent observes. Write a module mine.py and name the policy mine:agent:
+    from stable_baselines3 import PPO  # or what trained it; without VecNormalize, whose statistics are not in the file
+    def agent(env): return PPO.load({path!r})
+    agent.options = {{"observation": [...]}}  # and whatever else of the task, the arm and the actions differs from the usual"""
 
 
 @dataclass(frozen=True)
@@ -64,6 +69,8 @@ class PolicyName:
         wanted = f"a controller of {task}; {not_among(controller, controllers)}"
         if prefix:
             raise ValueError(f"policy is {text!r}: what stands behind {prefix!r} should be {wanted}")
+        if path.suffix == ".zip":
+            raise ValueError(f"policy is {text!r}: {ZIP.format(path=text)}")
         agents = f"the folder of an agent (of a training: {path / BEST}), {', '.join(SHIPPED)}, which ship, module:name"
         raise ValueError(f"policy is {text!r}, no policy: it should be {agents}, or {wanted}")
 
@@ -141,14 +148,9 @@ class Agent(PolicyName):
     """A trained agent: the name of one that ships for the task, "agent" for the best of them, or its folder."""
 
     @property
-    def folder(self) -> Path:
-        """The folder of its files. Raises ValueError, FileNotFoundError."""
-        return find_agent(self.text, self.task)
-
-    @property
     def config(self) -> AgentConfig:
         """The configuration of its training. Raises ValueError, OSError."""
-        return read_config(self.folder)
+        return read_config(find_agent(self.text, self.task))
 
     @property
     def training(self) -> str:
@@ -168,7 +170,7 @@ class Agent(PolicyName):
         return load_agent(self.text, env, other_effects)
 
     def fingerprint(self) -> Any:
-        return digests(self.folder)
+        return digests(find_agent(self.text, self.task))
 
 
 @dataclass(frozen=True)
@@ -200,6 +202,10 @@ class UserPolicy(PolicyName):
         made: Policy = self.maker(policy_environment(env, scene))
         if not hasattr(made, "predict"):
             raise ValueError(f"policy is {self.text!r}: {self.name} should make an object with predict, not {shown(made)}")
+        for key in ("observation_space", "action_space"):
+            there = getattr(env, f"single_{key}" if isinstance(env, gym.vector.VectorEnv) else key)
+            if (made_for := getattr(made, key, there)) != there:
+                raise ValueError(f"policy is {self.text!r}, made for the {key} {made_for}: the environment's is {there}")
         return made
 
     def fingerprint(self) -> Any:
@@ -214,10 +220,24 @@ def policy_environment(env: Any, scene: Scene | None = None) -> Any:
     """
     episodes = episodes_of(env)
     options = {name: getattr(episodes.options, name) for name in (*ARM, *INTERFACE, "threshold")}
-    options |= {
-        "randomize": {"noise": episodes.options.randomize.noise},
-        **({} if scene is None else {"scene": scene, "fidelity": "scene"}),
-    }
+    options["randomize"] = {"noise": episodes.options.randomize.noise}
+    if scene is not None:
+        options |= {"scene": scene, "fidelity": AS_SCENE}
     if isinstance(env, gym.Env):
         return gym.make(IDS[episodes.task.name], **options)
     return gym.make_vec(IDS[episodes.task.name], num_envs=episodes.size, threads=1, **options)
+
+
+def policy_options(name: str, task: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of an environment in which a policy sees what it needs: its own, and those given. Raises ValueError, OSError."""
+    return PolicyName.parse(name, task).options(given)
+
+
+def load_policy(name: str, env: Any) -> Policy:
+    """The policy for an environment with the options that it needs, see `policy_options`.
+
+    name: a controller's, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where it believes in another model; an agent's folder;
+    "agent", "ppo", "sac", "dagger" or "apg", of those that ship for the environment's task; module:name of what makes one.
+    Raises TypeError for environments of other packages, ValueError, OSError, ModuleNotFoundError.
+    """
+    return PolicyName.parse(name, episodes_of(env).task.name).load(env)

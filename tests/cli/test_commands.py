@@ -42,7 +42,7 @@ QUICK = [
     ),
     (("train", "{config}", "--seed", "3"), ["PPO on TipPose, 128 steps, seed 3"], ["runs/small/seed_3/best/weights.pt"]),
     pytest.param(
-        ("demo", "--agent", "{best}", "--episodes", "1", "--seconds", "0.2"),
+        ("demo", "--episodes", "1", "--seconds", "0.2"),
         ["\n| agent (PPO) ", "cannot push"],
         ["demo.rrd", "demo.png"],
         marks=pytest.mark.slow,  # it draws

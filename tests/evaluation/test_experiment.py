@@ -10,7 +10,7 @@ import pytest
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import evaluate, experiment
 from soft_tendon_env.evaluation.experiment import Cell, Experiment, code_digest, measure
-from soft_tendon_env.policies.load import load_policy
+from soft_tendon_env.policies.names import load_policy
 from soft_tendon_env.scene.file import load_scene, save_scene
 
 ARM = {"scene": "three_tendon", "fidelity": "fast"}
