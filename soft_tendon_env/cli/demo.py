@@ -35,7 +35,8 @@ def run(settings: Demo) -> None:
         check_cluster(settings.cluster)
         file = recording.RerunFile(writable_folder(out) / "demo.rrd")
         known = CONTROLLERS[TASK]
-        agents = {name: Agent(policy, TASK).training for policy, name in shown_policies().items() if policy not in known}
+        configs = {name: Agent(policy, TASK).config for policy, name in shown_policies().items() if policy not in known}
+        agents = {name: f"{config.algorithm}, {config.steps_done:,} steps" for name, config in configs.items()}
     described = {name: agents.get(name) or known[policy].description for policy, name in shown_policies().items()}
     print("\n".join(f"{name:<24} {text}" for name, text in described.items()), "\n")
     tables = run_demo(settings.episodes, settings.seconds, settings, file, out)

@@ -64,10 +64,6 @@ def tip_pose_objective(model: Model) -> TipPose:
     return TipPose(0.1 * model.length)
 
 
-def _shape_predictive(model: Model, limits: Array, period: float, **tuning: Any) -> Predictive:
-    return Predictive(model, limits, period, Shape(model), Tuning(**tuning))
-
-
 def _tip_controllers(objective: Callable[[Model], Objective]) -> dict[str, Entry]:
     """Controllers of the tip with their presets."""
 
@@ -104,7 +100,10 @@ CONTROLLERS: dict[str, dict[str, Entry]] = {
         "paper": Entry("(37) or (38) as printed, kp = 1,000 and kd = 100", PaperShape),
         "feedforward": Entry("u = q_a_bar, nothing measured", ShapeFeedforward),
         "tracking": entry_of("(37) or (38) at the control period, within limits", ShapeTracking),
-        "predictive": Entry("model-predictive control", _shape_predictive, DEFAULT.looks_ahead, DEFAULT._asdict()),
+        "predictive": replace(
+            OF_POSITION["predictive"],
+            make=lambda model, limits, period, **tuning: Predictive(model, limits, period, Shape(model), Tuning(**tuning)),
+        ),
     },
     "Reach": OF_POSITION,
 }

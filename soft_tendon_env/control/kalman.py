@@ -116,7 +116,10 @@ class ExtendedKalmanFilter:
         self._sensors = checked_array("sensors", setting.sensors, (None,))
         self._variance = noise_variances(model, setting.noise, self._sensors.size)
         self._rest_lengths, self._stress_free = model.tendon_lengths(np.zeros(n)), model.strain_at(np.zeros(n), self._sensors)[0]
-        self._scale, self._tension = model.coordinate_scale(), _bending_tensions(model)
+        terms = model.terms(np.zeros(n), np.zeros(n))
+        give = np.einsum("ij,ij->j", terms.actuation, np.linalg.lstsq(terms.stiffness, terms.actuation, rcond=None)[0])
+        self._tension = np.sqrt(model.bending_energy / np.maximum(give, np.finfo(float).tiny))  # of one tendon that bends the arm by 1 rad
+        self._scale = model.coordinate_scale()
         self._tip_unit = np.repeat([1.0, model.length], 3)
         self._simulation, self._rest = Simulation(model), static_equilibrium(model, self.start).q
         walks = (0.0, 0.0, uncertainty.offset * self._tension, uncertainty.gain, uncertainty.tip * self._tip_unit, uncertainty.latency)
@@ -248,11 +251,3 @@ def _gain(slope: Array, covariance: Array, variance: Array, missed: Array) -> tu
     """H P, and (H P H^T + R)^-1 (H P, innovations)."""
     spread = slope @ covariance
     return spread, np.asarray(np.linalg.solve(spread @ slope.T + np.diag(variance), np.column_stack([spread, missed])))
-
-
-def _bending_tensions(model: Model) -> Array:
-    """Tension (n_a,) [N] of each tendon alone whose work at rest is that of bending the arm by 1 rad."""
-    rest = np.zeros(model.coordinate_count)
-    terms = model.terms(rest, rest)
-    give = np.einsum("ij,ij->j", terms.actuation, np.linalg.lstsq(terms.stiffness, terms.actuation, rcond=None)[0])
-    return np.asarray(np.sqrt(model.bending_energy / np.maximum(give, np.finfo(float).tiny)))

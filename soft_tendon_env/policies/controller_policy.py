@@ -84,8 +84,7 @@ def make_policy(
     _check_preview(entry, episodes, _periods_ahead(entry, late, episodes.period, finds))
     greatest = late if finds is None else finds.greatest_latency or late
     predictor = SmithPredictor(believed, greatest, episodes.period) if greatest else None
-    fields = protocol.Measurement._fields
-    seen = tuple(field for group, field in PARAMETERS.items() if group in episodes.layout.slices and field in fields)
+    seen = tuple(field for group, field in PARAMETERS.items() if group in episodes.layout.slices and field in protocol.Measurement._fields)
     noise, starts = episodes.options.randomize.noise, episodes.start_tension.copy()
     setting = Setting(episodes.period, starts, seen, episodes.sensors.copy(), noise, late, uncertainty)
     found = None if finds is None else finds.make(believed, setting)

@@ -153,12 +153,6 @@ class Agent(PolicyName):
         return read_config(find_agent(self.text, self.task))
 
     @property
-    def training(self) -> str:
-        """The algorithm and the steps that trained it. Raises ValueError, OSError."""
-        steps = self.config.steps_done
-        return self.config.algorithm + ("" if steps is None else f", {steps:,} steps")
-
-    @property
     def arm(self) -> dict[str, Any]:
         """Options of the arm that it was trained on, all of them. Raises ValueError, OSError."""
         return Options.parse(self.config.options, "options").model_dump(mode="json", include=set(ARM))
