@@ -9,7 +9,7 @@ from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.evaluation.comparison import opening_hint
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS
-from soft_tendon_env.evaluation.demo import NOTES, TASK, run_demo, shown_policies
+from soft_tendon_env.evaluation.demo import NOTES, SHOWN, TASK, run_demo
 from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.evaluation.settings import Workers
 from soft_tendon_env.policies.names import Agent
@@ -35,9 +35,9 @@ def run(settings: Demo) -> None:
         check_cluster(settings.cluster)
         file = recording.RerunFile(writable_folder(out) / "demo.rrd")
         known = CONTROLLERS[TASK]
-        configs = {name: Agent(policy, TASK).config for policy, name in shown_policies().items() if policy not in known}
+        configs = {name: Agent(policy, TASK).config for policy, name in SHOWN.items() if policy not in known}
         agents = {name: f"{config.algorithm}, {config.steps_done:,} steps" for name, config in configs.items()}
-    described = {name: agents.get(name) or known[policy].description for policy, name in shown_policies().items()}
+    described = {name: agents.get(name) or known[policy].description for policy, name in SHOWN.items()}
     print("\n".join(f"{name:<24} {text}" for name, text in described.items()), "\n")
     tables = run_demo(settings.episodes, settings.seconds, settings, file, out)
     print(f"{tables}\n\n{NOTES}\n")

@@ -48,14 +48,14 @@ class StaticFeedforward(ModelController):
             found = static_equilibrium(self.model, self.preferred)
             at, steps = StaticMemory(self.preferred, found.q, found.tip_pose, np.zeros_like(self.preferred)), FIRST_STEPS
         for _ in range(steps):
-            at = self._improved(at, now.reference)
+            at = self._improve(at, now.reference)
         return self.output(at.tension, at)
 
     def error(self, at: StaticMemory, reference: Reference) -> Array:
         """Error (k,) [m] of the equilibrium from the target when the tensions will have acted."""
         return self.objective.error(at.q, at.tip_pose, reference, self.period)
 
-    def _improved(self, at: StaticMemory, reference: Reference) -> StaticMemory:
+    def _improve(self, at: StaticMemory, reference: Reference) -> StaticMemory:
         """One Gauss-Newton step, halved until it leads to an equilibrium that is nearer."""
         model, u, near = self.model, at.tension, ChordSolver(self.model, at.q, at.tension)
         away = self.error(at, reference)

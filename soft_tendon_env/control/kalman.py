@@ -129,10 +129,10 @@ class ExtendedKalmanFilter:
 
     def estimate(self, measured: Measurement, last: Estimate | None) -> Estimate:
         """Prediction over a period and update by what is measured; begins anew where the model has no motion like that."""
-        believed = self._first() if last is None else self._predicted(last.memory, measured)
-        updated = self._updated(believed, measured)
+        believed = self._first() if last is None else self._predict(last.memory, measured)
+        updated = self._update(believed, measured)
         if updated is None:
-            updated = self._updated(self._first(), measured) or self._first()
+            updated = self._update(self._first(), measured) or self._first()
         mean = updated.mean
         q, tip = self._scale * mean[self._at.z], mean[self._at.tip]
         latency = None if self.greatest_latency is None else float(mean[self._at.latency][0])
@@ -153,7 +153,7 @@ class ExtendedKalmanFilter:
         variance[self._at.latency] *= self.greatest_latency is not None
         return variance
 
-    def _predicted(self, last: Belief, measured: Measurement) -> Belief:
+    def _predict(self, last: Belief, measured: Measurement) -> Belief:
         mean, gain, offset = last.mean, 1.0 + last.mean[self._at.gain], last.mean[self._at.offset]
         q, q_dot, began = self._scale * mean[self._at.z], self._scale * mean[self._at.v], measured.time - self.period
         whole, rest = whole_periods(float(mean[self._at.latency][0]), self.period)
@@ -168,7 +168,7 @@ class ExtendedKalmanFilter:
             return self._first()
         uncertain = np.sqrt(last.covariance[self._at.latency, self._at.latency][0, 0]) / self.period  # periods of latency
         white = np.hypot(self.uncertainty.tension * self._tension, self.uncertainty.timing * uncertain * np.ptp(measured.sent, axis=0))
-        transition, noise = self._linearised(rollout, tension, seconds, gain, white)
+        transition, noise = self._linearise(rollout, tension, seconds, gain, white)
         after = mean.copy()
         after[self._at.z], after[self._at.v] = rollout.q[1] / self._scale, rollout.q_dot[1] / self._scale
         covariance = transition @ last.covariance @ transition.T
@@ -176,7 +176,7 @@ class ExtendedKalmanFilter:
         covariance[np.diag_indices_from(covariance)] += self._drift
         return Belief(self._keep * after, covariance, noise, rollout.effects[1])
 
-    def _linearised(self, rollout: Rollout, acted: Array, seconds: Array, gain: Array, white: Array) -> tuple[Array, Array]:
+    def _linearise(self, rollout: Rollout, acted: Array, seconds: Array, gain: Array, white: Array) -> tuple[Array, Array]:
         """Transition (m, m) of deviations over a period, in whose parts (2,) [s] tensions (2, n_a) acted, and the covariance (2 n, 2 n)
         that white forces and tensions of deviations `white` (n_a,) [N] add to the motion."""
         unit = np.tile(self._scale, 2)
@@ -190,11 +190,11 @@ class ExtendedKalmanFilter:
         transition[motion, self._at.latency] = driven[:, -1:]
         return transition * self._keep[:, None], moved @ moved.T
 
-    def _updated(self, believed: Belief, measured: Measurement) -> Belief | None:
+    def _update(self, believed: Belief, measured: Measurement) -> Belief | None:
         """Update: the belief after a measurement; None where there is no such state."""
         mean, covariance = believed.mean, believed.covariance
         try:
-            missed, slope, variance = self._compared(mean, measured)
+            missed, slope, variance = self._innovations(mean, measured)
             spread, weight = _gain(slope, covariance, variance, missed)
             surprise = missed @ weight[:, -1] / missed.size
             if surprise > SURPRISE:  # of the motion, not of what the model has wrong in the long run
@@ -216,7 +216,7 @@ class ExtendedKalmanFilter:
             return None
         return Belief(after, 0.5 * (covariance + covariance.T), believed.noise, believed.effects)
 
-    def _compared(self, mean: Array, measured: Measurement) -> tuple[Array, Array, Array]:
+    def _innovations(self, mean: Array, measured: Measurement) -> tuple[Array, Array, Array]:
         """Innovations (k,), the Jacobian (k, m) of what was expected of the state `mean` (m,), and the variances (k,) of the noise."""
         at, scale = self._at, self._scale
         q, q_dot = scale * mean[at.z], scale * mean[at.v]

@@ -72,10 +72,10 @@ class TipPose(Objective):
         return Aim(error, self._weight * twist, jacobian, self._weight * (terms.tip_bias + turning))
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
-        return _displaced(reference, pose_error(measured_pose, model_pose))
+        return _displace(reference, pose_error(measured_pose, model_pose))
 
     def moved_back(self, reference: Reference, nearest: Array, time: float, share: float) -> Reference:
-        return _displaced(reference, share * pose_error(_pose(reference, time), nearest))
+        return _displace(reference, share * pose_error(_pose(reference, time), nearest))
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def _pose(reference: Reference, time: float) -> Array:
     return pose_at(reference.ahead, reference.tip_pose, time)
 
 
-def _displaced(reference: Reference, twist: Array) -> Reference:
+def _displace(reference: Reference, twist: Array) -> Reference:
     assert reference.tip_pose is not None
     return reference._replace(tip_pose=np.stack([moved_pose(pose, twist) for pose in reference.tip_pose]))
 

@@ -119,9 +119,9 @@ class Benchmark(Workers):
                 plays, noise = True, {"noise": dict(REGIMES[regime].noise)}
                 for setting in (name for name in self.settings if name in (entrant.settings or self.settings)):
                     given = {**observed, "scene": self.scene, "fidelity": PLANT, "target": TARGET, "randomize": noise}
-                    told = {"scene": self.scene, **(SETTINGS[setting].scene(load_scene(self.scene)) if entrant.told else {})}
+                    believed = {"scene": self.scene, **(SETTINGS[setting].scene(load_scene(self.scene)) if entrant.told else {})}
                     options = SETTINGS[setting].options(given)
-                    cell = Cell(self.task, policy.text, options, episodes, self.seconds, self.skip, told=told)
+                    cell = Cell(self.task, policy.text, options, episodes, self.seconds, self.skip, controller_scene=believed)
                     yield Label(entrant.name, seed, regime, setting), cell
         if reasons and not plays:
             only = "policies may observe what does not depend on the discretisation of the arm"
@@ -157,13 +157,14 @@ def standings_by_regime(benchmark: Benchmark, experiment: Experiment[Label]) -> 
     scores: dict[str, dict[tuple[str, str], list[Any]]] = {}
     for label in sorted(experiment.cells, key=lambda label: benchmark.settings.index(label.setting)):
         scores.setdefault(label.regime, {}).setdefault((label.policy, label.setting), []).append(experiment.scores(label))
-    return {regime: {key: Standing(own) for key, own in of.items()} for regime, of in scores.items()}
+    return {regime: {key: Standing(members) for key, members in of.items()} for regime, of in scores.items()}
 
 
 def benchmark_tables(benchmark: Benchmark, found: Mapping[str, Standings]) -> str:
     """A table per regime: errors by policy and setting, and the gap between the best that has learned and the best controller."""
     played = {name for of in found.values() for name, _ in of}
-    first = {own.name: (next(iter(own.members(benchmark.task).values())), own.told) for own in benchmark.entrants if own.name in played}
+    players = [entrant for entrant in benchmark.entrants if entrant.name in played]
+    first = {entrant.name: (next(iter(entrant.members(benchmark.task).values())), entrant.told) for entrant in players}
     models = {label: model_in_the_loop(*policy) for label, policy in first.items()}
     learned, texts = {label for label, (policy, _) in first.items() if not isinstance(policy, Controller)}, list[str]()
     for regime, of in found.items():
@@ -176,9 +177,9 @@ def gaps(of: Standings, learned: set[str]) -> dict[str, str]:
     """Row of the errors of the best learned policy less those of the best controller, by setting where both kinds play."""
     row = {"": "best learned less best controller"}
     for setting in dict.fromkeys(setting for _, setting in of):
-        kinds = [[own for (name, at), own in of.items() if at == setting and (name in learned) == kind] for kind in (True, False)]
+        kinds = [[standing for (name, at), standing in of.items() if at == setting and (name in learned) == kind] for kind in (True, False)]
         if all(kinds):
-            one, other = (min(kind, key=lambda own: own.mean(f"{own.error}_rms").value) for kind in kinds)
+            one, other = (min(kind, key=lambda standing: standing.mean(f"{standing.error}_rms").value) for kind in kinds)
             factor = error_unit(one.error).factor
             row[setting] = "{} ({} to {})".format(*(number(factor * value) for value in difference(one, other, f"{one.error}_rms")))
     return row

@@ -79,7 +79,7 @@ def standings_of(experiment: Experiment[tuple[str, str]], files: Files) -> tuple
     }
     found = {key: standing for key, standing in of_all.items() if key[1] != TIME}
     times = {name: summarise(of_all[name, TIME].episodes).action_time for name in files}
-    return found, {key: replace(summarise(own.episodes), action_time=times[key[0]]) for key, own in found.items()}
+    return found, {key: replace(summarise(standing.episodes), action_time=times[key[0]]) for key, standing in found.items()}
 
 
 def comparison_tables(task: str, files: Files, found: Standings, summaries: Summaries) -> str:

@@ -14,20 +14,16 @@ from soft_tendon_env.evaluation.settings import Settings, Workers
 from soft_tendon_env.evaluation.summaries import Standing
 from soft_tendon_env.evaluation.tables import summary_table
 from soft_tendon_env.policies.agent import AGENT
-from soft_tendon_env.policies.names import Agent, PolicyName
+from soft_tendon_env.policies.names import PolicyName
 
 TASK = "TipPose"
 SHOWN = {"paper": "paper (printed law)", "tracking": "tracking (sampled law)", "predictive": "predictive (MPC)", "ppo": "PPO"}
-"""Policies that are shown besides the best agent, with their names there."""
+SHOWN[AGENT] = "agent (the best)"
+"""Policies that are shown, with their names there."""
 ARM = {"scene": "paper", "fidelity": "standard"}
 NOTES = """The tendons of this arm pull, with 0 to 60 N, and cannot push. The law (39) of the paper is continuous in time and takes tendons
 that push as well: as printed, held for 20 ms and cut off at 0 N, it is unstable. `tracking` is the same law for sampled commands and
 tendons that only pull; `soft-tendon reproduce-paper` shows it as the paper has it."""
-
-
-def shown_policies() -> dict[str, str]:
-    """Policies that are shown, and their names there, which say what they are. Raises ValueError, OSError."""
-    return {**SHOWN, AGENT: f"agent ({Agent(AGENT, TASK).config.algorithm})"}
 
 
 def run_demo(episodes: int, seconds: float, workers: Workers, file: Any, out: Path) -> str:
@@ -35,9 +31,9 @@ def run_demo(episodes: int, seconds: float, workers: Workers, file: Any, out: Pa
     demo.png and the episodes into a folder. Raises ValueError, OSError."""
     from soft_tendon_env.evaluation.pictures import draw_errors
 
-    names, tables, standings = shown_policies(), list[str](), dict[tuple[str, str], Standing]()
-    files: dict[str, dict[int | None, str]] = {name: {None: policy} for policy, name in names.items()}
-    models = {name: model_in_the_loop(PolicyName.parse(policy, TASK)) for policy, name in names.items()}
+    tables, standings = list[str](), dict[tuple[str, str], Standing]()
+    files: dict[str, dict[int | None, str]] = {name: {None: policy} for policy, name in SHOWN.items()}
+    models = {name: model_in_the_loop(PolicyName.parse(policy, TASK)) for policy, name in SHOWN.items()}
     experiments = dict[str, Experiment[tuple[str, str]]]()
     for target, count, label in (("circle", 1, "circle"), ("random", episodes, f"{episodes} random targets")):
         given = {"seconds": seconds, "skip": 0.1 * seconds, "errors": (NOMINAL,), "episodes": count, "options": {**ARM, "target": target}}
@@ -45,7 +41,7 @@ def run_demo(episodes: int, seconds: float, workers: Workers, file: Any, out: Pa
         experiments[label] = compare(chosen, TASK, shared_arms(chosen, TASK, files), out / "cells")
     with file:
         for label, experiment in experiments.items():
-            players = {name: experiment.cells[policy, TIME].open() for policy, name in names.items()}
+            players = {name: experiment.cells[policy, TIME].open() for policy, name in SHOWN.items()}
             record_side_by_side(players, file, EVALUATION_SEEDS[:1], 0.0, new=label == "circle")
             experiment.play(label, workers.workers, workers.cluster)
             found, summaries = standings_of(experiment, files)

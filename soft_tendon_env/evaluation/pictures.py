@@ -26,12 +26,12 @@ def draw_errors(panels: Mapping[str, Standings], path: Path) -> None:
         policies, conditions = ([*dict.fromkeys(key[i] for key in panel)] for i in (0, 1))
         unit = error_unit(next(iter(panel.values())).error)
         for index, policy in enumerate(policies):
-            own, places = drawn[policy], [k for k, condition in enumerate(conditions) if (policy, condition) in panel]
+            style, places = drawn[policy], [k for k, condition in enumerate(conditions) if (policy, condition) in panel]
             found = [panel[policy, conditions[k]] for k in places]
             value, low, high = unit.factor * np.array([standing.mean(f"{standing.error}_rms") for standing in found]).T
             x = np.array(places) + 0.7 * ((index + 0.5) / len(policies) - 0.5)
-            axes.plot(x, value, own.marker, color=own.rgb, markersize=5, label="/".join(Path(policy).parts[-2:]))
-            axes.vlines(x, low, high, color=own.rgb, linewidth=1.5)
+            axes.plot(x, value, style.marker, color=style.rgb, markersize=5, label="/".join(Path(policy).parts[-2:]))
+            axes.vlines(x, low, high, color=style.rgb, linewidth=1.5)
         for border in range(len(conditions) - 1):
             axes.axvline(border + 0.5, color="0.85", linewidth=0.8)
         set_log_scale(axes, axes.yaxis)

@@ -90,8 +90,8 @@ def play(policy: Policy, env: Env, seeds: Sequence[int]) -> list[Episode]:
             break
 
     def episode(row: int, seed: int, steps: int, **end: Any) -> Episode:
-        own = zip(*(tuple(values[row] for values in sample) for sample in course[: steps + 1]), strict=True)
-        reward, seconds, target, tension, errors = map(np.array, own)
+        samples = zip(*(tuple(values[row] for values in sample) for sample in course[: steps + 1]), strict=True)
+        reward, seconds, target, tension, errors = map(np.array, samples)
         named = dict(zip(episodes.errors, errors.T.copy(), strict=True))
         jumped = (np.abs(np.diff(target[-3:], axis=0)) > STILL).any(axis=(1, 2)).tolist() == [False, True]
         return Episode(seed, episodes.period, episodes.model.length, named, reward[1:], tension, seconds[1:], jumped, **end)

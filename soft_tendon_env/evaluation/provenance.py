@@ -24,7 +24,7 @@ def origin() -> dict[str, Any]:
 
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that are installed, by name."""
-    installed = {own.name.replace("-", "_"): own.version for own in importlib.metadata.distributions()}
+    installed = {package.name.replace("-", "_"): package.version for package in importlib.metadata.distributions()}
     return {"python": platform.python_version(), **{name: installed[name] for name in sorted(PACKAGES & installed.keys())}}
 
 

@@ -77,7 +77,7 @@ class Settings(EpisodeSettings, Workers):
 
     @field_validator("errors")
     @classmethod
-    def _known(cls, errors: tuple[str, ...]) -> tuple[str, ...]:
+    def _expand(cls, errors: tuple[str, ...]) -> tuple[str, ...]:
         every = [name for given in errors for name in (MODEL_ERRORS if given == ALL else (given,))]
         for name in every:
             model_error(name)

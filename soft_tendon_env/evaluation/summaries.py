@@ -57,7 +57,7 @@ def bootstrap_interval(values: ArrayLike, axes: int = 1, statistic: Callable[...
         raise ValueError("values should have at least one run")
     rng = np.random.default_rng(0)
     drawn = [rng.integers(count, size=(RESAMPLES, count)) for count in counts]
-    index = tuple(np.expand_dims(own, tuple(1 + k for k in range(axes) if k != axis)) for axis, own in enumerate(drawn))
+    index = tuple(np.expand_dims(chosen, tuple(1 + k for k in range(axes) if k != axis)) for axis, chosen in enumerate(drawn))
     found = np.sort(np.asarray(statistic(given[index].reshape(RESAMPLES, -1, *rest), axis=1)), axis=0)
     tail = (1.0 - CONFIDENCE) / 2.0
     low, high = (found[math.ceil(share * RESAMPLES) - 1] for share in (tail, 1.0 - tail))
@@ -100,7 +100,7 @@ def summarise(scores: Sequence[EpisodeScore]) -> Summary:
         episodes=len(scores),
         diverged=len(scores) - len(lived),
         errors={
-            name: ErrorScore(root_mean_square(np.array([own.rms for own in of])), float(np.mean([own.percentile_95 for own in of])))
+            name: ErrorScore(root_mean_square(np.array([score.rms for score in of])), float(np.mean([score.percentile_95 for score in of])))
             for name, of in errors.items()
         },
         settled=sum(score.settled for score in scores),

@@ -95,7 +95,7 @@ def records(found: Standings) -> list[dict[str, Any]]:
     rows = []
     for (policy, condition), standing in found.items():
         row: dict[str, Any] = {"policy": policy, "condition": condition}
-        row |= {"members": len(standing.scores), "episodes": len(standing.episodes), "bad": sum(own.bad for own in standing.episodes)}
+        row |= {"members": len(standing.scores), "episodes": len(standing.episodes), "bad": sum(score.bad for score in standing.episodes)}
         for key in standing.episodes[0].numbers:
             row |= dict(zip((key, f"{key}_low", f"{key}_high"), standing.mean(key), strict=True))
         rows.append(row)

@@ -86,7 +86,7 @@ def make_config(training: Training, runners: int, done: int = 0) -> PPOConfig:
     config.env_runners(num_env_runners=runners, num_envs_per_env_runner=training.arms // max(runners, 1))
     config.env_runners(rollout_fragment_length=length, gym_env_vectorize_mode=BY_ROWS)
     return config.training(
-        **{name: value[own] for own, name in COUNTERPARTS.items()},
+        **{name: value[ours] for ours, name in COUNTERPARTS.items()},
         train_batch_size_per_learner=length * training.arms,
         lr=rate if isinstance(rate, float) else [[0, rate[0]], [training.steps, rate[1]]],
         grad_clip_by="global_norm",

@@ -96,9 +96,9 @@ def make_training_env(training: Training) -> StableBaselinesVecEnv:
 
 def make_model(training: Training) -> BaseAlgorithm:
     """Agent that has learned nothing yet, with its environment. Raises ValueError."""
-    env, own, kind = make_training_env(training), training.normalise, training_class(training.algorithm)
+    env, normalise, kind = make_training_env(training), training.normalise, training_class(training.algorithm)
     given: dict[str, Any] = {**training.hyperparameters, "learning_rate": learning_rate(training)}
-    normalised = VecNormalize(env, norm_obs=own.observations, norm_reward=own.rewards, gamma=given.get("gamma", 0.99))
+    normalised = VecNormalize(env, norm_obs=normalise.observations, norm_reward=normalise.rewards, gamma=given.get("gamma", 0.99))
     policy = "MultiInputPolicy" if isinstance(env.observation_space, gym.spaces.Dict) else "MlpPolicy"  # of tasks with goals
     given["policy_kwargs"] = policy_arguments(given.get("policy_kwargs", {}))
     if training.hindsight:

@@ -185,42 +185,42 @@ class ControllerPolicy:
         targets = _target_poses(values, poses)
         actions, after = [], []
         for row, kept in enumerate(memories):
-            own = {name: value[row] for name, value in values.items()}
+            groups = {name: value[row] for name, value in values.items()}
             target = protocol.Reference(
                 ahead=self._ahead if goal is None else np.zeros(1),
                 tip_pose=None if targets is None else targets[row],
                 tip_position=None if goal is None else goal[row : row + 1],
-                q=_target_coordinates(own, len(self._ahead)),
+                q=_target_coordinates(groups, len(self._ahead)),
             )
-            action, memory = self._decided(own, poses[row], target, self._fresh(own) if kept is None else kept)
+            action, memory = self._decide(groups, poses[row], target, self._fresh(groups) if kept is None else kept)
             actions.append(action)
             after.append(memory)
         return actions[0] if np.ndim(flat) == 1 else np.stack(actions), tuple(after)
 
-    def _decided(self, own: dict[str, Array], pose: Array, target: protocol.Reference, memory: RowMemory) -> tuple[Any, RowMemory]:
+    def _decide(self, groups: dict[str, Array], pose: Array, target: protocol.Reference, memory: RowMemory) -> tuple[Any, RowMemory]:
         """Action (n_a,) and memory of a row from its observation by group, its measured pose (4, 4) and the reference."""
-        time, estimate = memory.periods * self._period, protocol.Estimate(own.get("coordinates"), own.get("rates"))  # type: ignore[arg-type]
+        time, estimate = memory.periods * self._period, protocol.Estimate(groups.get("coordinates"), groups.get("rates"))  # type: ignore[arg-type]
         if self.estimator is not None:
-            fields = {name: own[group] for group, name in PARAMETERS.items() if name in self.estimator.needs}
+            fields = {name: groups[group] for group, name in PARAMETERS.items() if name in self.estimator.needs}
             fields |= {name: fields[name].reshape(-1, 6) for name in {"strain", "strain_rate"} & fields.keys()}
             sent = np.array(memory.sent).reshape(-1, self._start.size)
             estimate = self.estimator.estimate(protocol.Measurement(pose, sent, time, **fields), memory.estimate)
         q, q_dot, tip = estimate.q, estimate.q_dot, pose if estimate.tip_pose is None else estimate.tip_pose
         now = protocol.ControllerInput(q, q_dot, tip, memory.tension, target, time, estimate.input_error)
         if self.predictor is not None:
-            now = self.predictor.predicted(now, memory.sent, estimate.latency)
+            now = self.predictor.predict(now, memory.sent, estimate.latency)
         decision = self.controller.act(now, None if memory.decision is None else memory.decision.memory)
-        action, asked, command = self._commanded(decision.tension, q, q_dot, memory.command)
+        action, asked, command = self._command(decision.tension, q, q_dot, memory.command)
         return action, RowMemory(decision, asked, command, estimate, memory.periods + 1, (*memory.sent[1:], asked)[: self._waiting])
 
-    def _fresh(self, own: dict[str, Array]) -> RowMemory:
+    def _fresh(self, groups: dict[str, Array]) -> RowMemory:
         """The memory of a row whose episode begins: under the command that is observed, or else that of rest."""
         start, command = self._start, self._start_command
-        if not np.allclose(seen := own.get("command", command), command, 0.0, SAME_COMMAND * np.abs(self._actions.greatest)):
+        if not np.allclose(seen := groups.get("command", command), command, 0.0, SAME_COMMAND * np.abs(self._actions.greatest)):
             command, start = seen, seen if self._simulation is None else start
         return RowMemory(None, start, command, None, 0, (start,) * self._waiting)
 
-    def _commanded(self, tension: Array, q: Array, q_dot: Array, before: Array) -> tuple[NDArray[np.float32], Array, Array]:
+    def _command(self, tension: Array, q: Array, q_dot: Array, before: Array) -> tuple[NDArray[np.float32], Array, Array]:
         """The action that asks for tensions (n_a,) [N] at q, q_dot after a command (n_a,), the tensions that it asks for, and its command.
 
         Displacements are those that have these tensions where the arm would be under them at the end of the period.
@@ -261,11 +261,11 @@ def _target_poses(values: dict[str, Array], poses: Array) -> Array | None:
     return out
 
 
-def _target_coordinates(own: dict[str, Array], samples: int) -> Array | None:
+def _target_coordinates(groups: dict[str, Array], samples: int) -> Array | None:
     """Coordinates (samples, n) of the target of one row now and at each preview time, or None where the observation has none."""
-    if "wanted_coordinates" in own:
-        return own["wanted_coordinates"].reshape(samples, -1)
-    if "target_coordinates" not in own:
+    if "wanted_coordinates" in groups:
+        return groups["wanted_coordinates"].reshape(samples, -1)
+    if "target_coordinates" not in groups:
         return None
-    ahead = own.get("coordinate_preview", np.empty(0)).reshape(-1, own["coordinates"].size)
-    return own["coordinates"] + np.vstack([own["target_coordinates"], ahead])
+    ahead = groups.get("coordinate_preview", np.empty(0)).reshape(-1, groups["coordinates"].size)
+    return groups["coordinates"] + np.vstack([groups["target_coordinates"], ahead])

@@ -123,8 +123,8 @@ class Controller(PolicyName):
     @property
     def entry(self) -> Entry:
         """The catalogue's entry, with its parameters."""
-        own = {name: value for name, value in self.parameters.items() if not name.startswith(ESTIMATOR)}
-        return CONTROLLERS[self.task][self.name].with_parameters(own) if own else CONTROLLERS[self.task][self.name]
+        numbers = {name: value for name, value in self.parameters.items() if not name.startswith(ESTIMATOR)}
+        return CONTROLLERS[self.task][self.name].with_parameters(numbers) if numbers else CONTROLLERS[self.task][self.name]
 
     def options(self, given: Mapping[str, Any], regime: str | None = None) -> dict[str, Any]:
         """regime: information regime of the estimator, see `observation_options`."""
@@ -135,8 +135,8 @@ class Controller(PolicyName):
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
         changed = {name.removeprefix(ESTIMATOR): value for name, value in self.parameters.items() if name.startswith(ESTIMATOR)}
-        own = self.belief is None and scene is None
-        believed = None if own else build_model(scene or episodes_of(env).model.scene, self.belief or AS_SCENE)
+        is_same = self.belief is None and scene is None
+        believed = None if is_same else build_model(scene or episodes_of(env).model.scene, self.belief or AS_SCENE)
         return make_policy(self.entry, env, believed, estimator=self.estimator, uncertainty=USUAL._replace(**changed))
 
     def fingerprint(self) -> Any:
@@ -186,11 +186,11 @@ class UserPolicy(PolicyName):
         return made
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        own = getattr(self.maker, "options", {})
-        if other := [str(name) for name in own if name not in INTERFACE]:
+        options = getattr(self.maker, "options", {})
+        if other := [str(name) for name in options if name not in INTERFACE]:
             raise ValueError(f"policy is {self.text!r}, whose options have {', '.join(other)}: it may set {', '.join(INTERFACE)} alone")
-        Options.parse(dict(own), f"options of {self.text}")
-        return {**own, **given}
+        Options.parse(dict(options), f"options of {self.text}")
+        return {**options, **given}
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
         made: Policy = self.maker(policy_environment(env, scene))

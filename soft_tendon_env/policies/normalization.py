@@ -35,10 +35,10 @@ class Normalization:
     def __call__(self, observation: Any) -> Any:
         """The normalised observation, of one row or many; parts without statistics pass as they are."""
         if not isinstance(observation, Mapping):
-            return self._normalised(observation, self.moments[BOX])
-        return {key: self._normalised(part, self.moments[key]) if key in self.moments else part for key, part in observation.items()}
+            return self._normalise(observation, self.moments[BOX])
+        return {key: self._normalise(part, self.moments[key]) if key in self.moments else part for key, part in observation.items()}
 
-    def _normalised(self, values: Any, moments: Moments) -> Any:
+    def _normalise(self, values: Any, moments: Moments) -> Any:
         scaled = (values - moments.mean) / np.sqrt(moments.variance + self.epsilon)
         return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
 
