@@ -120,7 +120,7 @@ def _check_preview(entry: Entry, episodes: Episodes, periods: int) -> None:
 
 
 def _among(kind: str, chosen: Any, valid: Mapping[str, Any]) -> Any:
-    """What a name in a table stands for; an entry itself, or None, as it is."""
+    """Entry of a table by its name; an entry itself, or None, as it is. Raises ValueError."""
     if not isinstance(chosen, str):
         return chosen
     if chosen not in valid:

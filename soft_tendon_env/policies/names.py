@@ -32,9 +32,9 @@ ALL = "all"  # name of all controllers of the catalogue together
 ESTIMATOR = "estimator."  # prefix of parameters of the state estimator among those of a controller
 
 ZIP = """a file of Stable-Baselines3 does not say what its agent observes. Write a module mine.py and name the policy mine:agent:
-    from stable_baselines3 import PPO  # or what trained it; without VecNormalize, whose statistics are not in the file
+    from stable_baselines3 import PPO  # or what trained it; the statistics of a VecNormalize are not in the file
     def agent(env): return PPO.load({path!r})
-    agent.options = {{"observation": [...]}}  # and whatever else of the task, the arm and the actions differs from the usual"""
+    agent.options = {{"observation": [...]}}  # and preview, history, sensors, action, tension_rate, as in its training"""
 
 
 @dataclass(frozen=True)
@@ -197,9 +197,9 @@ class UserPolicy(PolicyName):
         if not hasattr(made, "predict"):
             raise ValueError(f"policy is {self.text!r}: {self.name} should make an object with predict, not {shown(made)}")
         for key in ("observation_space", "action_space"):
-            there = getattr(env, f"single_{key}" if isinstance(env, gym.vector.VectorEnv) else key)
-            if (made_for := getattr(made, key, there)) != there:
-                raise ValueError(f"policy is {self.text!r}, made for the {key} {made_for}: the environment's is {there}")
+            known, there = getattr(made, key, None), [getattr(env, name) for name in (f"single_{key}", key) if hasattr(env, name)]
+            if isinstance(known, gym.Space) and known not in there:
+                raise ValueError(f"policy is {self.text!r}, made for the {key} {known}: the environment's is {there[0]}")
         return made
 
     def fingerprint(self) -> Any:
