@@ -119,8 +119,7 @@ class ExtendedKalmanFilter:
         terms = model.terms(np.zeros(n), np.zeros(n))
         give = np.einsum("ij,ij->j", terms.actuation, np.linalg.lstsq(terms.stiffness, terms.actuation, rcond=None)[0])
         self._tension = np.sqrt(model.bending_energy / np.maximum(give, np.finfo(float).tiny))  # of one tendon that bends the arm by 1 rad
-        self._scale = model.coordinate_scale()
-        self._tip_unit = np.repeat([1.0, model.length], 3)
+        self._scale, self._tip_unit = model.coordinate_scale(), np.repeat([1.0, model.length], 3)
         self._simulation, self._rest = Simulation(model), static_equilibrium(model, self.start).q
         walks = (0.0, 0.0, uncertainty.offset * self._tension, uncertainty.gain, uncertainty.tip * self._tip_unit, uncertainty.latency)
         self._drift, self._keep = self._variances(*walks) * period, np.ones(at.latency.stop)

@@ -126,7 +126,7 @@ class PaperShape(ShapeController):
     """(37) or (38)."""
 
     def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
-        here, then = (self._tensions @ shape for shape in self.shapes(now.reference))
+        here, then = (self._tensions @ self.shape_at(now.reference, time) for time in (0.0, self.period))
         wanted = ShapeTarget(here, (then - here) / self.period)
         try:
             return self.output(shape_tension(self.model, now.q, now.q_dot, wanted, SHAPE_GAINS))

@@ -75,6 +75,7 @@ class ModelController:
     def __init__(self, model: Model, limits: Array, period: float) -> None:
         self.model, self.period = model, period
         self.least, self.greatest = limits.T.copy()
+        self._near = AT_LIMIT * (self.greatest - self.least)
 
     def hold(self, now: ControllerInput, memory: Any = None) -> ControllerOutput:
         """The last tensions: where the model has no motion, or the task no solution."""
@@ -82,9 +83,9 @@ class ModelController:
 
     def output(self, tension: Array, memory: Any = None, is_singular: bool = False, **more: float) -> ControllerOutput:
         """Tensions (n_a,) [N] cut off at their limits, with their report; `more` goes into that."""
-        tension, near = np.clip(tension, self.least, self.greatest), AT_LIMIT * (self.greatest - self.least)
-        is_limited = (tension <= self.least + near) | (tension >= self.greatest - near)
-        return ControllerOutput(tension, memory, {"limited": float(is_limited.mean()), "singular": float(is_singular), **more})
+        tension = np.minimum(np.maximum(tension, self.least), self.greatest)
+        limited = np.count_nonzero((tension <= self.least + self._near) | (tension >= self.greatest - self._near)) / tension.size
+        return ControllerOutput(tension, memory, {"limited": limited, "singular": float(is_singular), **more})
 
 
 class Measurement(NamedTuple):

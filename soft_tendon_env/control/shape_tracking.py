@@ -28,17 +28,17 @@ class ShapeController(ModelController):
         at_rest = np.stack([model.rest_coordinates(unit) for unit in np.eye(model.tendon_count)], axis=1)
         self._tensions = np.linalg.pinv(at_rest)  # (n_a, n) of coordinates at rest, of least norm where tendons are redundant (34)
 
-    def shapes(self, reference: Reference) -> tuple[Array, Array]:
-        """Coordinates (n,) of the reference now and at the end of the period."""
+    def shape_at(self, reference: Reference, time: float) -> Array:
+        """Coordinates (n,) of the reference at a time ahead [s]."""
         assert reference.q is not None
-        return value_at(reference.ahead, reference.q, 0.0), value_at(reference.ahead, reference.q, self.period)
+        return value_at(reference.ahead, reference.q, time)
 
 
 class ShapeFeedforward(ShapeController):
     """u = q_a_bar, the tensions that hold the shape wanted at the end of the period, within limits."""
 
     def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
-        return self.output(self._tensions @ self.shapes(now.reference)[1])
+        return self.output(self._tensions @ self.shape_at(now.reference, self.period))
 
 
 class ShapeTracking(ShapeController):
@@ -64,7 +64,7 @@ class ShapeTracking(ShapeController):
             step = implicit_step(terms, now.q_dot, h)
         except FAILURES:
             return self.hold(now, memory)
-        q, then = self.shapes(now.reference)
+        q, then = self.shape_at(now.reference, 0.0), self.shape_at(now.reference, h)
         project = np.linalg.pinv(self._tensions @ terms.stiffness @ self._tensions.T) @ self._tensions @ terms.stiffness
         goal = self._tensions @ then + project @ (kd * (then - q) / h + kp * (then - now.q))
         grip = (kd + h * kp) * project
