@@ -37,7 +37,7 @@ def interquartile_mean(values: ArrayLike, axis: int = 0) -> float | Array:
 
 
 def tails(values: ArrayLike) -> tuple[float, float]:
-    """Mean of all values, of any shape, and their percentile HIGH; values may be infinite. Raises ValueError without any."""
+    """Mean of all values, of any shape, and their percentile HIGH; values may be infinite, and there is at least one."""
     given = np.ravel(np.asarray(values, dtype=float))
     with np.errstate(invalid="ignore"):
         high = np.percentile(given, HIGH)
