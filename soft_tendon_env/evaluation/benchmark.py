@@ -15,7 +15,7 @@ from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.settings import RegimeNames, SettingNames, TaskName, Workers, episode_steps
 from soft_tendon_env.evaluation.summaries import Mean, Standing, Standings, difference
 from soft_tendon_env.evaluation.tables import ERRORS_LEGEND, error_table, number
-from soft_tendon_env.policies.agent_files import INTERFACE
+from soft_tendon_env.policies.agent import INTERFACE
 from soft_tendon_env.policies.names import Agent, Controller, PolicyName
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.scene.file import load_scene
@@ -42,15 +42,10 @@ class BenchmarkPolicy(Configuration):
     """
 
     policy: str
-    name: str = ""
+    name: str = Field(default_factory=lambda given: given.get("policy", ""), min_length=1)
     regimes: RegimeNames = ()
     settings: SettingNames = ()
     told: bool = False
-
-    @property
-    def label(self) -> str:
-        """Its name in tables."""
-        return self.name or self.policy
 
     def members(self, task: str) -> dict[int | None, PolicyName]:
         """Policies of which it consists, by seed of training; None: the only one. Raises ValueError, OSError for what is none."""
@@ -94,8 +89,8 @@ class Benchmark(Workers):
 
     @model_validator(mode="after")
     def _fits(self) -> "Benchmark":
-        labels = [entrant.label for entrant in self.entrants]
-        if twice := [label for label in dict.fromkeys(labels) if labels.count(label) > 1]:
+        names = [entrant.name for entrant in self.entrants]
+        if twice := [name for name in names if names.count(name) > 1]:
             raise ConfigurationError([Problem(("entrants",), f"has {twice[0]!r} several times: give each a name of its own")])
         episode_steps(self.seconds, self.skip, {"target": TARGET})
         return self
@@ -108,7 +103,7 @@ class Benchmark(Workers):
             try:
                 cells |= dict(self._cells_of(entrant))
             except (ValueError, OSError) as error:
-                notes.append(f"{entrant.label} is left out: {error}")
+                notes.append(f"{entrant.name} is left out: {error}")
         if not cells:
             raise ValueError(f"nobody can play: {'; '.join(notes) or 'all entrants are for other regimes or settings'}")
         return cells, notes
@@ -124,13 +119,13 @@ class Benchmark(Workers):
                 plays, noise = True, {"noise": dict(REGIMES[regime].noise)}
                 for setting in (name for name in self.settings if name in (entrant.settings or self.settings)):
                     given = {**observed, "scene": self.scene, "fidelity": PLANT, "target": TARGET, "randomize": noise}
-                    told = {"scene": self.scene, **(SETTINGS[setting].scene(load_scene(self.scene)) if entrant.told else {})}
+                    believed = {"scene": self.scene, **(SETTINGS[setting].scene(load_scene(self.scene)) if entrant.told else {})}
                     options = SETTINGS[setting].options(given)
-                    cell = Cell(self.task, policy.text, options, episodes, self.seconds, self.skip, told=told)
-                    yield Label(entrant.label, seed, regime, setting), cell
+                    cell = Cell(self.task, policy.text, options, episodes, self.seconds, self.skip, controller_scene=believed)
+                    yield Label(entrant.name, seed, regime, setting), cell
         if reasons and not plays:
             only = "policies may observe what does not depend on the discretisation of the arm"
-            raise ValueError(f"{entrant.label} can play in no regime ({'; '.join(reasons)}): {only}, see REGIMES in policies/regimes.py")
+            raise ValueError(f"{entrant.name} can play in no regime ({'; '.join(reasons)}): {only}, see REGIMES in policies/regimes.py")
 
 
 def interface_options(policy: PolicyName, regime: str) -> dict[str, Any]:
@@ -162,14 +157,15 @@ def standings_by_regime(benchmark: Benchmark, experiment: Experiment[Label]) -> 
     scores: dict[str, dict[tuple[str, str], list[Any]]] = {}
     for label in sorted(experiment.cells, key=lambda label: benchmark.settings.index(label.setting)):
         scores.setdefault(label.regime, {}).setdefault((label.policy, label.setting), []).append(experiment.scores(label))
-    return {regime: {key: Standing(own) for key, own in of.items()} for regime, of in scores.items()}
+    return {regime: {key: Standing(members) for key, members in of.items()} for regime, of in scores.items()}
 
 
 def benchmark_tables(benchmark: Benchmark, found: Mapping[str, Standings]) -> str:
     """A table per regime: errors by policy and setting, the gap between the best that has learned and the best controller, and in words
     where it is ahead."""
     played = {name for of in found.values() for name, _ in of}
-    first = {own.label: (next(iter(own.members(benchmark.task).values())), own.told) for own in benchmark.entrants if own.label in played}
+    players = [entrant for entrant in benchmark.entrants if entrant.name in played]
+    first = {entrant.name: (next(iter(entrant.members(benchmark.task).values())), entrant.told) for entrant in players}
     models = {label: model_in_the_loop(*policy) for label, policy in first.items()}
     learned, texts = {label for label, (policy, _) in first.items() if not isinstance(policy, Controller)}, list[str]()
     for regime, of in found.items():
@@ -183,9 +179,9 @@ def gaps(of: Standings, learned: set[str]) -> dict[str, Mean]:
     """Error of the best learned policy minus that of the best controller, by setting where both kinds play."""
     found = dict[str, Mean]()
     for setting in dict.fromkeys(setting for _, setting in of):
-        kinds = [[own for (name, at), own in of.items() if at == setting and (name in learned) == kind] for kind in (True, False)]
+        kinds = [[standing for (name, at), standing in of.items() if at == setting and (name in learned) == kind] for kind in (True, False)]
         if all(kinds):
-            one, other = (min(kind, key=lambda own: own.mean(f"{own.error}_rms").value) for kind in kinds)
+            one, other = (min(kind, key=lambda standing: standing.mean(f"{standing.error}_rms").value) for kind in kinds)
             found[setting] = difference(one, other, f"{one.error}_rms")
     return found
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.metrics import BAD, METRICS
-from soft_tendon_env.evaluation.summaries import HIGH, Standing, Standings, Summary, Tails
+from soft_tendon_env.evaluation.summaries import HIGH, Standing, Standings, Summary, tails
 
 MODEL = "model in the loop"
 FLAG = "!"
@@ -58,7 +58,7 @@ def summary_table(label: str, summaries: Mapping[str, Summary], models: Mapping[
 def error_text(standing: Standing) -> str:
     """Root mean squares of the task's first error in words, see ERRORS_LEGEND."""
     factor, key = error_unit(standing.error).factor, f"{standing.error}_rms"
-    text = f"{number(factor * standing.mean(key).value)} / {number(factor * Tails.of(standing.values(key)).mean)}"
+    text = f"{number(factor * standing.mean(key).value)} / {number(factor * tails(standing.values(key))[0])}"
     bad = float(np.mean([score.bad for score in standing.episodes]))
     return f"{text}, {100 * bad:.0f} % bad" if bad else text
 
@@ -97,9 +97,9 @@ def records(found: Standings) -> list[dict[str, Any]]:
     rows = []
     for (policy, condition), standing in found.items():
         row: dict[str, Any] = {"policy": policy, "condition": condition}
-        row |= {"members": len(standing.scores), "episodes": len(standing.episodes), "bad": sum(own.bad for own in standing.episodes)}
+        row |= {"members": len(standing.scores), "episodes": len(standing.episodes), "bad": sum(score.bad for score in standing.episodes)}
         for key in standing.episodes[0].numbers:
-            numbers = (*standing.mean(key), *Tails.of(standing.values(key)))
+            numbers = (*standing.mean(key), *tails(standing.values(key)))
             row |= {f"{key}{ending}": float(f"{value:.5g}") for ending, value in zip(STATISTICS, numbers, strict=True)}
         rows.append(row)
     return rows
