@@ -162,5 +162,5 @@ def test_the_published_comparison_can_be_played(monkeypatch):
     monkeypatch.chdir(ROOT)
     published = arena.Arena(**arena.read_file({}))
     cells, notes = published.cells()
-    assert notes == [] and {label.policy for label in cells} == {own.label for own in published.entrants}
+    assert notes == [] and {label.policy for label in cells} == {entrant.name for entrant in published.entrants}
     assert published.episodes == 100 and {cell.seconds for cell in cells.values()} == {4.0}
