@@ -16,7 +16,7 @@ from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName, episode_steps
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.recording import RecordRollout
-from soft_tendon_env.robots.environment import PATIENCE, REST_SPEED, SETTLE, RobotEnv, rehearse, robot_of, run_policy
+from soft_tendon_env.robots.environment import PATIENCE, REST_SPEED, SETTLE, RobotEnv, rehearse, run_policy
 from soft_tendon_env.robots.log import check_log
 from soft_tendon_env.robots.protocol import load_robot
 from soft_tendon_env.robots.simulated import OF_ARM
@@ -72,7 +72,7 @@ def run(settings: Run) -> None:
     finally:  # also after Ctrl-C
         if out.exists():
             print(f"written: {out}")
-        if stop := robot_of(real).stopped:
+        if stop := real.get_wrapper_attr("stopped"):
             let_go = "slack" if stop.slack else f"not slack, the robot does not answer: {stop.failures[-1]}"
             print(f"{stop.cause}: tendons {let_go} after {1e3 * stop.seconds:.0f} ms\n")
     for name, values in report.errors.items():

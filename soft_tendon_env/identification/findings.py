@@ -18,6 +18,7 @@ EXACT = 1e-6  # error of data without noise, as a share of the rod's length: cam
 CORRELATED, FEWEST = 0.3, 100  # correlation of successive residuals that are no noise, and pairs below which it may be chance
 CHANCE, PERMUTATIONS = 0.005, 999  # probability below which residuals follow the commands, and the permutations it is estimated from
 UNLIKELY = 5.0  # factor of a Young's modulus from which a unit may be wrong
+OUTLYING, FEW_OUTLIERS = 6.0, 0.2  # distance in medians of all, of one in 1e9 with normal noise, and the share up to which it is no misfit
 STILL = 0.005  # share of the rod's length within which markers may be at rest: noise
 FAR = 1.5  # root mean square residual, in parts of a known noise, from which the model lacks something
 MISREAD = (0.1, 0.02)  # mean errors from which data may be misread: shares of how far markers move, and of the rod's length
@@ -41,7 +42,7 @@ def findings(found: Fit, unseen: Sequence[Array], fitted: Readings, noise: float
     """Findings about an estimate: that the data are misread, or what they do not contain and the model lacks. noise [m]: if it is known."""
     length, parameters = fitted.plants.model.length, fitted.plants.parameters
     spread = float(np.sqrt(np.ma.masked_invalid(fitted.measured).var(axis=0).sum(axis=-1).mean()))
-    far = mean_of_finite(fitted.errors(found.x)) > min(MISREAD[0] * spread or np.inf, MISREAD[1] * length)
+    far = mean_of_finite(fitted.errors(found.x).values()) > min(MISREAD[0] * spread or np.inf, MISREAD[1] * length)
     if far and (text := misread_text(fitted, found.x, noise)):
         return [text]
     texts = [_unseen_text(direction, parameters) for direction in unseen]
@@ -68,9 +69,9 @@ def _experiment(name: str) -> str:
 
 
 def _misfit_texts(found: Fit, readings: Readings, noise: float | None) -> list[str]:
-    """Signs that the model lacks something: residuals above a known noise [m], and those of motions that follow each other."""
+    """Signs of outliers, and that the model lacks something: residuals above a known noise [m], and those that follow each other."""
     residual, length, texts = np.full(readings.measured.shape, np.nan), readings.plants.model.length, list[str]()
-    residual[readings.seen] = found.residual[: int(readings.seen.sum())]
+    residual[readings.seen] = found.residual
     root = float(np.sqrt(np.nanmean(residual**2)))
     if root < EXACT * length:  # of simulated data
         return []
@@ -79,13 +80,20 @@ def _misfit_texts(found: Fit, readings: Readings, noise: float | None) -> list[s
     chance, size = _commands_in_residuals(residual, readings)
     if chance <= CHANCE:
         texts.append(f"Residuals of holds follow the commands, by {1e3 * size:.2g} mm: {LACKING}.")
+    distance = np.linalg.norm(residual, axis=-1)
+    usual, far = float(np.nanmedian(distance)), distance > OUTLYING * np.nanmedian(distance)
+    if 0 < far.sum() <= FEW_OUTLIERS * np.isfinite(distance).sum():
+        sample, marker = np.unravel_index(np.nanargmax(distance), distance.shape)
+        where = (
+            f"{[*readings.plants.markers.markers][marker]} in {readings.recordings[np.searchsorted(readings.ends, sample, 'right')].name!r}"
+        )
+        text = f"{far.sum()} positions of markers stand out, above all {where}, {1e3 * distance[sample, marker]:.3g} mm off, where half are"
+        texts.append(f"{text} within {1e3 * usual:.2g} mm: outliers bias the estimate, leave their cells empty.")
     for one, part in zip(readings.recordings, np.split(residual, readings.ends[:-1]), strict=True):
         products = part[1:] * part[:-1]
         if one.period and (moved := np.linalg.norm(one.positions[1] - one.positions[0], axis=-1).max()) > STILL * length:
-            text = (
-                f"Motion {one.name!r} does not begin at rest under its first command: markers move {1e3 * moved:.2g} mm in the first period"
-            )
-            texts.append(f"{text}, at rest up to {1e3 * STILL * length:.2g} mm. Is the unit of time right?")
+            text = f"Motion {one.name!r} does not begin at rest under its first command: markers move {1e3 * moved:.2g} mm in the first"
+            texts.append(f"{text} period, at rest up to {1e3 * STILL * length:.2g} mm. Is the unit of time right?")
         if np.isfinite(products).sum() >= FEWEST and (common := np.nanmean(products)) > CORRELATED * np.nanmean(part**2):
             text = f"Residuals of motion {one.name!r} are no noise: successive ones have {1e3 * np.sqrt(common):.2g} mm in common"
             texts.append(f"{text}: {LACKING}; viscous damping alone cannot make up for friction or hysteresis.")
@@ -94,15 +102,12 @@ def _misfit_texts(found: Fit, readings: Readings, noise: float | None) -> list[s
 
 def _commands_in_residuals(residual: Array, readings: Readings) -> tuple[float, float]:
     """Probability that the residuals (samples, m, 3) of holds follow their commands by chance, and the root mean square [m] of the part
-    that does: regression on commands and their squares, in means of holds with the same commands, whose errors are common; the probability
-    by permutations (B. Phipson and G. K. Smyth 2010). (1, 0) where they are too few."""
-    commands = [one.command[0] for one in readings.recordings if not one.period]
-    group = readings.group[: len(commands)]
-    mean = (group == np.unique(group)[:, None]) / np.bincount(readings.group)[np.unique(group)][:, None]
-    basis = np.hstack([np.ones((len(mean), 1)), *((mean @ commands) ** power for power in (1, 2) if commands)])
-    if len(mean) <= basis.shape[1] + 1:
+    that does, by regression on commands and their squares and by permutations (B. Phipson and G. K. Smyth 2010); (1, 0) for few holds."""
+    commands = np.array([one.command[0] for one in readings.recordings if not one.period])
+    if len(commands) <= 2 * len(readings.plants.scene.tendons) + 2:
         return 1.0, 0.0
-    columns = mean @ residual[: len(commands)].reshape(len(commands), -1)
+    basis = np.hstack([np.ones((len(commands), 1)), commands, commands**2])
+    columns = residual[: len(commands)].reshape(len(commands), -1)
     columns = columns[:, np.isfinite(columns).all(axis=0)]
     U, values, _ = np.linalg.svd(basis, full_matrices=False)
     U, random = U[:, values > 1e-9 * values[0]], np.random.default_rng(0)
@@ -117,7 +122,7 @@ def misread_text(readings: Readings, x: Array | None, noise: float | None) -> st
     holds, motions = ([one for one in readings.recordings if bool(one.period) == moves] for moves in (False, True))
     few = [*holds[:: -(-len(holds) // FEW) or 1], *motions[:1]]
     few = [replace(one, command=one.command[:SAMPLES], positions=one.positions[:SAMPLES]) for one in few]
-    frame, simulated = plants.markers.frame, _simulated(plants, few, start)
+    frame, simulated = plants.markers.frame, _simulate(plants, few, start)
     tried = list[tuple[float, str, list[Recording]]]()
     for text, S in _axes().items():
         R = frame.rotation @ S @ frame.rotation.T
@@ -125,11 +130,11 @@ def misread_text(readings: Readings, x: Array | None, noise: float | None) -> st
         tried.append((_distance(simulated, read), text, read))
     for text, factor in _commands(plants).items():
         read = [replace(one, command=factor * one.command) for one in few]
-        tried.append((_distance(_simulated(plants, read, start), read), text, read))
+        tried.append((_distance(_simulate(plants, read, start), read), text, read))
     _, text, read = min(tried, key=lambda one: one[0])
-    given = _distance(simulated if x is None else _simulated(plants, few, x), few)
+    given = _distance(simulated if x is None else _simulate(plants, few, x), few)
     try:
-        least = max(_distance(_simulated(plants, read, fit(Readings(plants, read), noise).x), read), EXACT * plants.model.length)
+        least = max(_distance(_simulate(plants, read, fit(Readings(plants, read), noise).x), read), EXACT * plants.model.length)
     except ValueError:
         return None
     if not BETTER * least < given:
@@ -139,7 +144,7 @@ def misread_text(readings: Readings, x: Array | None, noise: float | None) -> st
     return f"The data fit {better} with {text}: markers are off by {1e3 * least:.2g} mm then. {advice}."
 
 
-def _simulated(plants: Plants, recordings: Sequence[Recording], x: Array) -> Array:
+def _simulate(plants: Plants, recordings: Sequence[Recording], x: Array) -> Array:
     """Positions (samples, m, 3) [m] at coordinates x (k,); infinity where the arm does not hold the recordings."""
     try:
         for one in recordings:
@@ -170,5 +175,5 @@ def _commands(plants: Plants) -> dict[str, float]:
     unit = plants.scene.effects.command_unit
     columns = [column for key, column in plants.markers.columns.items() if key.startswith(COMMANDS[unit])]
     given = next((UNITS[unit][column.unit] for column in columns if column.unit), 1.0)
-    factors = {f"commands in {name}": factor / given for name, factor in UNITS[unit].items()} | {"commands of the other sign": -1.0}
-    return {text: factor for text, factor in factors.items() if factor != 1.0}
+    factors = {f"commands in {name}": factor / given for name, factor in UNITS[unit].items() if factor != given}
+    return factors | {"commands of the other sign": -1.0}

@@ -20,7 +20,7 @@ FIRST_SIGMA, LEAST_SIGMA = 0.02, 1e-8  # standard deviations of readings at firs
 SAME_SIGMA, MOST_ROUNDS, RESAMPLES = 0.02, 10, 2000
 TOLERANCE, ROOM = 1e-8, 0.02  # of the method, and the distance from bounds, of that of both, at which it begins
 SINGULAR = 1e-9  # information along a direction, in parts of the largest, below which there is none, as of errors of differences
-NOT_SEEN = 1.0  # standard deviation of a direction from which the data do not contain it: a factor of e, or more than the prior's
+SEEN = 1.0  # information along a direction up to which the data do not contain it: no better than a factor of e, or the prior
 UNSEEN = 0.3  # entry of a unit direction from which a parameter belongs to it
 
 
@@ -61,7 +61,7 @@ def fit(readings: Readings, sigma: float | None = None) -> Fit:
         raise ValueError(f"there are {count} readings for {free} parameters without priors: record more holds, or estimate fewer")
     x, here = np.zeros(len(parameters)), FIRST_SIGMA * length if sigma is None else sigma
     for _ in range(MOST_ROUNDS if sigma is None and prior.any() else 1):  # where sigma changes the estimate
-        found = _solved(readings, x, here, prior)
+        found = _solve(readings, x, here, prior)
         x = found.x
         before, here = here, max(_sigma(found), LEAST_SIGMA * length) if sigma is None else sigma
         if abs(here - before) <= SAME_SIGMA * before:
@@ -69,7 +69,7 @@ def fit(readings: Readings, sigma: float | None = None) -> Fit:
     return found._replace(sigma=here)
 
 
-def _solved(readings: Readings, x: Array, sigma: float, prior: Array) -> Fit:
+def _solve(readings: Readings, x: Array, sigma: float, prior: Array) -> Fit:
     """Estimate at a given standard deviation, from coordinates x (k,) on."""
     from scipy.optimize import least_squares  # here: it takes longer to import than all else that most scenes need
 
@@ -112,11 +112,9 @@ def intervals(found: Fit, readings: Readings) -> Intervals:
     ends = np.clip([found.x - reach, found.x + reach], *bounds.T)
     values = np.array([sorted((one.at(low), one.at(high))) for one, low, high in zip(parameters, *ends, strict=True)])
     information, vectors = np.linalg.eigh(found.information)
-    some = information > SINGULAR * max(information[-1], np.finfo(float).tiny)
-    deviation = np.where(some, np.where(some, information, 1.0) ** -0.5, np.inf)
-    unseen = [vectors[:, i] for i in np.argsort(-deviation) if deviation[i] >= NOT_SEEN]
-    identified = np.array([all(abs(one[i]) < UNSEEN for one in unseen) for i in range(found.x.size)])
-    return Intervals(values[:, 0], values[:, 1], identified, unseen)
+    seen = information > max(SEEN, SINGULAR * information[-1])
+    identified = (np.abs(vectors[:, ~seen]) < UNSEEN).all(axis=1)
+    return Intervals(values[:, 0], values[:, 1], identified, [*vectors[:, ~seen].T])
 
 
 def _variances(found: Fit) -> Array:

@@ -25,10 +25,8 @@ from soft_tendon_env.tools.configuration import plain
 from soft_tendon_env.tools.files import digest, replacing
 from soft_tendon_env.tools.types import Array
 
-FIDELITY = "fine"
-"""Fidelity of the model that is fitted: equilibria are cheap, and what a coarser one lacks would go into the parameters."""
+FIDELITY = "fine"  # of the model that is fitted: equilibria are cheap, and what a coarser one lacks would go into the parameters
 LOOK = "Look at units and signs of the commands, at the unit of time, at [frame], at the scene's stiffness and at the parameters' bounds."
-"""Advice for data that the arm does not hold."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +49,7 @@ class Estimate:
     @property
     def errors(self) -> tuple[float, float]:
         """Mean error [m] of the recordings of the fit and of the held-out ones, NaN without any."""
-        fitted, held_out = (mean_of_finite(np.array([*each.values()])) for each in (self.error_fit, self.error_held_out))
-        return fitted, held_out
+        return mean_of_finite(self.error_fit.values()), mean_of_finite(self.error_held_out.values())
 
 
 def identify(
@@ -84,8 +81,7 @@ def identify(
     recordings = read_recordings([Path(file) for file in files], scene, placed)
     accurate = at_fidelity(scene, fidelity)
     period = min((one.period for one in recordings if one.period), default=np.inf)
-    if period < accurate.integrator.step:  # a command may arrive in each
-        accurate = accurate.replace({"integrator.step": period})
+    accurate = accurate.replace({"integrator.step": min(period, accurate.integrator.step)})  # a command may arrive in each period
     plants = Plants(accurate, build_model(accurate), placed, chosen)
     fitted, unseen = (Readings(plants, part) for part in split(recordings, str(held_out)))
     try:
@@ -93,7 +89,7 @@ def identify(
     except NoHoldError as error:
         raise NoHoldError(f"{str(error).rstrip('.')}. {misread_text(fitted, None, noise) or LOOK}") from error
     spread, measurement = intervals(found, fitted), plants.measurement(found.x)
-    errors = [dict(zip((one.name for one in part.recordings), part.errors(found.x).tolist(), strict=True)) for part in (fitted, unseen)]
+    (error_fit, error_held_out), before = ([part.errors(x) for part in (fitted, unseen)] for x in (found.x, 0.0 * found.x))
     return Estimate(
         parameters=chosen,
         value=np.array([one.at(x) for one, x in zip(chosen, found.x, strict=True)]),
@@ -101,9 +97,9 @@ def identify(
         scene=plants.scene_at(found.x, scene),
         markers=placed.with_offsets(measurement.offsets, placed.frame.to_base(measurement.base, measurement.shift)),
         measurement=measurement,
-        error_fit=errors[0],
-        error_held_out=errors[1],
-        before=(mean_of_finite(fitted.errors(0.0 * found.x)), mean_of_finite(unseen.errors(0.0 * found.x))),
+        error_fit=error_fit,
+        error_held_out=error_held_out,
+        before=(mean_of_finite(before[0].values()), mean_of_finite(before[1].values())),
         noise=found.sigma,
         findings=tuple(findings(found, spread.unseen, fitted, noise)),
         data=tuple(os.fspath(file) for file in files),
@@ -115,28 +111,28 @@ def save_estimate(found: Estimate, folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     comment = "".join(f"# {line}".rstrip() + "\n" for line in summary(found).splitlines())
     scene = f"# Identified by soft-tendon identify:\n{comment}\n{tomli_w.dumps(scene_to_dict(found.scene))}"
-    files = {folder / "scene.toml": scene, folder / "markers.toml": tomli_w.dumps(plain(found.markers))}
-    for path, text in files.items():
+    files = [folder / name for name in ("scene.toml", "markers.toml", "estimate.json")]
+    for path, text in zip(files, (scene, tomli_w.dumps(plain(found.markers))), strict=False):
         with replacing(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
-    write_json(folder / "estimate.json", _as_json(found), say=False)
-    return [*files, folder / "estimate.json"]
+    write_json(files[-1], _as_json(found), say=False)
+    return files
 
 
 def summary(found: Estimate) -> str:
     """Tables of errors and parameters, and the findings."""
     counts = zip(("fit", "held out"), (found.error_fit, found.error_held_out), found.before, found.errors, strict=True)
     errors = [(name, str(len(each)), number(1e3 * before), number(1e3 * after)) for name, each, before, after in counts]
-    spread = found.intervals
     rows = [
         (one.name, f"{one.value:.4g}", f"{value:.4g}", f"{low:.4g} to {high:.4g}", "yes" if seen else "no")
-        for one, value, low, high, seen in zip(found.parameters, found.value, *spread[:3], strict=True)
+        for one, value, low, high, seen in zip(found.parameters, found.value, *found.intervals[:3], strict=True)
     ]
-    tables = [
+    parts = [
         markdown_table(("markers' mean distance", "recordings", "before [mm]", "identified [mm]"), errors),
         markdown_table(("parameter", "before", "identified", "95 % interval", "in the data"), rows),
+        "\n".join(f"- {text}" for text in found.findings),
     ]
-    return "\n\n".join([*tables, *(["\n".join(f"- {text}" for text in found.findings)] if found.findings else [])])
+    return "\n\n".join(parts).rstrip()
 
 
 def _as_json(found: Estimate) -> dict[str, Any]:
@@ -146,10 +142,8 @@ def _as_json(found: Estimate) -> dict[str, Any]:
         one.name: {"value": value, "low": low, "high": high, "before": one.value, "prior": one.prior, "identified": bool(seen)}
         for one, value, low, high, seen in rows
     }
-    errors = {
-        name: {"mean": 1e3 * mean, "each": {one: 1e3 * error for one, error in each.items()}}
-        for name, each, mean in zip(("fit", "held_out"), (found.error_fit, found.error_held_out), found.errors, strict=True)
-    }
+    parts = zip(("fit", "held_out"), (found.error_fit, found.error_held_out), found.errors, strict=True)
+    errors = {name: {"mean": 1e3 * mean, "each": {one: 1e3 * error for one, error in each.items()}} for name, each, mean in parts}
     told = {"noise_mm": 1e3 * found.noise, "findings": found.findings, "measurement": found.measurement._asdict()}
     data = {Path(file).name: digest(Path(file)) for file in found.data}
     return plain({"parameters": parameters, "error_mm": errors, **told, "randomize": randomize(found), "data": data, **origin()})
@@ -161,7 +155,7 @@ def randomize(found: Estimate) -> dict[str, Any]:
     Parameters that neither the data nor a prior contain are left out. Latency comes on top of the delay that the scene has. Offsets are
     tensions [N], of which an environment takes the share of the range of displacements where an arm is driven by these.
     """
-    table, gains, offsets = dict[str, Any](), list[float](), list[float]()
+    table, ranges = dict[str, Any](), dict[str, list[float]]()
     tension = np.array([tendon.tension_limits for tendon in found.scene.tendons])
     unit = np.ptp(tension, axis=1) / np.ptp(command_limits(found.scene), axis=1)  # [N] of an offset by 1
     for one, value, low, high, seen in zip(found.parameters, found.value, *found.intervals[:3], strict=True):
@@ -172,8 +166,7 @@ def randomize(found: Estimate) -> dict[str, Any]:
         elif one.name == DELAY:
             table["latency"] = [0.0, high - value]
         elif one.name.endswith(".gain"):
-            gains += low, high
+            ranges.setdefault("tension_gain", []).extend([low, high])
         elif one.name.startswith("commands."):
-            offsets += (unit[int(one.name.split(".")[1])] * np.array([low, high])).tolist()
-    ranges = {name: [min(ends), max(ends)] for name, ends in (("tension_gain", gains), ("tension_offset", offsets)) if ends}
-    return dict[str, Any](plain(table | ranges))
+            ranges.setdefault("tension_offset", []).extend(unit[int(one.name.split(".")[1])] * np.array([low, high]))
+    return dict[str, Any](plain(table | {name: [min(ends), max(ends)] for name, ends in ranges.items()}))

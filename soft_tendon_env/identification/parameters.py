@@ -77,11 +77,11 @@ def read_parameters(asked: Sequence[str], scene: Scene, markers: MarkerSet) -> t
     """Parameters of what is asked for, `KEY` or `KEY=LOW..HIGH`. Raises ValueError in one line."""
     measured, found = _of_measurement(scene, markers), list[Parameter]()
     for text in asked:
-        key, bounds = _parsed(text)
+        key, bounds = _parse(text)
         if key.split(".")[0] not in MEASUREMENT:
             found.append(_of_scene(key, scene, bounds))
         elif matches := [one for name, one in measured.items() if re.match(rf"{re.escape(key)}(\.|$)".replace(r"\*", r"[^.]+"), name)]:
-            found += [_given(one, bounds) for one in matches]
+            found += [_with_bounds(one, bounds) for one in matches]
         else:
             raise ValueError(f"parameter {key!r} is none of the measurement: {not_among(key, measured)}")
     keys = [key for one in found for key in (one.of_scene.keys if one.of_scene else (one.name,))]
@@ -92,12 +92,12 @@ def read_parameters(asked: Sequence[str], scene: Scene, markers: MarkerSet) -> t
     return tuple(found)
 
 
-def _parsed(text: str) -> tuple[str, Bounds | None]:
+def _parse(text: str) -> tuple[str, Bounds | None]:
     """Key, and bounds of a written text. Raises ValueError."""
     key, _, ends = text.partition("=")
+    if not ends:
+        return key.strip(), None
     with contextlib.suppress(ValueError):
-        if not ends:
-            return key.strip(), None
         low, high = map(float, ends.split(".."))
         if low < high:
             return key.strip(), (low, high)
@@ -109,9 +109,8 @@ def _of_measurement(scene: Scene, markers: MarkerSet) -> dict[str, Parameter]:
     length, commands = rod_length(scene), np.ptp(command_limits(scene), axis=1)
     usual = {f"mount.rotation.{axis}": (0.0, ROTATION) for axis in range(3)}
     usual |= {f"mount.shift.{axis}": (0.0, SHIFT * length) for axis in range(3)}
-    usual |= {
-        f"markers.{name}.offset.{i}": (at, OFFSET * length) for name, one in markers.markers.items() for i, at in enumerate(one.offset)
-    }
+    for name, marker in markers.markers.items():
+        usual |= {f"markers.{name}.offset.{axis}": (at, OFFSET * length) for axis, at in enumerate(marker.offset)}
     usual |= {f"commands.{i}.offset": (0.0, COMMAND_OFFSET * float(span)) for i, span in enumerate(commands)}
     found = [Parameter(key, None, at, at - WIDE * prior, at + WIDE * prior, prior, False) for key, (at, prior) in usual.items()]
     found += [Parameter(f"commands.{i}.gain", None, 1.0, 1.0 / FACTOR, FACTOR, GAIN, True) for i in range(len(commands))]
@@ -127,11 +126,11 @@ def _of_scene(key: str, scene: Scene, bounds: Bounds | None) -> Parameter:
     if not is_factor and bounds is None:
         raise ValueError(f"parameter {key!r} is {value:g}: zero has no usual range, give {key}=LOW..HIGH")
     low, high = sorted((value / FACTOR, value * FACTOR))
-    found = _given(Parameter(key, numbers, value, low, high, None, is_factor), bounds)
-    return replace(found, low=_allowed(found.low, found, scene), high=_allowed(found.high, found, scene))
+    found = _with_bounds(Parameter(key, numbers, value, low, high, None, is_factor), bounds)
+    return replace(found, low=_nearest_allowed(found.low, found, scene), high=_nearest_allowed(found.high, found, scene))
 
 
-def _given(usual: Parameter, bounds: Bounds | None) -> Parameter:
+def _with_bounds(usual: Parameter, bounds: Bounds | None) -> Parameter:
     """A parameter with the bounds that are given, without its prior. Raises ValueError for bounds that leave out the scene's own number."""
     if bounds is None:
         return usual
@@ -142,7 +141,7 @@ def _given(usual: Parameter, bounds: Bounds | None) -> Parameter:
     return replace(usual, low=low, high=high, prior=None)
 
 
-def _allowed(bound: float, parameter: Parameter, scene: Scene) -> float:
+def _nearest_allowed(bound: float, parameter: Parameter, scene: Scene) -> float:
     """The value nearest to a bound that the scene's own checks let pass, by halving."""
     share, far = 0.0, parameter.coordinate(bound)
     for step in 0.5 ** np.arange(HALVINGS):

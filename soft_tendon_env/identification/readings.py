@@ -4,8 +4,7 @@ Equilibria of still holds are sought by Newton's method from the last ones that 
 each in a few iterations. Motions begin at rest under their first command; each command is held until the next sample.
 """
 
-from collections.abc import Sequence
-from functools import cached_property
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -98,34 +97,21 @@ class Plants:
 
 
 class Readings:
-    """Readings of recordings in one vector (N,): marker coordinates, of which unseen ones are left out."""
+    """Readings of recordings in one vector (N,): marker coordinates, of which unseen ones are left out.
+
+    measured: positions (samples of all recordings, m, 3) [m]. seen: which of their coordinates are there. group: index (recordings,) that
+    recordings with the same commands share. cluster: that of each reading (N,), as errors under the same commands are common.
+    """
 
     def __init__(self, plants: Plants, recordings: Sequence[Recording]) -> None:
         self.plants, self.recordings = plants, sorted(recordings, key=lambda one: bool(one.period))  # holds, then motions
         self._rests: list[Array | None] = [None] * len(recordings)
         self._difference = DIFFERENCES[any(one.period for one in recordings)]
-        self.ends = np.cumsum([len(one.command) for one in self.recordings])
-
-    @cached_property
-    def measured(self) -> Array:
-        """Measured positions (samples of all recordings, m, 3) [m], NaN where a marker was not seen."""
-        return np.concatenate([one.positions for one in self.recordings])
-
-    @cached_property
-    def seen(self) -> Array:
-        """Which of the measured coordinates (samples, m, 3) are there."""
-        return np.isfinite(self.measured)
-
-    @cached_property
-    def group(self) -> Array:
-        """Index (recordings,) that recordings with the same commands share."""
-        return same_commands(self.recordings)
-
-    @cached_property
-    def cluster(self) -> Array:
-        """Index of the recordings with the same commands of each reading (N,), as whose errors are common."""
-        of_sample = np.repeat(self.group, [len(one.command) for one in self.recordings])[:, None, None]
-        return np.broadcast_to(of_sample, self.seen.shape)[self.seen]
+        samples = [len(one.command) for one in self.recordings]
+        self.ends, self.group = np.cumsum(samples), same_commands(self.recordings)
+        self.measured = np.concatenate([np.empty((0, len(plants.markers.markers), 3)), *(one.positions for one in self.recordings)])
+        self.seen = np.isfinite(self.measured)
+        self.cluster = np.broadcast_to(np.repeat(self.group, samples)[:, None, None], self.seen.shape)[self.seen]
 
     def positions(self, x: Array) -> Array:
         """Simulated positions (samples, m, 3) [m] at coordinates x (k,). Raises NoHoldError, ConfigurationError."""
@@ -145,13 +131,13 @@ class Readings:
             columns.append((high - low) / (ends[1] - ends[0]))
         return np.stack(columns, axis=-1)
 
-    def errors(self, x: Array) -> Array:
-        """Mean distance [m] of the seen markers from where they are simulated, of each recording (recordings,), NaN without any. Raises as
+    def errors(self, x: Array) -> dict[str, float]:
+        """Mean distance [m] of the seen markers from where they are simulated, by the recordings' names, NaN without any. Raises as
         `positions`."""
-        if not self.recordings:
-            return np.zeros(0)
         distance = np.linalg.norm(self.positions(x) - self.measured, axis=-1)
-        return np.array([mean_of_finite(one) for one in np.split(distance, self.ends[:-1])])
+        return {
+            one.name: mean_of_finite(part.ravel()) for one, part in zip(self.recordings, np.split(distance, self.ends[:-1]), strict=False)
+        }
 
     def _residual(self, x: Array, poses: Array) -> Array:
         """The residual (N,) of simulated poses of the markers' sections."""
@@ -162,10 +148,11 @@ class Readings:
         model, measurement = self.plants.model.with_scene(self.plants.scene_at(x, self.plants.scene)), self.plants.measurement(x)
         with erring_actuators():  # by the gains and offsets that are looked for
             commands = [measurement.gain * one.command + measurement.offset for one in self.recordings]
-            simulated = [q for i, command in enumerate(commands) for q in self._simulated(model, command, i)]
-        return np.array([model.backbone_at(q, self.plants.markers.arc_lengths) for q in simulated])
+            simulated = [q for i, command in enumerate(commands) for q in self._simulate(model, command, i)]
+        places = self.plants.markers.arc_lengths
+        return np.array([model.backbone_at(q, places) for q in simulated]).reshape(-1, places.size, 4, 4)
 
-    def _simulated(self, model: Model, command: Array, i: int) -> list[Array]:
+    def _simulate(self, model: Model, command: Array, i: int) -> list[Array]:
         """Coordinates (n,) at every sample of a recording under commands (samples, n_a). Raises NoHoldError."""
         one = self.recordings[i]
         try:
@@ -181,13 +168,12 @@ class Readings:
             start = Simulation(model).reset(rest.q, tension=tension)
             return list(simulate(model, command[:-1], one.period * (len(command) - 1), one.period, start).q)
         except (SimulationDiverged, NoHoldError, StrainLimitError) as error:
-            text = f"hold {one.name!r} has no equilibrium: {error}"
-            if one.period:
-                text = f"motion {one.name!r} cannot be simulated: {error}. Its samples are {one.period:.3g} s apart, if their unit is right"
+            motion = f"cannot be simulated: {error}. Its samples are {one.period:.3g} s apart, if their unit is right"
+            text = f"motion {one.name!r} {motion}" if one.period else f"hold {one.name!r} has no equilibrium: {error}"
             raise NoHoldError(f"{one.where}: {text}.") from error
 
 
-def mean_of_finite(values: Array) -> float:
+def mean_of_finite(values: Iterable[float]) -> float:
     """Mean of the values that are there, NaN without any."""
-    there = values[np.isfinite(values)]
-    return float(there.mean()) if there.size else np.nan
+    there = [value for value in values if np.isfinite(value)]
+    return float(np.mean(there)) if there else np.nan

@@ -5,7 +5,6 @@ Commands are `tension_i` [N] or `displacement_i` [m], one for each tendon from 0
 them empty where it was not seen. The table `[columns]` of the markers' file gives quantities other names and units.
 """
 
-import contextlib
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ REACH = 1.5  # share of the rod's length, from its base, within which a marker m
 LEAST = 0.05  # share of what is allowed from which numbers in another unit are plausible
 UNEVEN = 0.3  # share of the sample period by which times may be off equal steps
 USUAL = (1e-3, 1.0)  # sample periods [s] by which a unit of time is guessed
-LONGEST, LATEST = 100.0, 1e11  # sample period and time [s] beyond which the unit of time is wrong: the latter is in the year 5000
+LONGEST, LATEST = 4.0, 1e11  # sample period and time [s] from which on the unit of time is wrong: the latter is in the year 5000
 SHARE = "0.25"
 """Share of recordings that are held out by default."""
 SAME, EXACT = 0.02, 0.005
@@ -37,7 +36,7 @@ class Recording:
     """Recorded commands and marker positions: one hold (a single sample), or a motion that begins at rest.
 
     command (samples, n_a) in the scene's unit, each held until the next sample; positions (samples, m, 3) [m] in the scene's world frame,
-    NaN where they were not measured; period [s] between samples, 0 for a hold; columns: the numbers of its first row.
+    NaN where they were not measured; period [s] between samples, 0 for a hold; columns: the cells of its first row, by the header.
     """
 
     name: str
@@ -45,7 +44,7 @@ class Recording:
     command: Array
     positions: Array
     period: float
-    columns: Mapping[str, float]
+    columns: Mapping[str, str]
 
 
 def read_recordings(paths: Sequence[str | Path], scene: Scene, markers: MarkerSet) -> list[Recording]:
@@ -60,16 +59,13 @@ def read_recordings(paths: Sequence[str | Path], scene: Scene, markers: MarkerSe
 def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
     """Recordings of one file."""
     unit = scene.effects.command_unit
-    kinds = {f"{COMMANDS[unit]}_{i}": unit for i in range(len(scene.tendons))}
+    commands = {f"{COMMANDS[unit]}_{i}": unit for i in range(len(scene.tendons))}
     places = {f"{name}_{axis}": "m" for name in markers.markers for axis in "xyz"}
-    table, sources = _table(path, markers, {**kinds, **places, "time": "s", "hold": ""})
+    table, sources = _table(path, markers, {**commands, **places, "time": "s", "hold": ""})
     rows = [where for where, _ in table.rows]
-    command, placed, times = (
-        table.numbers(sources[quantity] for quantity in group) for group in (kinds, places, {"time"} & sources.keys())
-    )
-    if np.isnan(command).any():
-        row, tendon = np.argwhere(np.isnan(command))[0]
-        raise ValueError(f"{rows[row]}: {sources[[*kinds][tendon]][0]} is empty: it should be a number")
+    command, placed, times = (table.numbers(sources[name] for name in names) for names in (commands, places, {"time"} & sources.keys()))
+    for row, tendon in np.argwhere(np.isnan(command)):
+        raise ValueError(f"{rows[row]}: {sources[[*commands][tendon]][0]} is empty: it should be a number")
     placed = placed.reshape(len(rows), -1, 3)
     placed[(placed == 0.0).all(axis=2) & (markers.arc_lengths > 0.0)] = np.nan  # as some trackers write what was not seen
     positions = markers.frame.to_scene(placed)
@@ -77,12 +73,10 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
     names = [cells[table.header.index(sources["hold"][0])] if "hold" in sources else path.stem for _, cells in table.rows]
     found = list[Recording]()
     for name, group in itertools.groupby(range(len(rows)), key=names.__getitem__):
-        samples, numbers = [*group], dict[str, float]()
+        samples = [*group]
+        where, cells = table.rows[samples[0]]
         period = _period(name, times[samples].ravel(), [rows[i] for i in samples])
-        for column, cell in zip(table.header, table.rows[samples[0]][1], strict=True):
-            with contextlib.suppress(ValueError):  # text is left out
-                numbers[column] = read_number(rows[samples[0]], column, cell)
-        found.append(Recording(name, rows[samples[0]], command[samples], positions[samples], period, numbers))
+        found.append(Recording(name, where, command[samples], positions[samples], period, dict(zip(table.header, cells, strict=True))))
         check_commands(found[-1], scene)
     return found
 
@@ -123,7 +117,7 @@ def _period(name: str, times: Array, wheres: Sequence[str]) -> float:
         at = int(np.argmin(change > 0.0)) + 1
         raise ValueError(f"{wheres[at]}: time is {times[at]:.9g} s after {times[at - 1]:.9g} s: it should be a number, and grow")
     middle = float(np.median(change))
-    if middle > LONGEST or times[-1] > LATEST:
+    if middle >= LONGEST or times[-1] > LATEST:
         like = next((unit for unit, factor in UNITS["s"].items() if USUAL[0] <= middle * factor < USUAL[1]), "...")
         guess = f'is it in {like}? [columns] of the markers\' file says so: time = {{ unit = "{like}" }}'
         raise ValueError(f"{wheres[0]}: samples are {middle:.4g} s apart in time: {guess}")
@@ -174,11 +168,10 @@ def split(recordings: Sequence[Recording], held_out: str = SHARE) -> list[list[R
     held_out: a share below 1, evenly over the data, where those with the same commands stay together; or a column, of which those that are
     not zero are held out. "0" holds none out. Raises ValueError.
     """
-    count = len(recordings)
     try:
         wanted = float(held_out)
     except ValueError:
-        chosen = np.array([one.columns.get(held_out, np.nan) for one in recordings])
+        chosen = np.array([read_number(one.where, held_out, one.columns.get(held_out, "")) for one in recordings])
         if np.isnan(chosen).any():
             known = not_among(held_out, {column for one in recordings for column in one.columns})
             raise ValueError(f"held_out is {held_out!r}: there is no column of that name with numbers: {known}") from None
@@ -186,12 +179,13 @@ def split(recordings: Sequence[Recording], held_out: str = SHARE) -> list[list[R
         if not 0.0 <= wanted < 1.0:
             raise ValueError(f"held_out is {wanted:g}: it should be a share from 0 to below 1, or a column")
         group = same_commands(recordings)
-        groups = round(wanted * (group.max(initial=-1) + 1))
-        chosen = np.isin(group, ((np.arange(groups) + 0.5) * (group.max(initial=-1) + 1) / max(groups, 1)).astype(int))
+        count = group.max(initial=-1) + 1
+        groups = round(wanted * count)
+        chosen = np.isin(group, ((np.arange(groups) + 0.5) * count / max(groups, 1)).astype(int))
     if chosen.all():
-        text = f"held_out is {held_out!r}, which leaves nothing to fit to of {count} recordings"
+        text = f"held_out is {held_out!r}, which leaves nothing to fit to of {len(recordings)} recordings"
         raise ValueError(f"{text}: those with the same commands stay together")
-    return [[one for one, held in zip(recordings, chosen, strict=True) if bool(held) == kind] for kind in (False, True)]
+    return [[one for one, is_out in zip(recordings, chosen, strict=True) if bool(is_out) == kind] for kind in (False, True)]
 
 
 def same_commands(recordings: Sequence[Recording]) -> Array:

@@ -10,35 +10,22 @@ SPIN = 5e-4  # [s] before a deadline at which sleeping ends: the scheduler wakes
 
 
 class Clock:
-    """Monotonic clock of the machine. real: whether time goes on by itself."""
+    """Monotonic clock. real: that of the machine; else it stands still but while somebody waits, for simulations at any speed."""
 
-    real = True
+    def __init__(self, real: bool = True) -> None:
+        self.real, self._time, self._lock = real, 0.0, threading.Lock()
 
     def now(self) -> float:
         """The time [s]."""
-        return perf_counter()
+        return perf_counter() if self.real else self._time
 
     def wait_until(self, time: float) -> None:
         """Waits until a time [s]; returns at once where it is past."""
-        while (left := time - perf_counter()) > 0.0:
-            if left > SPIN:
-                sleep(left - SPIN)
-
-
-class SteppedClock(Clock):
-    """Clock that stands still but while somebody waits: for simulations faster, or slower, than real time."""
-
-    real = False
-
-    def __init__(self) -> None:
-        self._time, self._lock = 0.0, threading.Lock()
-
-    def now(self) -> float:
-        return self._time
-
-    def wait_until(self, time: float) -> None:
         with self._lock:
             self._time = max(self._time, time)
+        while self.real and (left := time - perf_counter()) > 0.0:
+            if left > SPIN:
+                sleep(left - SPIN)
 
 
 class Timing(NamedTuple):
@@ -56,15 +43,10 @@ class Timing(NamedTuple):
 
 
 class Pacer:
-    """Absolute deadlines every `period` [s]. A late period does not move the next ones: the loop catches up by short ones."""
+    """Absolute deadlines every `period` [s] from now on. A late period does not move the next ones: the loop catches up by short ones."""
 
     def __init__(self, clock: Clock, period: float) -> None:
-        self.clock, self.period = clock, period
-        self.start()
-
-    def start(self) -> None:
-        """The first period begins now."""
-        self._first = self.clock.now()
+        self.clock, self.period, self._first = clock, period, clock.now()
         self.count, self._overruns, self._lateness = 0, 0, list[float]()
 
     def wait(self) -> float:
@@ -78,7 +60,6 @@ class Pacer:
 
     @property
     def timing(self) -> Timing:
-        """Statistics since `start`; zeros before the first period is over."""
-        late = np.array(self._lateness or [0.0])
-        p50, p99 = np.percentile(late, [50, 99])
-        return Timing(self.count, self._overruns, float(p50), float(p99), float(late.max()))
+        """Statistics until now; zeros before the first period is over."""
+        p50, p99, worst = np.percentile(self._lateness or [0.0], [50, 99, 100]).tolist()
+        return Timing(self.count, self._overruns, p50, p99, worst)

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from soft_tendon_env.robots.clock import Clock
-from soft_tendon_env.robots.protocol import Measurement, Robot, checked_measurement
+from soft_tendon_env.robots.protocol import Measurement, Robot, check_measurement
 from soft_tendon_env.tools.checks import checked_array
 from soft_tendon_env.tools.messages import UserError, first_line
 from soft_tendon_env.tools.types import Array
@@ -24,7 +24,6 @@ from soft_tendon_env.tools.types import Array
 RAMP, RAMP_STEPS = 0.03, 6  # [s] in which tendons go slack, sudden enough to be safe and not a blow, and the commands on the way
 TRYING = 1.0  # [s] for which slack is tried where it cannot be sent; a port that comes back does so within less
 HANGING = 0.1  # [s] for which slack waits for another call of the robot; one that takes longer hangs
-LOOK = 1e-3  # [s] at least between two looks of the watchdog, which looks four times in a period
 ROUNDING = 0.1  # share of the range of commands by which motors may round beyond its ends
 STRETCH = 1.25  # greatest distance of the tip from the base, in lengths of the arm: rubber stretches, trackers err by millimetres
 ENDS = ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")  # of `kill`, a closed terminal, Ctrl-\ and Ctrl-Z, which act as Ctrl-C does
@@ -49,12 +48,11 @@ class SafeRobot:
     of a command in a second; patience: periods without a new reading, or behind the deadlines, after which the arm is let go."""
 
     def __init__(self, robot: Robot, limits: Array, sensors: int, length: float, period: float, rate: float, patience: int) -> None:
-        self.robot = robot
+        self.robot, self._limits, self._sensors, self._reach, self.rate = robot, limits, sensors, STRETCH * length, rate
         self.slack = np.zeros(len(limits)) if robot.command_unit == "N" else limits[:, 0].copy()  # no tension, or all that can be let out
         self.senses = tuple(name for name in robot.senses if sensors or not name.startswith("strain"))
         self.clock: Clock = getattr(robot, "clock", None) or Clock()
-        self._limits, self._sensors, self._reach, self._period = limits, sensors, STRETCH * length, period
-        self._most, self._patience = rate * period, patience * period
+        self._period, self._patience = period, patience * period
         self._allowed = f": patience is {patience} control periods of {1e3 * period:g} ms"
         self.stopped: Stop | None = Stop("it has not begun", slack=True)
         self._sent, self._fresh, self._closed = self.slack.copy(), 0.0, False
@@ -78,7 +76,7 @@ class SafeRobot:
         """The newest measurement. Raises RobotStopped, also after one that fails, that cannot be, or that is too old."""
         self._refuse()
         try:
-            found = checked_measurement(self._alone(self.robot.read, TRYING), self.senses, self.slack.size, self._sensors)
+            found = check_measurement(self._alone(self.robot.read, TRYING), self.senses, self.slack.size, self._sensors)
             if self._newest is None or found.time > self._newest.time:
                 if found.tip_pose is not None and (far := float(np.linalg.norm(found.tip_pose[:3, 3]))) > self._reach:
                     text = f"the tip {far:.3g} m from the base, and the arm reaches {self._reach:.3g} m"
@@ -95,12 +93,11 @@ class SafeRobot:
     def write(self, command: Array) -> Array:
         """Sends a command (n_a,) within limits and rate; returns what was sent. Raises RobotStopped, also where it cannot be sent."""
         self._refuse()
-        if not np.isfinite(command).all():
-            self.fail(f"the command was {command.tolist()}")
-        least, greatest = self._limits.T
-        wanted = np.clip(command, np.minimum(least, self._sent), greatest)  # from slack, which may lie beneath, it rises evenly
+        (least, greatest), most = self._limits.T, self.rate * self._period
         try:
-            found = self._send(np.clip(wanted, self._sent - self._most, self._sent + self._most))
+            # from slack, which may lie beneath the limits, it rises evenly
+            wanted = np.clip(checked_array("command", command, self.slack.shape), np.minimum(least, self._sent), greatest)
+            found = self._send(np.clip(wanted, self._sent - most, self._sent + most))
             if found is not None:
                 found, slop = checked_array("what write returns", found, self.slack.shape), ROUNDING * (greatest - least)
                 if not ((found >= np.minimum(least, self.slack) - slop) & (found <= greatest + slop)).all():
@@ -112,7 +109,7 @@ class SafeRobot:
         self._refuse()
         return self._sent.copy() if found is None else found
 
-    def look_at_lateness(self, late: float) -> None:
+    def check_lateness(self, late: float) -> None:
         """Stops where a period begins so late [s] that the loop does not catch up any more. Raises RobotStopped."""
         if late > self._patience:
             self.fail(f"the loop is {1e3 * late:.0f} ms behind its deadlines{self._allowed}")
@@ -148,7 +145,7 @@ class SafeRobot:
         while not self._closed:
             cause, done = "", None
             try:
-                cause, done = self._told.get(timeout=max(0.25 * self._period, LOOK))
+                cause, done = self._told.get(timeout=0.25 * self._period)
             except Empty:
                 cause = self._too_old() if self.clock.real else ""
             if cause and self.stopped is None:
@@ -179,14 +176,13 @@ class SafeRobot:
             stop.failures.append(first_line(error))
 
     def _send(self, command: Array, slackens: bool = False) -> Any:
-        """Sends a command (n_a,), clipped to the limits and slack; returns what `write` does. After a stop nothing but slack is sent."""
+        """Sends a command (n_a,); returns what `write` does. After a stop nothing but slack is sent."""
 
         def send() -> Any:
             if self.stopped is not None and not slackens:
                 return None
-            held = np.clip(command, np.minimum(self._limits[:, 0], self.slack), self._limits[:, 1])
-            found = self.robot.write(held.copy())
-            self._sent = held
+            found = self.robot.write(command.copy())
+            self._sent = command
             return found
 
         return self._alone(send, HANGING if slackens else TRYING)

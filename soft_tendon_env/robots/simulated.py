@@ -1,12 +1,11 @@
 """Simulated arm behind the interface of a real one: noise, latency, rate limits and model errors, in real or in simulated time.
 
-    robot = SimulatedRobot(scene="three_tendon", fidelity="fine", model_error="stiffness-20%,latency-20ms", sensors=3)
+    robot = SimulatedRobot(scene="three_tendon", fidelity="fine", randomize={"stiffness": 0.8, "latency": 0.02}, sensors=3)
 
 It differs from its drawing as an environment's arm does under the same options: materials, effects, actuators and sensors are drawn once.
 """
 
 from collections import deque
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,11 +14,10 @@ from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.options import Options, given_scene
 from soft_tendon_env.envs.randomization import Sensors
 from soft_tendon_env.envs.tasks import TASKS
-from soft_tendon_env.evaluation.conditions import NOMINAL, model_error
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.policies.regimes import SENSORS
-from soft_tendon_env.robots.clock import Clock, SteppedClock
+from soft_tendon_env.robots.clock import Clock
 from soft_tendon_env.robots.protocol import Measurement, Unit
 from soft_tendon_env.tools.checks import checked_array, checked_count
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
@@ -36,7 +34,6 @@ class SimulatedRobot:
     whenever it is. Every field of Measurement is sensed but tensions.
 
     Args:
-        model_error: names of soft_tendon_env.evaluation.MODEL_ERRORS, with commas between.
         seed: of what is drawn, and of noise.
         real_time: whether time goes on by itself; else it stands still but while a loop waits.
         options: of environments, those in OF_ARM. Rate limits and lag are those of the scene's [effects.actuators].
@@ -46,23 +43,25 @@ class SimulatedRobot:
 
     senses = ("tip_pose", "tip_twist", "tendon_length", "strain", "strain_rate")
 
-    def __init__(self, model_error: str = NOMINAL, seed: int = 0, real_time: bool = True, **options: Any) -> None:
-        given = _options(model_error, options)
+    def __init__(self, seed: int = 0, real_time: bool = True, **options: Any) -> None:
+        if problems := [Problem((name,), f"is an unknown key: {not_among(name, OF_ARM)}") for name in options if name not in OF_ARM]:
+            raise ConfigurationError(problems, "SimulatedRobot")
+        target = {"type": "hold", "pose": np.eye(4).tolist()}  # which costs nothing, and nobody sees
+        given = Options.parse({"sensors": SENSORS, **options, "target": target}, "SimulatedRobot")
         actuators = given_scene(given.scene).effects.actuators
         delay = 0.0 if actuators is None else actuators.delay  # which is taken here, where commands may come as often as they like
         undelayed = {"scene": {"scene": given.scene, "effects.actuators.delay": 0.0}} if delay else {}
         episodes = Episodes(TASKS["TipPose"], given.model_copy(update=undelayed), rows=1)
         self._episodes, self._arms, self._actuation = episodes, episodes.arms, episodes.actuation
         self.command_unit: Unit = "m" if episodes.model.command_unit == "m" else "N"
-        self.clock = Clock() if real_time else SteppedClock()
+        self.clock = Clock(real_time)
         first = episodes.start_command
         self._sensors = Sensors(episodes.options.randomize.noise, 1, first.size, episodes.sensors.size)
         self._readings = np.zeros(1, dtype=np.int64)
         self._arms.step(first[None, None], ROW)  # these two compile, so that no reading waits for that
         self._sensors.measured(self._arms.reading, self._readings, ROW)
         episodes.begin(ROW, [np.random.default_rng(checked_count("seed", seed, 0))])
-        self._latency, self._period = delay + self._actuation.delay(0), episodes.period
-        self._acting = self._actuation.acting(first, 0)
+        self._latency, self._acting = delay + self._actuation.delay(0), self._actuation.acting(first, 0)
         self._coming: deque[tuple[float, Array]] = deque()  # commands by the times of their arrival
         self._sensors.begin(0, seed)
         self._time: float | None = None
@@ -91,7 +90,7 @@ class SimulatedRobot:
         while True:
             while self._coming and self._coming[0][0] <= time + EARLY:
                 self._acting = self._coming.popleft()[1]
-            until = min(now, time + self._period, self._coming[0][0] if self._coming else now)
+            until = min(now, time + self._episodes.period, self._coming[0][0] if self._coming else now)
             if until - time <= EARLY:
                 break
             self._arms.step(self._acting[None, None], ROW, np.array([[until - time]]))
@@ -100,14 +99,3 @@ class SimulatedRobot:
             time = until
         self._time = now
         return now
-
-
-def _options(errors: str, given: Mapping[str, Any]) -> Options:
-    """Options of a simulated robot with model errors. Raises ConfigurationError, ValueError."""
-    drawn, error = given.get("randomize", {}), dict(model_error(errors).randomize)
-    problems = [Problem((name,), f"is an unknown key: {not_among(name, OF_ARM)}") for name in given if name not in OF_ARM]
-    problems += [Problem(("randomize", name), f"is in the model error {errors!r} too") for name in sorted(drawn.keys() & error.keys())]
-    if problems:
-        raise ConfigurationError(problems, "SimulatedRobot")
-    target = {"type": "hold", "pose": np.eye(4).tolist()}  # which costs nothing, and nobody sees
-    return Options.parse({"sensors": SENSORS, **given, "target": target, "randomize": {**drawn, **error}}, "SimulatedRobot")
