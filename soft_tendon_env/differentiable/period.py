@@ -68,8 +68,9 @@ class _ControlPeriod(torch.autograd.Function):
 def control_period(arms: Arms, before: ArmTensors, commands: torch.Tensor, advance: Callable[..., None] | None = None) -> ArmTensors:
     """State and readings of all rows after a period under commands (rows, parts, n_a), each held for an integrator step.
 
-    Differentiable in the commands and in the state before. The arms themselves take the step, from the state of `before`. Gradients are those of their adjoint, once, see Arms.adjoint; a
-    row whose step fails has none. Poses are 4x4 matrices, whose cotangents count as far as they move them as rigid bodies.
+    Differentiable in the commands and in the state before. The arms themselves take the step, from the state of `before`. Gradients are
+    those of their adjoint, once, see Arms.adjoint; a row whose step fails has none. Poses are 4x4 matrices, whose cotangents count as far
+    as they move them as rigid bodies.
 
     advance: `advance(tape=...)` steps the arms under these commands in place of `Arms.step`, as an environment does. float64. Raises
     TypeError or ValueError for other shapes and numbers that are not finite; `backward` raises what Arms.adjoint does.

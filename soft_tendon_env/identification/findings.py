@@ -8,7 +8,6 @@ import numpy as np
 
 from soft_tendon_env.identification.fit import UNSEEN, Fit, fit
 from soft_tendon_env.identification.markers import UNITS
-from soft_tendon_env.identification.parameters import Parameter
 from soft_tendon_env.identification.readings import Plants, Readings, mean_of_finite
 from soft_tendon_env.identification.recordings import Recording, check_commands
 from soft_tendon_env.tools.types import COMMANDS, Array
@@ -16,7 +15,6 @@ from soft_tendon_env.tools.types import COMMANDS, Array
 AT_BOUND = 1e-3  # distance from a bound, of that of both, at which a parameter is at it
 EXACT = 1e-6  # error of data without noise, as a share of the rod's length: cameras see 1e-5 at best
 CORRELATED, FEWEST = 0.3, 100  # correlation of successive residuals that are no noise, and pairs below which it may be chance
-CHANCE, PERMUTATIONS = 0.005, 999  # probability below which residuals follow the commands, and the permutations it is estimated from
 UNLIKELY = 5.0  # factor of a Young's modulus from which a unit may be wrong
 OUTLYING, FEW_OUTLIERS = 6.0, 0.2  # distance in medians of all, of one in 1e9 with normal noise, and the share up to which it is no misfit
 STILL = 0.005  # share of the rod's length within which markers may be at rest: noise
@@ -45,7 +43,11 @@ def findings(found: Fit, unseen: Sequence[Array], fitted: Readings, noise: float
     far = mean_of_finite(fitted.errors(found.x).values()) > min(MISREAD[0] * spread or np.inf, MISREAD[1] * length)
     if far and (text := misread_text(fitted, found.x, noise)):
         return [text]
-    texts = [_unseen_text(direction, parameters) for direction in unseen]
+    texts = list[str]()
+    for direction in unseen:
+        names = [parameters[i].name for i in np.argsort(-np.abs(direction)) if abs(direction[i]) >= UNSEEN]
+        what = names[0] if len(names) == 1 else f"a combination of {', '.join(names)}"
+        texts.append(f"The data do not contain {what}: {_experiment(' '.join(names))}.")
     for one, x in zip(parameters, found.x, strict=True):
         for bound in one.bounds:
             if abs(x - bound) <= AT_BOUND * (one.bounds[1] - one.bounds[0]):
@@ -54,13 +56,6 @@ def findings(found: Fit, unseen: Sequence[Array], fitted: Readings, noise: float
             change = f"{np.exp(abs(x)):.2g} times {'greater' if x > 0 else 'less'} than in the scene"
             texts.append(f"{one.name} is {change}: is a unit wrong? Tensions in kg that are read as N make it 9.8 times less.")
     return texts + _misfit_texts(found, fitted, noise)
-
-
-def _unseen_text(direction: Array, parameters: Sequence[Parameter]) -> str:
-    """A direction that the data do not contain, with the experiment that would show it."""
-    names = [parameters[i].name for i in np.argsort(-np.abs(direction)) if abs(direction[i]) >= UNSEEN]
-    what = names[0] if len(names) == 1 else f"a combination of {', '.join(names)}"
-    return f"The data do not contain {what}: {_experiment(' '.join(names))}."
 
 
 def _experiment(name: str) -> str:
@@ -77,9 +72,6 @@ def _misfit_texts(found: Fit, readings: Readings, noise: float | None) -> list[s
         return []
     if noise is not None and root > FAR * noise:
         texts.append(f"Residuals are {1e3 * root:.3g} mm where the noise is {1e3 * noise:.3g} mm: {LACKING}.")
-    chance, size = _commands_in_residuals(residual, readings)
-    if chance <= CHANCE:
-        texts.append(f"Residuals of holds follow the commands, by {1e3 * size:.2g} mm: {LACKING}.")
     distance = np.linalg.norm(residual, axis=-1)
     usual, far = float(np.nanmedian(distance)), distance > OUTLYING * np.nanmedian(distance)
     if 0 < far.sum() <= FEW_OUTLIERS * np.isfinite(distance).sum():
@@ -98,21 +90,6 @@ def _misfit_texts(found: Fit, readings: Readings, noise: float | None) -> list[s
             text = f"Residuals of motion {one.name!r} are no noise: successive ones have {1e3 * np.sqrt(common):.2g} mm in common"
             texts.append(f"{text}: {LACKING}; viscous damping alone cannot make up for friction or hysteresis.")
     return texts
-
-
-def _commands_in_residuals(residual: Array, readings: Readings) -> tuple[float, float]:
-    """Probability that the residuals (samples, m, 3) of holds follow their commands by chance, and the root mean square [m] of the part
-    that does, by regression on commands and their squares and by permutations (B. Phipson and G. K. Smyth 2010); (1, 0) for few holds."""
-    commands = np.array([one.command[0] for one in readings.recordings if not one.period])
-    if len(commands) <= 2 * len(readings.plants.scene.tendons) + 2:
-        return 1.0, 0.0
-    basis = np.hstack([np.ones((len(commands), 1)), commands, commands**2])
-    columns = residual[: len(commands)].reshape(len(commands), -1)
-    columns = columns[:, np.isfinite(columns).all(axis=0)]
-    U, values, _ = np.linalg.svd(basis, full_matrices=False)
-    U, random = U[:, values > 1e-9 * values[0]], np.random.default_rng(0)
-    follows, *drawn = (((U.T @ one) ** 2).sum() for one in (columns, *(random.permutation(columns) for _ in range(PERMUTATIONS))))
-    return (1 + sum(one >= follows for one in drawn)) / (1 + PERMUTATIONS), float(np.sqrt(follows / max(columns.size, 1)))
 
 
 def misread_text(readings: Readings, x: Array | None, noise: float | None) -> str | None:

@@ -62,8 +62,10 @@ def fit(readings: Readings, sigma: float | None = None) -> Fit:
     x, here = np.zeros(len(parameters)), FIRST_SIGMA * length if sigma is None else sigma
     for _ in range(MOST_ROUNDS if sigma is None and prior.any() else 1):  # where sigma changes the estimate
         found = _solve(readings, x, here, prior)
-        x = found.x
-        before, here = here, max(_sigma(found), LEAST_SIGMA * length) if sigma is None else sigma
+        x, before, data = found.x, here, found.information
+        if sigma is None:
+            decided = float(np.trace(np.linalg.pinv(data + np.diag(prior), hermitian=True) @ data))  # parameters: the priors decide others
+            here = max(float(np.sqrt(found.residual @ found.residual / max(count - decided, 1.0))), LEAST_SIGMA * length)
         if abs(here - before) <= SAME_SIGMA * before:
             break
     return found._replace(sigma=here)
@@ -93,36 +95,25 @@ def _solve(readings: Readings, x: Array, sigma: float, prior: Array) -> Fit:
     return Fit(done.x, sigma * done.fun[:size], sigma * done.jac[:size], sigma, prior)
 
 
-def _sigma(found: Fit) -> float:
-    """Standard deviation [m] of the readings, for as many parameters as the data decide about, not the priors."""
-    data = found.information
-    decided = float(np.trace(np.linalg.pinv(data + np.diag(found.prior), hermitian=True) @ data))
-    return float(np.sqrt(found.residual @ found.residual / max(found.residual.size - decided, 1.0)))
-
-
 def intervals(found: Fit, readings: Readings) -> Intervals:
     """Intervals of an estimate from readings."""
     from scipy.special import stdtrit  # here: it takes longer to import than all else that most scenes need
 
     parameters, cluster, tail = readings.plants.parameters, readings.cluster, 0.5 * (1.0 + CONFIDENCE)
     bounds = np.array([one.bounds for one in parameters])
-    linear = stdtrit(max(found.residual.size - found.x.size, 1), tail) * np.sqrt(_variances(found))
+    values, vectors = np.linalg.eigh(found.information + np.diag(found.prior))
+    none = values <= SINGULAR * max(values[-1], np.finfo(float).tiny)  # directions without information
+    free = (np.abs(vectors[:, none]) > np.sqrt(SINGULAR)).any(axis=1)
+    variances = np.where(free, np.inf, (vectors[:, ~none] ** 2 / values[~none]).sum(axis=1))
+    linear = stdtrit(max(found.residual.size - found.x.size, 1), tail) * np.sqrt(variances)
     bootstrap = stdtrit(max(int(cluster.max()), 1), tail) * _bootstrap(found, cluster).std(axis=0)
     reach = np.where(np.isfinite(linear), np.maximum(linear, bootstrap), np.ptp(bounds, axis=1))
     ends = np.clip([found.x - reach, found.x + reach], *bounds.T)
-    values = np.array([sorted((one.at(low), one.at(high))) for one, low, high in zip(parameters, *ends, strict=True)])
+    low, high = np.array([sorted((one.at(low), one.at(high))) for one, low, high in zip(parameters, *ends, strict=True)]).T
     information, vectors = np.linalg.eigh(found.information)
     seen = information > max(SEEN, SINGULAR * information[-1])
     identified = (np.abs(vectors[:, ~seen]) < UNSEEN).all(axis=1)
-    return Intervals(values[:, 0], values[:, 1], identified, [*vectors[:, ~seen].T])
-
-
-def _variances(found: Fit) -> Array:
-    """Variances (k,) of the coordinates; infinite for those of directions without information."""
-    values, vectors = np.linalg.eigh(found.information + np.diag(found.prior))
-    none = values <= SINGULAR * max(values[-1], np.finfo(float).tiny)
-    free = (np.abs(vectors[:, none]) > np.sqrt(SINGULAR)).any(axis=1)
-    return np.where(free, np.inf, (vectors[:, ~none] ** 2 / values[~none]).sum(axis=1))
+    return Intervals(low, high, identified, [*vectors[:, ~seen].T])
 
 
 def _bootstrap(found: Fit, cluster: Array) -> Array:

@@ -16,7 +16,7 @@ from soft_tendon_env.identification.findings import findings, misread_text
 from soft_tendon_env.identification.fit import Intervals, fit, intervals
 from soft_tendon_env.identification.markers import MarkerSet, check_places, load_markers
 from soft_tendon_env.identification.parameters import DELAY, Parameter, command_limits, read_parameters
-from soft_tendon_env.identification.readings import Measurement, NoHoldError, Plants, Readings, mean_of_finite
+from soft_tendon_env.identification.readings import NoHoldError, Plants, Readings, mean_of_finite
 from soft_tendon_env.identification.recordings import SHARE, read_recordings, split
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.scene import Scene, scene_to_dict
@@ -38,7 +38,6 @@ class Estimate:
     intervals: Intervals
     scene: Scene  # with the estimated numbers, in the frame of the arm's base
     markers: MarkerSet  # with the estimated offsets, and with the frame that leads from the data to that base
-    measurement: Measurement
     error_fit: dict[str, float]  # mean distance [m] of the markers in the recordings of the fit, by their names
     error_held_out: dict[str, float]
     before: tuple[float, float]  # mean of either [m] at the numbers of the scene that was given
@@ -96,7 +95,6 @@ def identify(
         intervals=spread,
         scene=plants.scene_at(found.x, scene),
         markers=placed.with_offsets(measurement.offsets, placed.frame.to_base(measurement.base, measurement.shift)),
-        measurement=measurement,
         error_fit=error_fit,
         error_held_out=error_held_out,
         before=(mean_of_finite(before[0].values()), mean_of_finite(before[1].values())),
@@ -144,9 +142,9 @@ def _as_json(found: Estimate) -> dict[str, Any]:
     }
     parts = zip(("fit", "held_out"), (found.error_fit, found.error_held_out), found.errors, strict=True)
     errors = {name: {"mean": 1e3 * mean, "each": {one: 1e3 * error for one, error in each.items()}} for name, each, mean in parts}
-    told = {"noise_mm": 1e3 * found.noise, "findings": found.findings, "measurement": found.measurement._asdict()}
+    told = {"noise_mm": 1e3 * found.noise, "findings": found.findings, "randomize": randomize(found)}
     data = {Path(file).name: digest(Path(file)) for file in found.data}
-    return plain({"parameters": parameters, "error_mm": errors, **told, "randomize": randomize(found), "data": data, **origin()})
+    return plain({"parameters": parameters, "error_mm": errors, **told, "data": data, **origin()})
 
 
 def randomize(found: Estimate) -> dict[str, Any]:
@@ -156,8 +154,8 @@ def randomize(found: Estimate) -> dict[str, Any]:
     tensions [N], of which an environment takes the share of the range of displacements where an arm is driven by these.
     """
     table, ranges = dict[str, Any](), dict[str, list[float]]()
-    tension = np.array([tendon.tension_limits for tendon in found.scene.tendons])
-    unit = np.ptp(tension, axis=1) / np.ptp(command_limits(found.scene), axis=1)  # [N] of an offset by 1
+    tensions = [tendon.tension_limits for tendon in found.scene.tendons]
+    unit = np.ptp(tensions, axis=1) / np.ptp(command_limits(found.scene), axis=1)  # [N] of an offset by 1
     for one, value, low, high, seen in zip(found.parameters, found.value, *found.intervals[:3], strict=True):
         if not seen and one.prior is None:
             continue

@@ -27,26 +27,21 @@ FACTOR, WIDE = 30.0, 5.0  # how far a factor may go where no bounds are given, a
 ROTATION, GAIN = 3.0, 0.1  # standard deviations of the priors of mount rotation [deg] and gains
 SHIFT, OFFSET = 0.0125, 0.025  # of those of the mount's shift and of marker offsets, as shares of the rod's length
 COMMAND_OFFSET = 0.05  # of that of a command's offset, as a share of the range of the tendon's commands
-DELAY, LONGEST_DELAY = "commands.delay", 0.5
-"""Name of the delay of commands, which the scene has as effects.actuators.delay, and its upper bound [s]."""
+DELAY, LONGEST_DELAY = "commands.delay", 0.5  # name of the delay, which the scene has as effects.actuators.delay, and its upper bound [s]
 HALVINGS = 40
 Bounds = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """Number to estimate.
-
-    value: the scene's, around which a prior is. low, high: bounds. prior: standard deviation, None for none; of factors in parts of the
-    value. of_scene: the numbers of the scene that it stands for, None for one of the measurement.
-    """
+    """Number to estimate."""
 
     name: str
-    of_scene: SceneParameter | None
-    value: float
-    low: float
+    of_scene: SceneParameter | None  # the numbers of the scene that it stands for, None for one of the measurement
+    value: float  # the scene's, around which a prior is
+    low: float  # bounds
     high: float
-    prior: float | None
+    prior: float | None  # standard deviation, of factors in parts of the value; None: no prior
     is_factor: bool
 
     @property

@@ -24,8 +24,7 @@ from soft_tendon_env.tools.types import Array
 
 TURNED = {"gravity": ("acceleration",), "tip_load": ("force", "moment"), "fluid": ("current",)}
 """Vectors of effects in the world frame, which turn against the base when the mount does."""
-INSIDE = {"actuators", "tendon_elasticity", "tendon_friction", "nonlinear_elasticity", "viscoelastic_memory"}
-"""Effects that know nothing of the world frame."""
+INSIDE = {"actuators", "tendon_elasticity", "tendon_friction", "nonlinear_elasticity", "viscoelastic_memory"}  # know no world frame
 DIFFERENCES = (1e-4, 1e-3)  # of coordinates, central: of holds, which are exact to 1e-10, and with motions, to the steps' tolerance
 
 
@@ -117,9 +116,10 @@ class Readings:
         """Simulated positions (samples, m, 3) [m] at coordinates x (k,). Raises NoHoldError, ConfigurationError."""
         return self.plants.measurement(x).positions(self._poses(x))
 
-    def residual(self, x: Array) -> Array:
-        """Simulated less measured readings (N,) [m]. Raises as `positions`."""
-        return self._residual(x, self._poses(x))
+    def residual(self, x: Array, poses: Array | None = None) -> Array:
+        """Simulated less measured readings (N,) [m], from `_poses` at x, or others that are given. Raises as `positions`."""
+        simulated = self.plants.measurement(x).positions(self._poses(x) if poses is None else poses)
+        return np.asarray((simulated - self.measured)[self.seen])
 
     def jacobian(self, x: Array) -> Array:
         """Derivatives (N, k) [m] of the readings by the coordinates, by central differences within the bounds. Raises as `positions`."""
@@ -127,21 +127,16 @@ class Readings:
         for i, parameter in enumerate(self.plants.parameters):
             ends = np.clip([x[i] - self._difference, x[i] + self._difference], *parameter.bounds)
             places = [np.where(np.arange(x.size) == i, end, x) for end in ends]
-            low, high = (self._residual(at, self._poses(at) if self.plants.moves_arm[i] else still) for at in places)
+            low, high = (self.residual(at, None if self.plants.moves_arm[i] else still) for at in places)
             columns.append((high - low) / (ends[1] - ends[0]))
         return np.stack(columns, axis=-1)
 
     def errors(self, x: Array) -> dict[str, float]:
-        """Mean distance [m] of the seen markers from where they are simulated, by the recordings' names, NaN without any. Raises as
-        `positions`."""
+        """Mean distance [m] of the seen markers from where they are simulated, by recordings, NaN without any. Raises as `positions`."""
         distance = np.linalg.norm(self.positions(x) - self.measured, axis=-1)
         return {
             one.name: mean_of_finite(part.ravel()) for one, part in zip(self.recordings, np.split(distance, self.ends[:-1]), strict=False)
         }
-
-    def _residual(self, x: Array, poses: Array) -> Array:
-        """The residual (N,) of simulated poses of the markers' sections."""
-        return np.asarray((self.plants.measurement(x).positions(poses) - self.measured)[self.seen])
 
     def _poses(self, x: Array) -> Array:
         """Simulated poses (samples, m, 4, 4) of the markers' sections from the base. Raises NoHoldError."""

@@ -6,6 +6,7 @@ them empty where it was not seen. The table `[columns]` of the markers' file giv
 """
 
 import itertools
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,27 +25,20 @@ LEAST = 0.05  # share of what is allowed from which numbers in another unit are 
 UNEVEN = 0.3  # share of the sample period by which times may be off equal steps
 USUAL = (1e-3, 1.0)  # sample periods [s] by which a unit of time is guessed
 LONGEST, LATEST = 4.0, 1e11  # sample period and time [s] from which on the unit of time is wrong: the latter is in the year 5000
-SHARE = "0.25"
-"""Share of recordings that are held out by default."""
-SAME, EXACT = 0.02, 0.005
-"""How far apart commands may be that are the same, in parts of a tendon's range in the data, and at least, in parts of the strongest
-command: motors and load cells repeat no better."""
+SHARE = "0.25"  # of recordings that are held out by default
+SAME, EXACT = 0.02, 0.005  # of a tendon's range in the data, and of the strongest command: how far apart commands may be that are the same
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Recorded commands and marker positions: one hold (a single sample), or a motion that begins at rest.
-
-    command (samples, n_a) in the scene's unit, each held until the next sample; positions (samples, m, 3) [m] in the scene's world frame,
-    NaN where they were not measured; period [s] between samples, 0 for a hold; columns: the cells of its first row, by the header.
-    """
+    """Recorded commands and marker positions: one hold (a single sample), or a motion that begins at rest."""
 
     name: str
     where: str  # file and line of its first row
-    command: Array
-    positions: Array
-    period: float
-    columns: Mapping[str, str]
+    command: Array  # (samples, n_a) in the scene's unit, each held until the next sample
+    positions: Array  # (samples, m, 3) [m] in the scene's world frame, NaN where they were not measured
+    period: float  # [s] between samples, 0 for a hold
+    columns: Mapping[str, str]  # cells of its first row, by the header
 
 
 def read_recordings(paths: Sequence[str | Path], scene: Scene, markers: MarkerSet) -> list[Recording]:
@@ -64,7 +58,8 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
     table, sources = _table(path, markers, {**commands, **places, "time": "s", "hold": ""})
     rows = [where for where, _ in table.rows]
     command, placed, times = (table.numbers(sources[name] for name in names) for names in (commands, places, {"time"} & sources.keys()))
-    for row, tendon in np.argwhere(np.isnan(command)):
+    if np.isnan(command).any():
+        row, tendon = np.argwhere(np.isnan(command))[0]
         raise ValueError(f"{rows[row]}: {sources[[*commands][tendon]][0]} is empty: it should be a number")
     placed = placed.reshape(len(rows), -1, 3)
     placed[(placed == 0.0).all(axis=2) & (markers.arc_lengths > 0.0)] = np.nan  # as some trackers write what was not seen
@@ -82,11 +77,22 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
 
 
 def _table(path: Path, markers: MarkerSet, units: Mapping[str, str]) -> tuple[Table, dict[str, tuple[str, float]]]:
-    """Table with the columns of quantities, by the names of its header. Raises ValueError for columns that are not there, or twice."""
-    wanted, found = markers.sources(units), dict[str, tuple[str, float]]()
+    """Table of a file, and names and factors of the columns of quantities, which are given with their SI units. Raises ValueError for
+    units and keys that `[columns]` should not have, and for columns that are not there, or twice."""
+    wanted, found = {quantity: (quantity, 1.0) for quantity in units}, dict[str, tuple[str, float]]()
+    for key, column in sorted(markers.columns.items(), key=lambda item: "*" not in item[0]):  # a whole name beats a pattern
+        matches = [match for quantity in units if (match := re.fullmatch(re.escape(key).replace(r"\*", "(.+)"), quantity))]
+        if not matches:
+            raise ValueError(f"columns.{key} is no quantity that is read here: {not_among(key, units)}")
+        for match in matches:
+            factors = {units[match[0]]: 1.0, **UNITS.get(units[match[0]], {})}
+            if (unit := units[match[0]] if column.unit is None else column.unit) not in factors:
+                raise ValueError(f"columns.{key}.unit is {unit!r}: it should be one of {', '.join(factors)}")
+            name = (column.name or match[0]).replace("*", match[1] if "*" in key else "*")
+            wanted[match[0]] = name, column.sign * factors[unit]
     table = read_table(path, [name for name, _ in wanted.values()])
     for quantity, (name, factor) in wanted.items():
-        same = [column for column in table.header if column.casefold() == name.casefold()]
+        same = [head for head in table.header if head.casefold() == name.casefold()]
         if len(same := [name] * same.count(name) or same) > 1:
             raise ValueError(f"{table.where}: column {name} is there {len(same)} times")
         if same:
@@ -133,12 +139,10 @@ def check_commands(recording: Recording, scene: Scene) -> None:
     """Raises ValueError for commands outside of the scene's limits."""
     unit = scene.effects.command_unit
     for i, (least, greatest) in enumerate(command_limits(scene)):
-        values, kind = recording.command[:, i], COMMANDS[unit]
-        odd = values[(values < least) | (values > greatest)]
-        if odd.size:
-            text = f"{kind}_{i} is {odd[0]:g} {unit}: the scene's {kind}_limits are {least:g} to {greatest:g} {unit}"
-            guess = _unit_guess(f"{kind}_{i}", float(np.abs(values).max()), max(-least, greatest), unit)
-            raise ValueError(f"{recording.where}: {text}{guess}")
+        values, name = recording.command[:, i], f"{COMMANDS[unit]}_{i}"
+        if (odd := values[(values < least) | (values > greatest)]).size:
+            text = f"{name} is {odd[0]:g} {unit}: the scene's {COMMANDS[unit]}_limits are {least:g} to {greatest:g} {unit}"
+            raise ValueError(f"{recording.where}: {text}{_unit_guess(name, float(np.abs(values).max()), max(-least, greatest), unit)}")
 
 
 def _check_reach(positions: Array, length: float, path: Path, marker: str) -> None:
@@ -147,12 +151,11 @@ def _check_reach(positions: Array, length: float, path: Path, marker: str) -> No
     if np.isnan(distances).all():
         raise ValueError(f"{path}: no marker was seen")
     distance, reach = float(np.nanmax(distances)), REACH * length
+    text = f"{path}: markers are up to {distance:.4g} m from the base of a rod of {length:g} m"
     if distance > reach:
-        guess = _unit_guess(f'"{marker}_*"', distance, reach, "m") or "; is the [frame] of --markers right?"
-        raise ValueError(f"{path}: markers are up to {distance:.4g} m from the base of a rod of {length:g} m{guess}")
+        raise ValueError(text + (_unit_guess(f'"{marker}_*"', distance, reach, "m") or "; is the [frame] of --markers right?"))
     if distance < 0.01 * length:
-        text = "is the arm's length or the unit wrong? Positions are in m"
-        raise ValueError(f"{path}: all markers are within {distance:.4g} m of the base of a rod of {length:g} m: {text}")
+        raise ValueError(f"{text}: is the arm's length or the unit wrong? Positions are in m")
 
 
 def _unit_guess(quantity: str, value: float, most: float, unit: str) -> str:
@@ -163,10 +166,9 @@ def _unit_guess(quantity: str, value: float, most: float, unit: str) -> str:
 
 
 def split(recordings: Sequence[Recording], held_out: str = SHARE) -> list[list[Recording]]:
-    """Recordings to fit to, and held-out ones, each in the order of the data.
+    """Recordings to fit to, and held-out ones, each in the order of the data. Raises ValueError.
 
-    held_out: a share below 1, evenly over the data, where those with the same commands stay together; or a column, of which those that are
-    not zero are held out. "0" holds none out. Raises ValueError.
+    held_out: a share below 1, evenly over the data, where those with the same commands stay together; or a column that is not zero there.
     """
     try:
         wanted = float(held_out)
@@ -189,10 +191,8 @@ def split(recordings: Sequence[Recording], held_out: str = SHARE) -> list[list[R
 
 
 def same_commands(recordings: Sequence[Recording]) -> Array:
-    """Index (recordings,) that recordings with the same commands share, counted from 0 in the order of the data.
-
-    Of motions the difference is the mean over their samples, since a start may be a sample late; the last command is held on.
-    """
+    """Index (recordings,) that recordings with the same commands share, from 0 in the order of the data. Of motions the difference is the
+    mean over their samples, since a start may be a sample late; the last command is held on."""
     if not recordings:
         return np.zeros(0, dtype=int)
     samples = np.arange(max(len(one.command) for one in recordings))
