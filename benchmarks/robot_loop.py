@@ -120,7 +120,7 @@ def ended(run: Callable[[], Report], real: RobotEnv) -> Report:
     try:
         return run()
     except (ValueError, KeyboardInterrupt):
-        return Report({}, real.timing, real.stop("it has ended"))
+        return Report({}, real.unwrapped.episodes.arms.pacer.timing, real.stop("it has ended"))
 
 
 def draw(rows: list[tuple[object, ...]], path: Path) -> None:

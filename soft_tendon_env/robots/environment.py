@@ -1,8 +1,6 @@
-"""Robot behind the Gymnasium interface of a simulated arm, with the same observation and action spaces, and runs of policies on it.
+"""Robot behind the Gymnasium interface of a simulated arm, for policies and Stable-Baselines3 as they are, and runs of policies on it.
 
-    env = RobotEnv(gym.make("TendonRod-Reach-v0", scene="my_arm.toml", observation="measurable", sensors=3), MyRobot())
-
-Policies and Stable-Baselines3 run on it as they are. A step lasts a control period, to its absolute deadline.
+`env = RobotEnv(gym.make("TendonRod-Reach-v0", scene="my_arm.toml", observation="measurable", sensors=3), MyRobot())`
 """
 
 import itertools
@@ -13,8 +11,6 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 import scipy.fft
-from gymnasium.error import ResetNeeded
-from numpy.typing import ArrayLike
 
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
@@ -28,10 +24,9 @@ from soft_tendon_env.model.step_control import slowest_vibration
 from soft_tendon_env.policies.estimators import PARAMETERS
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.policies.regimes import TARGET_GROUPS
-from soft_tendon_env.robots.clock import Pacer, Timing
 from soft_tendon_env.robots.log import RobotLog
 from soft_tendon_env.robots.protocol import Measurement, Robot, check_robot
-from soft_tendon_env.robots.safety import RobotStopped, SafeRobot, Stop
+from soft_tendon_env.robots.safety import FINISHED, Pacer, RobotStopped, SafeRobot, Stop, Timing
 from soft_tendon_env.tools.checks import checked_count, checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.messages import describe, first_line
@@ -40,8 +35,6 @@ from soft_tendon_env.tools.types import Array
 SETTLE = 1.0  # [s] in which an arm is brought to where episodes begin
 PATIENCE = 3  # control periods without a new reading, or behind the deadlines, after which an arm is let go
 REST_SPEED = 0.005  # of the tip at rest, in lengths of the arm per second
-REHEARSED = 5  # periods: controllers and estimators come to all that they compile within two or three
-FINISHED = "the run ended"  # cause of the stop of a run that went on to its end
 READINGS, LOOKS = 20, 10  # of which a speed is measured at least, and looks in its window; an arm rests when it did twice on end
 WINDOW = 2.0  # [s] at least over which the speed is measured: at 50 Hz and with noise of 2 mm, it shows a drift of 1.5 mm/s
 WAIT = 60.0  # [s] under the first command, for which rest is waited for
@@ -55,16 +48,10 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
     measures the zero of tendon lengths and strains. Commands stay within the environment's limits. A robot that is stopped, see safety.py,
     truncates the episode, and `info["stopped"]` says why; `reset` begins again. `close` lets the tendons go and closes the robot.
 
-    Args:
-        env: what it observes and how actions are read; its options say the scene, `control_period` and `tension_limits`.
-        robot: see Robot.
-        rate: greatest change of commands [N/s, or m/s]; None: any.
-        settle: time [s] to the first command; 0 for a robot that rests there when the first episode begins, with sensors that have zeros.
-        rest_speed: greatest speed of the tip at rest, root mean square, in lengths of the arm per second.
-        patience: periods without a new reading, or behind the deadlines, after which the robot is stopped.
-        log: new CSV file of the periods, see log.py; None: none. A file that is there is not overwritten.
-
-    Raises ConfigurationError where the robot does not fit the environment, TypeError, ValueError, OSError.
+    rate: greatest change of commands [N/s, or m/s]; None: any. settle: time [s] to the first command; 0 for a robot that rests there when
+    the first episode begins, with sensors that have zeros. rest_speed: greatest speed of the tip at rest, root mean square, in lengths of
+    the arm per second. patience: periods without a new reading, or behind the deadlines, after which the robot is stopped. log: new CSV
+    file of the periods, see log.py. Raises ConfigurationError where the robot does not fit the environment, TypeError, ValueError, OSError.
     """
 
     def __init__(
@@ -90,22 +77,20 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         reach, sensors = np.inf if episodes.model.scene.effects.moving_base else episodes.model.length, episodes.sensors.size
         self._safe = SafeRobot(robot, limits, sensors, reach, episodes.period, fastest, checked_count("patience", patience, 1))
         self._log = None if log is None else RobotLog(Path(log), robot.command_unit, self._safe.senses, len(limits), sensors)
-        self.robot, self._last = robot, None
-        self._arm = MeasuredArm(episodes, self._safe, settle, still, self._log)
-        episodes.attach(self._arm)
+        arm, self._last = MeasuredArm(episodes, self._safe, settle, still, self._log), None
+        self.zero = arm.zero  # found by the last reset, added to what the robot measures: tendon_length (n_a,) [m], strain (s, 6)
+        episodes.attach(arm)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """A new episode, which begins with the robot at rest. Raises RobotStopped where it does not come to that."""
         self._last = self.env.reset(seed=seed, options=options)
         return self._last
 
-    def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """One control period; a robot that is stopped truncates the episode, with the last observation and reward 0.
-
-        Raises as the environment for actions of wrong shape or with NaN, ResetNeeded.
-        """
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """One control period, to its deadline; a robot that is stopped truncates the episode, with the last observation and reward 0.
+        Raises as the environment for actions of wrong shape or with NaN, ResetNeeded."""
         if self._last is None:
-            raise ResetNeeded("step was called before reset")
+            raise gym.error.ResetNeeded("step was called before reset")
         try:
             observation, reward, terminated, truncated, info = self.env.step(action)
         except RobotStopped as stopped:
@@ -113,16 +98,6 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
             return observation, 0.0, False, True, {**info, "stopped": str(stopped)}
         self._last = observation, info
         return observation, float(reward), terminated, truncated, info
-
-    @property
-    def timing(self) -> Timing:
-        """Statistics of the control periods since the last reset."""
-        return self._arm.pacer.timing
-
-    @property
-    def zero(self) -> dict[str, Array]:
-        """Zeros found by the last reset, added to what the robot measures: tendon_length (n_a,) [m], strain (s, 6)."""
-        return self._arm.zero
 
     @property
     def stopped(self) -> Stop | None:
@@ -135,12 +110,10 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
 
     def close(self) -> None:
         """Lets the tendons go, closes the robot, and completes the log."""
-        try:
-            self._safe.close()
-        finally:
-            if self._log is not None:
-                self._log.close()
-            super().close()
+        self._safe.close()
+        if self._log is not None:
+            self._log.close()
+        super().close()
 
 
 def _misfit(robot: Robot, episodes: Episodes) -> str:
@@ -160,11 +133,8 @@ def _misfit(robot: Robot, episodes: Episodes) -> str:
 
 
 class MeasuredArm(Arms):
-    """The robot as one row of arms, whose steps command it and whose reading is what it measures; see RobotEnv for `settle`.
-
-    The simulated arm goes on beside it under the commands that were sent: it is what recordings show, and nothing of it is observed.
-    still: greatest speed [m/s] of the tip at rest. zero: values by field that are added to what the robot measures.
-    """
+    """The robot as one row of arms, whose steps command it and whose reading is what it measures. still: greatest speed [m/s] at rest.
+    The simulated arm goes on beside it under the commands that were sent: it is what recordings show, and nothing of it is observed."""
 
     def __init__(self, episodes: Episodes, robot: SafeRobot, settle: float, still: float, log: RobotLog | None) -> None:
         super().__init__(episodes.model, 1, episodes.period, np.empty(0), episodes.sensors)
@@ -174,7 +144,7 @@ class MeasuredArm(Arms):
         self._rise = max(settle, float(np.abs(self._command - robot.slack).max()) / robot.rate)
         self._window = max(WINDOW, np.pi / slowest_vibration(episodes.model))  # [s], half a swing, which stands still where it turns
         self._is_there = self._has_zeros = settle == 0.0
-        self.zero: dict[str, Array] = {}
+        self.zero = dict[str, Array]()  # by field, added to what the robot measures
 
     def place(self, members: Indices, q: Array, tension: Array | None = None) -> None:
         """Let the robot begin, from slack tendons. Raises RobotStopped, also where it does not come to rest."""
@@ -188,8 +158,9 @@ class MeasuredArm(Arms):
             readings = self._wait_for_rest()
             self.pacer = Pacer(self.robot.clock, self.pacer.period)
         self._is_there = False
-        for name in () if self._has_zeros else {"tendon_length", "strain"} & {*self.robot.senses}:
-            self.zero[name] = getattr(self.reading, name)[0] - np.mean([getattr(one, name) for one in readings], axis=0)
+        if not self._has_zeros:
+            for name in {"tendon_length", "strain"} & {*self.robot.senses}:
+                self.zero[name] = getattr(self.reading, name)[0] - np.mean([getattr(one, name) for one in readings], axis=0)
         self._take(readings[-2:][0])
         if self._log is not None:
             self._log.begin(self.pacer.period, self._time, self.reading, self._command)
@@ -207,8 +178,7 @@ class MeasuredArm(Arms):
         command[:], self._actuation.command[0] = sent, sent
         super().step(command, members, durations, tape)  # one that begins, whatever was asked
         self.outcome.status[:] = OK  # a robot does not diverge
-        self.robot.check_lateness(self.pacer.wait())
-        self._take(self.robot.read())
+        self._take(self.robot.read(self.pacer.wait()))
 
     def _take(self, measured: Measurement) -> None:
         """Make a measurement the reading, with the zeros of the arm at rest."""
@@ -242,11 +212,8 @@ class MeasuredArm(Arms):
 
 
 def speed_of(position: Array, period: float) -> float:
-    """Speed [m/s], root mean square, of a point measured at positions (m, 3) [m] one period [s] apart.
-
-    Differences of noisy samples are mostly noise: 1 mm at 50 Hz makes 70 mm/s. So the motion is that of the cosine modes that stand out of
-    the noise, whose power is about the same in all modes.
-    """
+    """Speed [m/s], root mean square, of a point at positions (m, 3) [m] one period [s] apart: of the cosine modes that stand out of noise.
+    Differences of samples are mostly noise: 1 mm at 50 Hz makes 70 mm/s."""
     power = scipy.fft.dct(position, axis=0, norm="ortho")[1:] ** 2 / len(position)
     power = np.sum(power, axis=1, where=power > STANDS_OUT * np.median(power, axis=0))
     rate = np.pi * np.arange(1, len(position)) / (len(position) * period)
@@ -254,41 +221,33 @@ def speed_of(position: Array, period: float) -> float:
 
 
 class Report(NamedTuple):
-    """Report of a run: errors (m,) by name as measured in every period, timing, and how it ended."""
+    """Report of a run: errors (m,) by name as measured in every period, timing, how it ended, and whether it went on to its end."""
 
     errors: dict[str, Array]
     timing: Timing
     stop: Stop
-
-    @property
-    def finished(self) -> bool:
-        """Whether it went on to its end."""
-        return self.stop.cause == FINISHED
+    finished: bool = False
 
 
 def rehearse(policy: Policy, env: gym.Env[Any, Any], seed: int = 0) -> None:
-    """Plays a few periods with the simulated arm of an environment, so that nothing is compiled while a robot waits.
-
-    Before the environment gets its robot. Raises as the policy.
-    """
-    for _ in itertools.islice(play_steps(policy, env, [seed]), REHEARSED + 1):
+    """Plays a few periods with the simulated arm of an environment that gets a robot then, so that nothing is compiled while that waits."""
+    for _ in itertools.islice(play_steps(policy, env, [seed]), 6):  # controllers and estimators compile within two or three periods
         pass
 
 
 def run_policy(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int = 0) -> Report:
     """Runs a policy on a robot for so long [s]; lets the tendons go and closes the robot whatever happens.
 
-    env: a RobotEnv, alone or wrapped. A robot that is stopped ends the run, `Report.stop` says why, as for an episode that ends early; what
-    the policy raises, and KeyboardInterrupt, as which SIGTERM acts too, go on to the caller with slack tendons. Raises TypeError for other
+    env: a RobotEnv, alone or wrapped. A stopped robot ends the run, as does an episode that ends early: `Report.stop` says why. What the
+    policy raises, and KeyboardInterrupt, as which SIGTERM acts too, go on to the caller with slack tendons. Raises TypeError for other
     environments, ValueError for episodes that are shorter than the run.
     """
     episodes, found = episodes_of(env), list[list[float]]()
     if not isinstance(arm := episodes.arms, MeasuredArm):
         raise TypeError("env should be a RobotEnv, alone or wrapped")
     robot, steps = arm.robot, round(seconds / episodes.period)
-    longest = None if env.spec is None else env.spec.max_episode_steps
     try:
-        if longest is not None and longest < steps:
+        if env.spec is not None and (longest := env.spec.max_episode_steps or steps) < steps:
             text = f"{seconds:g} s are {steps} control periods, and episodes end after {longest}: gym.make(..., max_episode_steps={steps})"
             raise ValueError(f"seconds: {text}")
         for k, step in enumerate(play_steps(policy, env, [seed])):
@@ -297,13 +256,12 @@ def run_policy(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int
             if k == steps or step.ended[0]:
                 robot.stop(FINISHED if k == steps else f"the episode ended after {k} of {steps} control periods")
                 break
-    except RobotStopped as stopped:  # before it came to where episodes begin
-        robot.stop(str(stopped))
     except BaseException as error:
         robot.stop("interrupted" if isinstance(error, KeyboardInterrupt) else first_line(error))
-        raise
+        if not isinstance(error, RobotStopped):  # before it came to where episodes begin
+            raise
     finally:
         timing = arm.pacer.timing
         env.close()
-    errors = np.array(found).reshape(-1, len(episodes.errors)).T
-    return Report(dict(zip(episodes.errors, errors, strict=True)), timing, robot.stop(FINISHED))
+    errors, stop = np.array(found).reshape(-1, len(episodes.errors)).T, robot.stop(FINISHED)
+    return Report(dict(zip(episodes.errors, errors, strict=True)), timing, stop, stop.cause == FINISHED)

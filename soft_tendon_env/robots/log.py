@@ -44,7 +44,7 @@ class RobotLog:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file = open(path, "x", encoding="utf-8", newline="")
         self._writer = csv.writer(self._file, lineterminator="\n")
-        measured = itertools.chain.from_iterable(columns[name] for name in ("sent", "asked", *senses))
+        measured = [column for name in ("sent", "asked", *senses) for column in columns[name]]
         self._writer.writerow(["hold", "time", "measured_time", *measured])
 
     def begin(self, period: float, measured_time: float, reading: Reading, command: Array) -> None:

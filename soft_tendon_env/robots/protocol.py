@@ -1,17 +1,10 @@
-"""Interface of a real arm: measurements that are read, and commands of its tendons that are written.
+"""Interface of a real arm: measurements that are read, and commands of its tendons that are written; see docs/how_to/robots.md."""
 
-docs/how_to/robots.md has a class of a user in twenty lines. What it raises ends a run safely, see safety.py.
-"""
-
-import importlib
-from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from soft_tendon_env.tools.checks import checked_array, checked_number
-from soft_tendon_env.tools.configuration import shown
-from soft_tendon_env.tools.extensions import look_in_this_folder
 from soft_tendon_env.tools.types import Array
 
 Unit = Literal["N", "m"]
@@ -31,40 +24,23 @@ class Measurement(NamedTuple):
 
 
 class Robot(Protocol):
-    """A tendon-driven arm with its motors and sensors; `read` and `write` may raise any exception.
+    """A tendon-driven arm with its motors and sensors; `read` and `write` may raise any exception, which ends a run safely.
 
-    command_unit: "N" where it is tension-driven, "m" where it is displacement-driven. senses: fields of Measurement that it gives.
-    clock: an attribute of simulated arms alone, see clock.py; real ones live in real time.
+    clock: an attribute of simulated arms alone, see safety.Clock; real ones live in real time.
     """
 
-    command_unit: Unit
-    senses: tuple[str, ...]
+    command_unit: Unit  # "N" where it is tension-driven, "m" where it is displacement-driven
+    senses: tuple[str, ...]  # fields of Measurement that it gives
 
     def read(self) -> Measurement:
         """The newest measurement; it returns soon."""
 
     def write(self, command: Array) -> Array | None:
-        """Sends a command (n_a,) and returns what was sent, in the same unit, after limits and rounding of its own; None: as it is.
-
-        What is sent next does not depend on it. Calls come one at a time; slack comes from another thread, also while a call hangs."""
+        """Sends a command (n_a,) and returns what was sent, in the same unit, after limits and rounding of its own; None: as it is. Calls
+        come one at a time; slack comes from the watchdog's thread, also while another call hangs."""
 
     def close(self) -> None:
         """Lets go of the arm, which is slack by then."""
-
-
-def load_robot(name: str, options: Mapping[str, Any]) -> Robot:
-    """The robot that a class MODULE:CLASS, also of the current folder, makes with these keyword arguments.
-
-    Raises ValueError, and what the class raises.
-    """
-    look_in_this_folder()
-    module, _, attribute = name.partition(":")
-    try:
-        robot: Robot = getattr(importlib.import_module(module), attribute)(**options)
-        check_robot(robot)
-    except (ImportError, AttributeError, TypeError) as error:
-        raise ValueError(f"robot is {name!r} with the options {shown(dict(options))}: it should be MODULE:CLASS; {error}") from error
-    return robot
 
 
 def check_robot(robot: Any) -> None:

@@ -1,9 +1,4 @@
-"""Simulated arm behind the interface of a real one: noise, latency, rate limits and model errors, in real or in simulated time.
-
-    robot = SimulatedRobot(scene="three_tendon", fidelity="fine", randomize={"stiffness": 0.8, "latency": 0.02}, sensors=3)
-
-It differs from its drawing as an environment's arm does under the same options: materials, effects, actuators and sensors are drawn once.
-"""
+"""Simulated arm behind the interface of a real one: noise, latency, rate limits and model errors, in real or in simulated time."""
 
 from collections import deque
 from typing import Any
@@ -17,14 +12,13 @@ from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.policies.regimes import SENSORS
-from soft_tendon_env.robots.clock import Clock
 from soft_tendon_env.robots.protocol import Measurement, Unit
+from soft_tendon_env.robots.safety import Clock
 from soft_tendon_env.tools.checks import checked_array, checked_count
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import Array
 
-OF_ARM = ("scene", "fidelity", "tension_limits", "sensors", "randomize", "control_period")
-"""Options of environments that say what an arm is like."""
+OF_ARM = ("scene", "fidelity", "tension_limits", "sensors", "randomize", "control_period")  # options that say what an arm is like
 ROW = np.zeros(1, dtype=np.int64)
 EARLY = 1e-9  # [s] by which a command may arrive before its time: clocks are sums
 
@@ -33,12 +27,9 @@ class SimulatedRobot:
     """Simulated arm, at rest under the tensions nearest to zero until it is first read or commanded, and simulated up to the present
     whenever it is. Every field of Measurement is sensed but tensions.
 
-    Args:
-        seed: of what is drawn, and of noise.
-        real_time: whether time goes on by itself; else it stands still but while a loop waits.
-        options: of environments, those in OF_ARM. Rate limits and lag are those of the scene's [effects.actuators].
-
-    Raises ConfigurationError, ValueError, TypeError.
+    seed: of what is drawn, once, and of noise. real_time: whether time goes on by itself; else it stands still but while a loop waits.
+    options: of environments, those in OF_ARM, under which it differs from its drawing as an environment's arm does. Rate limits and lag
+    are those of the scene's [effects.actuators]. Raises ConfigurationError, ValueError, TypeError.
     """
 
     senses = ("tip_pose", "tip_twist", "tendon_length", "strain", "strain_rate")
@@ -48,23 +39,20 @@ class SimulatedRobot:
             raise ConfigurationError(problems, "SimulatedRobot")
         target = {"type": "hold", "pose": np.eye(4).tolist()}  # which costs nothing, and nobody sees
         given = Options.parse({"sensors": SENSORS, **options, "target": target}, "SimulatedRobot")
-        actuators = given_scene(given.scene).effects.actuators
-        delay = 0.0 if actuators is None else actuators.delay  # which is taken here, where commands may come as often as they like
+        delay = getattr(given_scene(given.scene).effects.actuators, "delay", 0.0)  # taken here, where commands come as often as they like
         undelayed = {"scene": {"scene": given.scene, "effects.actuators.delay": 0.0}} if delay else {}
         episodes = Episodes(TASKS["TipPose"], given.model_copy(update=undelayed), rows=1)
         self._episodes, self._arms, self._actuation = episodes, episodes.arms, episodes.actuation
         self.command_unit: Unit = "m" if episodes.model.command_unit == "m" else "N"
-        self.clock = Clock(real_time)
-        first = episodes.start_command
+        self.clock, first = Clock(real_time), episodes.start_command
         self._sensors = Sensors(episodes.options.randomize.noise, 1, first.size, episodes.sensors.size)
         self._readings = np.zeros(1, dtype=np.int64)
         self._arms.step(first[None, None], ROW)  # these two compile, so that no reading waits for that
         self._sensors.measured(self._arms.reading, self._readings, ROW)
         episodes.begin(ROW, [np.random.default_rng(checked_count("seed", seed, 0))])
         self._latency, self._acting = delay + self._actuation.delay(0), self._actuation.acting(first, 0)
-        self._coming: deque[tuple[float, Array]] = deque()  # commands by the times of their arrival
+        self._coming, self._time = deque[tuple[float, Array]](), np.inf  # commands by their arrival, and the time of the arm, once it moves
         self._sensors.begin(0, seed)
-        self._time: float | None = None
 
     def read(self) -> Measurement:
         """The arm now. Raises SimulationDiverged where its simulation does not go on."""
@@ -86,7 +74,7 @@ class SimulatedRobot:
     def _go_on(self) -> float:
         """Simulate up to now [s]."""
         now = self.clock.now()
-        time = now if self._time is None else self._time
+        time = min(now, self._time)
         while True:
             while self._coming and self._coming[0][0] <= time + EARLY:
                 self._acting = self._coming.popleft()[1]

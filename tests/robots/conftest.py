@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.robots import Measurement
-from soft_tendon_env.robots.clock import Clock
+from soft_tendon_env.robots.safety import Clock
 
 POSE = np.eye(4)
 POSE[0, 3] = 0.3

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.robots import Measurement, RobotEnv, RobotStopped, run_policy
-from soft_tendon_env.robots.clock import Clock, Pacer
-from soft_tendon_env.robots.safety import TRYING
+from soft_tendon_env.robots.safety import TRYING, Clock, Pacer
 
 SOON = 0.1
 """Time [s] within which tendons should be slack."""
