@@ -76,11 +76,9 @@ def _misfit_texts(found: Fit, readings: Readings, noise: float | None) -> list[s
     usual, far = float(np.nanmedian(distance)), distance > OUTLYING * np.nanmedian(distance)
     if 0 < far.sum() <= FEW_OUTLIERS * np.isfinite(distance).sum():
         sample, marker = np.unravel_index(np.nanargmax(distance), distance.shape)
-        where = (
-            f"{[*readings.plants.markers.markers][marker]} in {readings.recordings[np.searchsorted(readings.ends, sample, 'right')].name!r}"
-        )
-        text = f"{far.sum()} positions of markers stand out, above all {where}, {1e3 * distance[sample, marker]:.3g} mm off, where half are"
-        texts.append(f"{text} within {1e3 * usual:.2g} mm: outliers bias the estimate, leave their cells empty.")
+        name, hold = [*readings.plants.markers.markers][marker], readings.recordings[np.searchsorted(readings.ends, sample, "right")].name
+        text = f"{far.sum()} of the markers' positions stand out, above all {name} in {hold!r}, {1e3 * np.nanmax(distance):.3g} mm off"
+        texts.append(f"{text} where half are within {1e3 * usual:.2g} mm: outliers bias the estimate, leave their cells empty.")
     for one, part in zip(readings.recordings, np.split(residual, readings.ends[:-1]), strict=True):
         products = part[1:] * part[:-1]
         if one.period and (moved := np.linalg.norm(one.positions[1] - one.positions[0], axis=-1).max()) > STILL * length:

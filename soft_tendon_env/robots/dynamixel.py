@@ -54,7 +54,7 @@ class DynamixelRobot:
         ids, self.senses = self.ids, ("tension", "tendon_length", *(("tip_pose",) if self.tip_pose else ()))
         if not ids or len({*ids}) < len(ids) or not all(isinstance(motor, int) and 0 <= motor <= 252 for motor in ids):
             raise ValueError(f"ids is {shown(list(ids))}: it should be a different number from 0 to 252 for each motor")
-        self._radius = checked_array("radius", self.radius if np.ndim(self.radius) else [self.radius] * len(ids), (len(ids),))
+        self._radius = checked_array("radius", self.radius if np.ndim(self.radius) else np.full(len(ids), self.radius), (len(ids),))
         constant = checked_number("torque_constant", self.torque_constant, 1e-9, "a positive number of N m / A")
         if not self._radius.all() or not WATCHDOG_UNIT <= self.watchdog <= 127 * WATCHDOG_UNIT:
             raise ValueError(f"radius should not be 0, and watchdog from {WATCHDOG_UNIT} to {127 * WATCHDOG_UNIT:g} s")

@@ -77,7 +77,8 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         reach, sensors = np.inf if episodes.model.scene.effects.moving_base else episodes.model.length, episodes.sensors.size
         self._safe = SafeRobot(robot, limits, sensors, reach, episodes.period, fastest, checked_count("patience", patience, 1))
         self._log = None if log is None else RobotLog(Path(log), robot.command_unit, self._safe.senses, len(limits), sensors)
-        arm, self._last = MeasuredArm(episodes, self._safe, settle, still, self._log), None
+        arm = MeasuredArm(episodes, self._safe, settle, still, self._log)
+        self._last: Any = None
         self.zero = arm.zero  # found by the last reset, added to what the robot measures: tendon_length (n_a,) [m], strain (s, 6)
         episodes.attach(arm)
 

@@ -34,16 +34,16 @@ class Clock:
     """Monotonic clock. real: that of the machine; else it stands still but while somebody waits, for simulations at any speed."""
 
     def __init__(self, real: bool = True) -> None:
-        self.real, self._time, self._lock = real, 0.0, threading.Lock()
+        self.real, self._times = real, {0: 0.0}  # until when each thread has waited: no lock, which an interrupt might leave shut
 
     def now(self) -> float:
         """The time [s]."""
-        return perf_counter() if self.real else self._time
+        return perf_counter() if self.real else max(self._times.values())
 
     def wait_until(self, time: float) -> None:
         """Waits until a time [s]; returns at once where it is past."""
-        with self._lock:
-            self._time = max(self._time, time)
+        if not self.real and time > self.now():
+            self._times[threading.get_ident()] = time
         while self.real and (left := time - perf_counter()) > 0.0:
             if left > SPIN:
                 sleep(left - SPIN)

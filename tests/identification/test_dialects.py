@@ -122,6 +122,7 @@ def test_times_are_read_in_their_unit(tmp_path, period, begin, unit):
             "line 6: time goes on by 0.03 s: it should in equal steps, which are 0.01 s in the middle; a row",
         ),
         ([1.7634e12, 1.7634e12 + 20, 1.7634e12 + 40], "line 2: samples are 20 s apart in time: is it in ms?"),
+        ([0.0, 10.0, 20.0], "line 2: samples are 10 s apart in time: is it in ms?"),
         ([0.0], "line 2: a motion should have at least two samples"),
     ],
 )
