@@ -15,6 +15,7 @@ from soft_tendon_env.tools.types import COMMANDS, Array
 AT_BOUND = 1e-3  # distance from a bound, of that of both, at which a parameter is at it
 EXACT = 1e-6  # error of data without noise, as a share of the rod's length: cameras see 1e-5 at best
 CORRELATED, FEWEST = 0.3, 100  # correlation of successive residuals that are no noise, and pairs below which it may be chance
+CHANCE, PERMUTATIONS = 0.005, 999  # probability below which residuals follow the commands, and the permutations it is estimated from
 UNLIKELY = 5.0  # factor of a Young's modulus from which a unit may be wrong
 OUTLYING, FEW_OUTLIERS = 6.0, 0.2  # distance in medians of all, of one in 1e9 with normal noise, and the share up to which it is no misfit
 STILL = 0.005  # share of the rod's length within which markers may be at rest: noise
@@ -72,6 +73,8 @@ def _misfit_texts(found: Fit, readings: Readings, noise: float | None) -> list[s
         return []
     if noise is not None and root > FAR * noise:
         texts.append(f"Residuals are {1e3 * root:.3g} mm where the noise is {1e3 * noise:.3g} mm: {LACKING}.")
+    if follows := _following_commands(residual, readings):
+        texts.append(f"Residuals of holds follow the commands, by {1e3 * follows:.2g} mm: {LACKING}.")
     distance = np.linalg.norm(residual, axis=-1)
     usual, far = float(np.nanmedian(distance)), distance > OUTLYING * np.nanmedian(distance)
     if 0 < far.sum() <= FEW_OUTLIERS * np.isfinite(distance).sum():
@@ -90,9 +93,23 @@ def _misfit_texts(found: Fit, readings: Readings, noise: float | None) -> list[s
     return texts
 
 
+def _following_commands(residual: Array, readings: Readings) -> float:
+    """Root mean square [m] of the part of the residuals (samples, m, 3) of holds that follows commands and their squares; 0 where that may
+    be chance, by permutations (B. Phipson and G. K. Smyth 2010), or where holds are few."""
+    commands = np.array([one.command[0] for one in readings.recordings if not one.period])
+    if len(commands) <= 2 * len(readings.plants.scene.tendons) + 2:
+        return 0.0
+    columns = residual[: len(commands)].reshape(len(commands), -1)
+    columns, random = columns[:, np.isfinite(columns).all(axis=0)], np.random.default_rng(0)
+    U, values, _ = np.linalg.svd(np.hstack([np.ones((len(commands), 1)), commands, commands**2]), full_matrices=False)
+    U = U[:, values > 1e-9 * values[0]]
+    follows, *drawn = (((U.T @ one) ** 2).sum() for one in (columns, *(random.permutation(columns) for _ in range(PERMUTATIONS))))
+    chance = (1 + sum(one >= follows for one in drawn)) / (1 + PERMUTATIONS)
+    return float(np.sqrt(follows / columns.size)) if chance <= CHANCE else 0.0
+
+
 def misread_text(readings: Readings, x: Array | None, noise: float | None) -> str | None:
-    """Finding that names how the data were recorded, where another reading of axes, signs or units explains them far better; None
-    where none does. x (k,): the estimate, None where the fit failed."""
+    """Finding where another reading of axes, signs or units explains the data far better, or None. x (k,): the estimate, or None."""
     plants, start = readings.plants, np.zeros(len(readings.plants.parameters))
     holds, motions = ([one for one in readings.recordings if bool(one.period) == moves] for moves in (False, True))
     few = [*holds[:: -(-len(holds) // FEW) or 1], *motions[:1]]

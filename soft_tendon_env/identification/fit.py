@@ -3,8 +3,7 @@
 Minimises sum (r / sigma)^2 + sum (x / prior)^2 within bounds (scipy.optimize.least_squares); a sigma that is not given is the root mean
 square of the residuals. Intervals are the wider of two. Linear: Student's t times the standard deviations of (J^T J / sigma^2 + P)^-1, as
 if readings were independent. Bootstrap: clusters of recordings with the same commands are drawn again as a whole, since errors within one
-are common, each time with one Newton step from the estimate and with priors drawn around theirs (A. C. Davison and D. V. Hinkley, Bootstrap
-Methods and their Application, 1997, sections 3.8 and 7.6).
+are common, each time with one Newton step from the estimate and priors drawn around theirs (Davison and Hinkley 1997, 3.8 and 7.6).
 """
 
 from typing import NamedTuple
@@ -50,10 +49,8 @@ class Intervals(NamedTuple):
 
 
 def fit(readings: Readings, sigma: float | None = None) -> Fit:
-    """Estimate of the parameters. `sigma` [m]: standard deviation of the readings, None: unknown.
-
-    Raises ValueError for fewer readings than parameters without priors, NoHoldError where the scene itself does not hold the data.
-    """
+    """Estimate of the parameters. sigma: standard deviation [m] of the readings, None: unknown. Raises ValueError for fewer readings than
+    parameters without priors, NoHoldError where the scene itself does not hold the data."""
     parameters, length = readings.plants.parameters, readings.plants.model.length
     prior = np.array([0.0 if one.prior is None else (one.scale / one.prior) ** 2 for one in parameters])
     free, count = int((prior == 0.0).sum()), readings.cluster.size

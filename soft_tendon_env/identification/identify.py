@@ -22,7 +22,7 @@ from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.scene import Scene, scene_to_dict
 from soft_tendon_env.tools.checks import checked_type
 from soft_tendon_env.tools.configuration import plain
-from soft_tendon_env.tools.files import digest, replacing
+from soft_tendon_env.tools.files import digest
 from soft_tendon_env.tools.types import Array
 
 FIDELITY = "fine"  # of the model that is fitted: equilibria are cheap, and what a coarser one lacks would go into the parameters
@@ -65,10 +65,8 @@ def identify(
 
     data: CSV files, see identification.recordings. markers: TOML file, see identification.markers. parameters: as `KEY` or
     `KEY=LOW..HIGH`, see identification.parameters. held_out: a share of the recordings, or a column, see identification.recordings.
-    fidelity: of the fitted model, whose errors go into the parameters. noise [m]: standard deviation of a marker's coordinate; by default
-    it is estimated.
-
-    Raises ValueError, ConfigurationError or FileNotFoundError for data that cannot be used, in one line that says where.
+    fidelity: of the fitted model, whose errors go into the parameters. noise: standard deviation of a marker's coordinate [m]; None: it is
+    estimated. Raises ValueError, ConfigurationError or FileNotFoundError for data that cannot be used, in one line that says where.
     """
     checked_type("scene", scene, Scene, "see load_scene")
     if noise is not None and not 0.0 < noise < np.inf:
@@ -110,9 +108,8 @@ def save_estimate(found: Estimate, folder: Path) -> list[Path]:
     comment = "".join(f"# {line}".rstrip() + "\n" for line in summary(found).splitlines())
     scene = f"# Identified by soft-tendon identify:\n{comment}\n{tomli_w.dumps(scene_to_dict(found.scene))}"
     files = [folder / name for name in ("scene.toml", "markers.toml", "estimate.json")]
-    for path, text in zip(files, (scene, tomli_w.dumps(plain(found.markers))), strict=False):
-        with replacing(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+    files[0].write_text(scene, encoding="utf-8")
+    files[1].write_text(tomli_w.dumps(plain(found.markers)), encoding="utf-8")
     write_json(files[-1], _as_json(found), say=False)
     return files
 
@@ -148,11 +145,8 @@ def _as_json(found: Estimate) -> dict[str, Any]:
 
 
 def randomize(found: Estimate) -> dict[str, Any]:
-    """Table `randomize` of an environment with the identified scene: what the intervals leave open.
-
-    Parameters that neither the data nor a prior contain are left out. Latency comes on top of the delay that the scene has. Offsets are
-    tensions [N], of which an environment takes the share of the range of displacements where an arm is driven by these.
-    """
+    """Table `randomize` of an environment with the identified scene: what the intervals leave open, of parameters that the data or a prior
+    contain. Latency comes on top of the scene's delay. Offsets are tensions [N], also of arms that are driven by displacement."""
     table, ranges = dict[str, Any](), dict[str, list[float]]()
     tensions = [tendon.tension_limits for tendon in found.scene.tendons]
     unit = np.ptp(tensions, axis=1) / np.ptp(command_limits(found.scene), axis=1)  # [N] of an offset by 1

@@ -96,21 +96,18 @@ class Plants:
 
 
 class Readings:
-    """Readings of recordings in one vector (N,): marker coordinates, of which unseen ones are left out.
-
-    measured: positions (samples of all recordings, m, 3) [m]. seen: which of their coordinates are there. group: index (recordings,) that
-    recordings with the same commands share. cluster: that of each reading (N,), as errors under the same commands are common.
-    """
+    """Readings of recordings in one vector (N,): the coordinates of `measured` positions (samples of all recordings, m, 3) [m] that are
+    `seen`. cluster: index of each reading (N,) that those under the same commands share, whose errors are common."""
 
     def __init__(self, plants: Plants, recordings: Sequence[Recording]) -> None:
         self.plants, self.recordings = plants, sorted(recordings, key=lambda one: bool(one.period))  # holds, then motions
         self._rests: list[Array | None] = [None] * len(recordings)
         self._difference = DIFFERENCES[any(one.period for one in recordings)]
         samples = [len(one.command) for one in self.recordings]
-        self.ends, self.group = np.cumsum(samples), same_commands(self.recordings)
+        self.ends, group = np.cumsum(samples), same_commands(self.recordings)
         self.measured = np.concatenate([np.empty((0, len(plants.markers.markers), 3)), *(one.positions for one in self.recordings)])
         self.seen = np.isfinite(self.measured)
-        self.cluster = np.broadcast_to(np.repeat(self.group, samples)[:, None, None], self.seen.shape)[self.seen]
+        self.cluster = np.broadcast_to(np.repeat(group, samples)[:, None, None], self.seen.shape)[self.seen]
 
     def positions(self, x: Array) -> Array:
         """Simulated positions (samples, m, 3) [m] at coordinates x (k,). Raises NoHoldError, ConfigurationError."""

@@ -166,10 +166,8 @@ def _unit_guess(quantity: str, value: float, most: float, unit: str) -> str:
 
 
 def split(recordings: Sequence[Recording], held_out: str = SHARE) -> list[list[Recording]]:
-    """Recordings to fit to, and held-out ones, each in the order of the data. Raises ValueError.
-
-    held_out: a share below 1, evenly over the data, where those with the same commands stay together; or a column that is not zero there.
-    """
+    """Recordings to fit to, and held-out ones, each in the order of the data; those with the same commands stay together in a share.
+    held_out: a share below 1, evenly over the data, or a column that is not zero there. Raises ValueError."""
     try:
         wanted = float(held_out)
     except ValueError:

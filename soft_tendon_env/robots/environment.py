@@ -36,8 +36,7 @@ SETTLE = 1.0  # [s] in which an arm is brought to where episodes begin
 PATIENCE = 3  # control periods without a new reading, or behind the deadlines, after which an arm is let go
 REST_SPEED = 0.005  # of the tip at rest, in lengths of the arm per second
 READINGS, LOOKS = 20, 10  # of which a speed is measured at least, and looks in its window; an arm rests when it did twice on end
-WINDOW = 2.0  # [s] at least over which the speed is measured: at 50 Hz and with noise of 2 mm, it shows a drift of 1.5 mm/s
-WAIT = 60.0  # [s] under the first command, for which rest is waited for
+WINDOW, WAIT = 2.0, 60.0  # [s] over which a speed is measured at least, which shows 1.5 mm/s in noise of 2 mm, and for which rest may take
 STANDS_OUT = 33.0  # power of a mode over the median of all that is motion: one of 10,000 modes of white noise has as much
 
 
