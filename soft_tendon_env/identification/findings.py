@@ -17,7 +17,7 @@ EXACT = 1e-6  # error of data without noise, as a share of the rod's length: cam
 CORRELATED, FEWEST = 0.3, 100  # correlation of successive residuals that are no noise, and pairs below which it may be chance
 CHANCE, PERMUTATIONS = 0.005, 999  # probability below which residuals follow the commands, and the permutations it is estimated from
 UNLIKELY = 5.0  # factor of a Young's modulus from which a unit may be wrong
-OUTLYING, FEW_OUTLIERS = 6.0, 0.2  # distance in medians of all, of one in 1e9 with normal noise, and the share up to which it is no misfit
+OUTLYING, GROSS, FEW_OUTLIERS = 6.0, 0.01, 0.2  # least distance of outliers, in medians of all and in lengths, and their greatest share
 STILL = 0.005  # share of the rod's length within which markers may be at rest: noise
 FAR = 1.5  # root mean square residual, in parts of a known noise, from which the model lacks something
 MISREAD = (0.1, 0.02)  # mean errors from which data may be misread: shares of how far markers move, and of the rod's length
@@ -75,14 +75,16 @@ def _misfit_texts(found: Fit, readings: Readings, noise: float | None) -> list[s
         texts.append(f"Residuals are {1e3 * root:.3g} mm where the noise is {1e3 * noise:.3g} mm: {LACKING}.")
     if follows := _following_commands(residual, readings):
         texts.append(f"Residuals of holds follow the commands, by {1e3 * follows:.2g} mm: {LACKING}.")
-    distance = np.linalg.norm(residual, axis=-1)
-    usual, far = float(np.nanmedian(distance)), distance > OUTLYING * np.nanmedian(distance)
+    parts = [*zip(readings.recordings, np.split(residual, readings.ends[:-1]), strict=True)]
+    apart = [np.pad(0.5 * np.diff(part, 2, axis=0), ((1, 1), (0, 0), (0, 0))) if one.period else part for one, part in parts]
+    distance = np.linalg.norm(np.concatenate(apart), axis=-1)  # of samples of motions from the mean of their neighbours
+    far = distance > max(OUTLYING * np.nanmedian(distance), GROSS * length)
     if 0 < far.sum() <= FEW_OUTLIERS * np.isfinite(distance).sum():
         sample, marker = np.unravel_index(np.nanargmax(distance), distance.shape)
         name, hold = [*readings.plants.markers.markers][marker], readings.recordings[np.searchsorted(readings.ends, sample, "right")].name
         text = f"{far.sum()} of the markers' positions stand out, above all {name} in {hold!r}, {1e3 * np.nanmax(distance):.3g} mm off"
-        texts.append(f"{text} where half are within {1e3 * usual:.2g} mm: outliers bias the estimate, leave their cells empty.")
-    for one, part in zip(readings.recordings, np.split(residual, readings.ends[:-1]), strict=True):
+        texts.append(f"{text}: outliers bias the estimate, leave their cells empty.")
+    for one, part in parts:
         products = part[1:] * part[:-1]
         if one.period and (moved := np.linalg.norm(one.positions[1] - one.positions[0], axis=-1).max()) > STILL * length:
             text = f"Motion {one.name!r} does not begin at rest under its first command: markers move {1e3 * moved:.2g} mm in the first"

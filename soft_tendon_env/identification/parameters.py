@@ -27,8 +27,6 @@ ROTATION, GAIN = 3.0, 0.1  # standard deviations of the priors of mount rotation
 SHIFT, OFFSET = 0.0125, 0.025  # of those of the mount's shift and of marker offsets, as shares of the rod's length
 COMMAND_OFFSET = 0.05  # of that of a command's offset, as a share of the range of the tendon's commands
 DELAY, LONGEST_DELAY = "commands.delay", 0.5  # name of the delay, which the scene has as effects.actuators.delay, and its upper bound [s]
-HALVINGS = 40
-Bounds = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ class Parameter:
         return self.value * math.exp(coordinate) if self.is_factor else self.value + self.scale * coordinate
 
     @property
-    def bounds(self) -> Bounds:
+    def bounds(self) -> tuple[float, float]:
         """Least and greatest coordinate."""
         return tuple(sorted((self.coordinate(self.low), self.coordinate(self.high))))  # type: ignore[return-value] # two
 
@@ -86,7 +84,7 @@ def read_parameters(asked: Sequence[str], scene: Scene, markers: MarkerSet) -> t
     return tuple(found)
 
 
-def _parse(text: str) -> tuple[str, Bounds | None]:
+def _parse(text: str) -> tuple[str, tuple[float, float] | None]:
     """Key, and bounds of a written text. Raises ValueError."""
     key, _, ends = text.partition("=")
     if not ends:
@@ -113,7 +111,7 @@ def _of_measurement(scene: Scene, markers: MarkerSet) -> dict[str, Parameter]:
     return {one.name: one for one in found}
 
 
-def _of_scene(key: str, scene: Scene, bounds: Bounds | None) -> Parameter:
+def _of_scene(key: str, scene: Scene, bounds: tuple[float, float] | None) -> Parameter:
     """Parameter of the scene that is asked for. Raises ValueError where bounds must be given, ConfigurationError."""
     (numbers,) = scene_parameters(scene, [key])
     value, is_factor = numbers.value, all(numbers.values)
@@ -124,7 +122,7 @@ def _of_scene(key: str, scene: Scene, bounds: Bounds | None) -> Parameter:
     return replace(found, low=_nearest_allowed(found.low, found, scene), high=_nearest_allowed(found.high, found, scene))
 
 
-def _with_bounds(usual: Parameter, bounds: Bounds | None) -> Parameter:
+def _with_bounds(usual: Parameter, bounds: tuple[float, float] | None) -> Parameter:
     """A parameter with the bounds that are given, without its prior. Raises ValueError for bounds that leave out the scene's own number."""
     if bounds is None:
         return usual
@@ -138,7 +136,7 @@ def _with_bounds(usual: Parameter, bounds: Bounds | None) -> Parameter:
 def _nearest_allowed(bound: float, parameter: Parameter, scene: Scene) -> float:
     """The value nearest to a bound that the scene's own checks let pass, by halving."""
     share, far = 0.0, parameter.coordinate(bound)
-    for step in 0.5 ** np.arange(HALVINGS):
+    for step in 0.5 ** np.arange(40):
         with contextlib.suppress(ConfigurationError):
             scene_with_numbers(scene, parameter.of_scene.changes(parameter.at((share + step) * far)))  # type: ignore[union-attr]
             share += step
