@@ -32,8 +32,7 @@ def run(settings: Export) -> None:
     path = Path(settings.out)
     with mistakes():
         require("export")
-        from soft_tendon_env.export import export_agent
-        from soft_tendon_env.export.check import ALLOWED, compare
+        from soft_tendon_env.export.agent import ALLOWED, compare, export_agent
 
         folder = find_agent(settings.agent, settings.task)
         env = gym.make(IDS[settings.task], **{**read_config(folder).options, **settings.options})
@@ -43,11 +42,11 @@ def run(settings: Export) -> None:
         writable_folder(path.parent)
     path.write_bytes(model.SerializeToString())
     print(f"written: {path} ({path.stat().st_size / 1e6:.2f} MB)\n")
-    found, metadata = compare(path, policy, env), json.loads(model.metadata_props[0].value)
+    (observations, difference, of_range), metadata = compare(path, policy, env), json.loads(model.metadata_props[0].value)
     inputs = [(name, str(tuple(of["shape"])), of["unit"]) for name, of in metadata["inputs"].items()]
     print(tables.markdown_table(("input", "shape", "unit"), inputs))
     unit, rate = metadata["command"]["unit"], 1.0 / metadata["control_period_s"]
     print(f"\nOutput: the command [{unit}] of {len(metadata['command']['limits'])} tendons, {rate:g} times a second.")
-    print(f"Largest difference of commands on {found.observations:,} observations: {tables.number(found.command)} {unit}.")
-    if found.of_range > ALLOWED:
+    print(f"Largest difference of commands on {observations:,} observations: {tables.number(difference)} {unit}.")
+    if of_range > ALLOWED:
         raise UserError(f"{path}: commands differ from the original's by more than {ALLOWED:g} of their range")

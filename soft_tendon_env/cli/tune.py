@@ -29,13 +29,12 @@ def run(settings: Tune) -> None:
     with mistakes():
         require("tuning", *(["rllib"] if settings.cluster else []))
         from soft_tendon_env.tuning.search import read_search
-        from soft_tendon_env.tuning.study import Work, open_study, tune
+        from soft_tendon_env.tuning.study import open_study, tune
 
         path = find_config(settings.config, PREFIX)
         search = read_search(path, settings.set, **({} if settings.trials is None else {"trials": settings.trials}))
         folder = writable_folder(Path("out", "tune", path.stem) if settings.out is None else Path(settings.out))
-        work = Work(search, folder)
-        open_study(work)
+        open_study(search, folder)
     print(f"{search.trials} trials of {path.stem} into {folder}; {machine()}")
     with mistakes():
-        tune(work, settings.workers, settings.cluster)
+        tune(search, folder, settings.workers, settings.cluster)

@@ -14,8 +14,7 @@ pytest.importorskip("onnx")
 from soft_tendon_env import export  # noqa: E402
 from soft_tendon_env.envs import IDS  # noqa: E402
 from soft_tendon_env.envs.observation import GROUPS, Group  # noqa: E402
-from soft_tendon_env.export.agent import pose_logarithm  # noqa: E402
-from soft_tendon_env.export.check import compare  # noqa: E402
+from soft_tendon_env.export.agent import compare, pose_logarithm  # noqa: E402
 from soft_tendon_env.mechanics.motion import pose_errors as kernels  # noqa: E402
 from soft_tendon_env.policies import load_agent, make_policy, policy_options  # noqa: E402
 from soft_tendon_env.policies.agent import NetworkPolicy  # noqa: E402
@@ -67,8 +66,8 @@ def exported(tmp_path):
 @pytest.mark.parametrize("given", CASES, ids=lambda given: f"{given.get('algorithm', 'PPO')}-{given.get('task', 'TipPose')}")
 def test_commands_are_those_of_the_original(exported, given):
     env, agent, path = exported(**given)
-    found = compare(path, agent, env, seeds=(0, 1), steps=10)
-    assert found.observations == 20 and found.of_range < 1e-6
+    observations, _, of_range = compare(path, agent, env, seeds=(0, 1), steps=10)
+    assert observations == 20 and of_range < 1e-6
 
 
 @pytest.mark.parametrize("folder", TRAINED, ids=lambda folder: f"{folder.parent.name}-{folder.name}")
@@ -76,17 +75,15 @@ def test_agents_that_ship(folder, tmp_path):
     env = gym.make(IDS[folder.name], **policy_options(folder.parent.name, folder.name, {}))
     agent, path = load_agent(folder.parent.name, env), tmp_path / "agent.onnx"
     path.write_bytes(export.export_agent(agent, env).SerializeToString())
-    assert compare(path, agent, env, steps=15).of_range < 3e-6
+    assert compare(path, agent, env, steps=15)[2] < 3e-6
 
 
 def test_another_policy_is_told_apart(exported):
     env, agent, path = exported()
     with torch.no_grad():
         agent.network.action_net.bias += 0.01
-    found = compare(path, agent, env, seeds=(0,), steps=3)
-    assert found.of_range == pytest.approx(0.005, rel=1e-3) and found.command == pytest.approx(
-        0.005 * np.ptp(env.unwrapped.episodes.limits[0])
-    )
+    _, difference, of_range = compare(path, agent, env, seeds=(0,), steps=3)
+    assert of_range == pytest.approx(0.005, rel=1e-3) and difference == pytest.approx(0.005 * np.ptp(env.unwrapped.episodes.limits[0]))
 
 
 def test_it_remembers_and_says_what_goes_in(exported):
