@@ -31,8 +31,8 @@ from _results import markdown_table, write_csv, write_page, write_picture
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.test_inputs import HOLD, motion_tensions
 from soft_tendon_env.compiler.compilation import cache_folder, kernel
+from soft_tendon_env.mechanics.motion.extrapolation import STEP_TOLERANCE
 from soft_tendon_env.mechanics.motion.scratch import make_scratch
-from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.model.model import model_on
 

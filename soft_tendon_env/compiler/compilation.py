@@ -61,9 +61,9 @@ def kernel(function: Any = None, *, inline: bool = False, refcount: bool | None 
         return functools.partial(kernel, inline=inline, refcount=refcount)
     if config.DISABLE_JIT:
         return function
-    own = is_of_package(function)
-    options = {**OPTIONS, "forceinline": inline, "_nrt": not own if refcount is None else refcount}
-    return Kernel(function, options).call if own else numba.njit(**options)(function)
+    is_ours = is_of_package(function)
+    options = {**OPTIONS, "forceinline": inline, "_nrt": not is_ours if refcount is None else refcount}
+    return Kernel(function, options).call if is_ours else numba.njit(**options)(function)
 
 
 def phase(function: Any) -> Any:

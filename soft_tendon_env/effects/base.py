@@ -116,8 +116,8 @@ class Effect(Configuration):
 
 
 def _parameters_of(name: str, effect: Effect, rod: Discretisation) -> Struct:
-    """The parameters of an effect that acts by kernels. Raises TypeError where there is none for them; warns of one that reads the time, but
-    lets steps be as long as they like."""
+    """The parameters of an effect that acts by kernels. Raises TypeError where no kernel is for them; warns of one that reads the time, but
+    limits no step."""
     parameters = effect.parameters(rod)
     kind, kernels = type(parameters).__name__, kernels_of(type(parameters))
     if not kernels:

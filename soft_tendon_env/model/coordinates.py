@@ -44,14 +44,16 @@ def make_strain(
     here = here or at_points(scene, grid)
     if isinstance(scene.strain, ExplicitStrain):
         fields = mode_fields(scene.strain.modes, grid)
-        first, last = _ranges(fields, grid)
-        elasticity, damping = (_inner(fields, fields, own, grid) for own in (here.elasticity, here.damping))
+        elasticity, damping = (_inner(fields, fields, values, grid) for values in (here.elasticity, here.damping))
+        begin, end = _ranges(fields, grid)
         tip = np.full(len(fields), grid.packs)
-        return Explicit(size=len(fields), first=first, last=last, tip=tip, field=point_field(fields), stiffness=elasticity, damping=damping)
+        reach = {"size": len(fields), "pack_begin": begin, "pack_end": end, "jacobian_end": tip}
+        return Explicit(**reach, field=point_field(fields), stiffness=elasticity, damping=damping)
     law, dead = law or tension_law(scene, scene.strain, grid, here), scene.effects.dead_loads()
     if not (effects_inside(scene) and np.any(dead)):
         return law
-    return Loaded(size=law.size, first=np.zeros_like(law.first), last=law.tip, tip=law.tip, law=law, **dead._asdict())
+    begin, end = np.zeros_like(law.pack_begin), law.jacobian_end
+    return Loaded(size=law.size, pack_begin=begin, pack_end=end, jacobian_end=end, law=law, **dead._asdict())
 
 
 def mode_fields(modes: tuple[Modes, ...], grid: Grid) -> Array:
@@ -88,12 +90,12 @@ def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid, here: AtPo
     present = np.abs(actuation).max(axis=(2, 3)) > 0
     used = [present[mixing[:, j] != 0].any(axis=0) for j in range(active)]
     ranges = [pack_range(where & grid.real) for where in used] + list(zip(*_ranges(passive, grid), strict=True))
-    first, last = np.array(ranges, dtype=np.int64).reshape(-1, 2).T.copy()
+    begin, end = np.array(ranges, dtype=np.int64).reshape(-1, 2).T.copy()
     return StaticsBased(
         size=active + len(passive),
-        first=first,
-        last=last,
-        tip=np.full(active + len(passive), grid.packs),
+        pack_begin=begin,
+        pack_end=end,
+        jacobian_end=np.full(active + len(passive), grid.packs),
         row_start=np.searchsorted(rows, np.arange(len(actuation) + 1)),
         column=np.ascontiguousarray(columns),  # the same type for all scenes and for copies, or the kernels compile again
         weight=mixing[rows, columns],
@@ -108,8 +110,8 @@ def with_every_tension(arm: Arm) -> Arm:
     strain, count = arm.strain, arm.tendons.size
     assert not isinstance(strain, Explicit)
     size = count + strain.law.size - strain.law.active
-    first, last, each = np.zeros(size, dtype=np.int64), np.full(size, arm.rod.packs), np.arange(count)
-    everywhere = {"size": size, "first": first, "last": last, "tip": last}
+    begin, end, each = np.zeros(size, dtype=np.int64), np.full(size, arm.rod.packs), np.arange(count)
+    everywhere = {"size": size, "pack_begin": begin, "pack_end": end, "jacobian_end": end}
     law = strain.law.replaced(**everywhere, row_start=np.arange(count + 1), column=each, weight=np.ones(count), mixed=0, active=count)
     return arm.replaced(strain=strain.replaced(**everywhere, law=law) if isinstance(strain, Loaded) else law)
 

@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike
 
 from soft_tendon_env.mechanics.motion.advance import Scheme
 from soft_tendon_env.mechanics.motion.batch import make_batch, step_rows
-from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
+from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch, make_tape
 from soft_tendon_env.mechanics.motion.status import MESSAGES, OK
-from soft_tendon_env.mechanics.motion.tape import make_tape
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.state import State
 from soft_tendon_env.model.statics import static_equilibrium

@@ -135,7 +135,7 @@ def at_points(scene: Scene, grid: Grid) -> AtPoints:
     turn = np.diff(t, axis=1) + 0.5 * distance * (rate[:, 1:] + rate[:, :-1])
     turned = (np.linalg.norm(turn, axis=-1) * there[:, 1:] * there[:, :-1]).sum(axis=1)
     first, last = np.array([pack_range((own[..., 4] > 0.0).any(axis=1) & grid.real) for own in geometry], dtype=np.int64).T.copy()
-    tendons = Tendons(size=len(geometry), geometry=point_field(geometry), first=first, last=last)
+    tendons = Tendons(size=len(geometry), geometry=point_field(geometry), pack_begin=first, pack_end=last)
     return AtPoints(elasticity, damping, k, geometry, tendons, length, np.asarray(turned))
 
 

@@ -14,8 +14,8 @@ from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.observation import HISTORY
 from soft_tendon_env.envs.tasks import TIP
+from soft_tendon_env.mechanics.motion.scratch import Tape
 from soft_tendon_env.mechanics.motion.status import OK
-from soft_tendon_env.mechanics.motion.tape import Tape
 from soft_tendon_env.model.step_control import slowest_vibration
 from soft_tendon_env.policies.estimators import PARAMETERS
 from soft_tendon_env.policies.regimes import TARGET_GROUPS

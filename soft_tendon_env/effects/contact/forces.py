@@ -91,7 +91,7 @@ class ContactParameters(Struct):
 
     intervals: Array  # (nodes, 4): length h [m], first sample, one past the last, largest radius [m]
     samples: Array  # (samples, 9): see Sample
-    obstacles: Array  # (obstacles, 28): see obstacles.row_of
+    obstacles: Array  # (obstacles, 28): see Obstacle.row
 
 
 class Touch(NamedTuple):

@@ -1,6 +1,6 @@
 """Obstacles: the shapes, where they are at a time, and signed distances from them.
 
-A shape is a class at the end of this file. Its `kind` of signed distance and its `sizes` tell kernels where it is, and pictures how it looks.
+A shape is a class at the end of this file: by its `kind` of signed distance and its `sizes` kernels know where it is, and pictures show it.
 """
 
 import math

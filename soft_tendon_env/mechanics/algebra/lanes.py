@@ -156,11 +156,6 @@ def largest(value):
     return np.max(value)
 
 
-def smallest(value):
-    """The smallest lane of a pack, or the float itself; NaN if any lane is NaN."""
-    return -largest(-value)
-
-
 def with_lane(value, index, number):
     """The pack with one lane replaced."""
     replaced = value.copy()
@@ -260,8 +255,3 @@ def _largest_overload(value):
         return found
 
     return pick
-
-
-@overload(smallest)
-def _smallest_overload(value):
-    return lambda value: -largest(-value)

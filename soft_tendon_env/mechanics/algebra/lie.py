@@ -135,20 +135,12 @@ def times(s, x):
 
 @kernel(inline=True)
 def rotate(R, x):
-    return (
-        R[0] * x[0] + R[1] * x[1] + R[2] * x[2],
-        R[3] * x[0] + R[4] * x[1] + R[5] * x[2],
-        R[6] * x[0] + R[7] * x[1] + R[8] * x[2],
-    )
+    return dot(R[0:3], x), dot(R[3:6], x), dot(R[6:9], x)
 
 
 @kernel(inline=True)
 def rotate_back(R, x):
-    return (
-        R[0] * x[0] + R[3] * x[1] + R[6] * x[2],
-        R[1] * x[0] + R[4] * x[1] + R[7] * x[2],
-        R[2] * x[0] + R[5] * x[1] + R[8] * x[2],
-    )
+    return dot(R[0::3], x), dot(R[1::3], x), dot(R[2::3], x)
 
 
 @kernel(inline=True)

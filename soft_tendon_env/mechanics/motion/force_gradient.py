@@ -21,10 +21,9 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load, spread
 from soft_tendon_env.mechanics.algebra.lie import ad_apply, coad_apply, dot, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, scaled, store6
-from soft_tendon_env.mechanics.effects import call
+from soft_tendon_env.mechanics.algebra.symmetric6 import load6, load21, scaled, store6, symmetric_product
 from soft_tendon_env.mechanics.terms.dynamics import node_rows, project, sum_columns
-from soft_tendon_env.mechanics.terms.external_forces import NODE_SHARE, differ_wrenches, displace, effect_loads, nodes_of
+from soft_tendon_env.mechanics.terms.external_forces import NODE_SHARE, differ_wrenches, displace, effect_loads, sum_wrenches
 from soft_tendon_env.mechanics.terms.kinematics import poses
 from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess
 from soft_tendon_env.mechanics.terms.transmission import actuator_tensions
@@ -105,9 +104,9 @@ def hold_fields(arm, with_inertia, work, memory):
     by_q, by_rate = work.wrench, memory.wrench
     for pack in range(rod.packs):
         node_wrenches(rod, share, pack, work, memory, by_q, by_rate)
-    project(work.J, by_q, node_rows(), arm.strain.first, arm.strain.tip, memory.by_q)
-    project(work.J, by_rate, node_rows(), arm.strain.first, arm.strain.tip, memory.by_rate)
-    project(work.J, memory.mu, node_rows(), arm.strain.first, arm.strain.tip, memory.middle)
+    project(work.J, by_q, node_rows(), arm.strain.pack_begin, arm.strain.jacobian_end, memory.by_q)
+    project(work.J, by_rate, node_rows(), arm.strain.pack_begin, arm.strain.jacobian_end, memory.by_rate)
+    project(work.J, memory.mu, node_rows(), arm.strain.pack_begin, arm.strain.jacobian_end, memory.middle)
 
 
 @kernel
@@ -119,7 +118,8 @@ def hold_effects(arm, work, memory):
         differ_wrenches(arm, work)
         for pack in range(arm.rod.packs):
             at = pack * 6 * LANES
-            store6(memory.declared, at, apply21(work.node_damping, pack * 21 * LANES, load6(memory.zeta, at)))
+            damping = load21(work.node_damping, pack * 21 * LANES)
+            store6(memory.declared, at, symmetric_product(damping, load6(memory.zeta, at)))
     if stresses:
         for m in range(0, memory.xi.size, LANES):
             store(memory.moving, m, load(memory.moving, m) + load(work.stress, m))
@@ -152,10 +152,7 @@ def differ_at_nodes(arm, work, memory):
 @kernel
 def power_change(arm, k, way, work, memory, out):
     """Change, over a way, of the power that the effects' wrenches have along zeta, into the k-th component of out (nodes x 6)."""
-    work.wrench[:] = 0.0
-    for i in range(arm.effects.count):
-        if arm.effects.wrench[i] != 0:
-            call(arm.effects.wrench[i], arm.effects.parameters[i], (nodes_of(arm, work),))
+    sum_wrenches(arm, work)
     for at in range(0, out.size, 6 * LANES):
         change = spread(0.0)
         for m in range(at, at + 6 * LANES, LANES):

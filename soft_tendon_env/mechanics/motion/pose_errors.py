@@ -75,15 +75,3 @@ def move_poses(pose, twist, out):
             R_move, r_move = exp_se3(Omega, coefficients(dot(Omega[0], Omega[0])))
             write_pose(matmul(R, R_move), plus(r, rotate(R, r_move)), out[row, j])
             copy(pose[row, 3], out[row, j, 3])
-
-
-@kernel
-def perturb_poses(pose, rotation, translation, out):
-    """Poses (rows, 4, 4), turned about their own axes by rotation (rows, 3) [rad] and moved by translation (rows, 3) [m], world axes."""
-    for row in range(pose.shape[0]):
-        R, r = pose_at(pose, row)
-        k = rotation[row, 0], rotation[row, 1], rotation[row, 2]
-        R_turn, _ = exp_se3((k, (0.0, 0.0, 0.0)), coefficients(dot(k, k)))
-        move = translation[row, 0], translation[row, 1], translation[row, 2]
-        write_pose(matmul(R, R_turn), plus(r, move), out[row])
-        copy(pose[row, 3], out[row, 3])

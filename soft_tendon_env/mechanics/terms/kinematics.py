@@ -181,19 +181,6 @@ def interval_operators(h, half, kappa, xi_1, xi_2, R, r):
 
 
 @kernel(inline=True)
-def interval_motion(h, xi_1, xi_2, rate_1, rate_2, R, r, operators):
-    """Growth of the base-frame twist over the interval, and of its derivative as far as strains at constant rates alone make it."""
-    W_1, W_2, A, C, Omega, c = operators
-    growth = twist_sum(operator_apply(W_1[0], W_1[1], rate_1), operator_apply(W_2[0], W_2[1], rate_2))
-    Omega_dot = zanna(h, xi_1, xi_2, rate_1, rate_2)
-    change = twist_sum(
-        operator_apply(A, C, twist_scaled(2.0 * KAPPA * h * h, ad_apply(rate_1, rate_2))),
-        Ad_apply(R, r, dexp_dot_apply(Omega, Omega_dot, c, Omega_dot)),
-    )
-    return growth, change
-
-
-@kernel(inline=True)
 def running_sum(carry, row, x):
     """Sums of x over the intervals up to each lane, on top of the carried one, which moves on to the pack's end."""
     at = row * 6
@@ -203,13 +190,6 @@ def running_sum(carry, row, x):
         carry[at + i] = lane(k[i], LANES - 1)
         carry[at + 3 + i] = lane(p[i], LANES - 1)
     return k, p
-
-
-@kernel(inline=True)
-def constant6(carry, row):
-    at = row * 6
-    k = spread(carry[at]), spread(carry[at + 1]), spread(carry[at + 2])
-    return k, (spread(carry[at + 3]), spread(carry[at + 4]), spread(carry[at + 5]))
 
 
 @kernel
@@ -224,12 +204,14 @@ def sweep(rod, strain, columns, work):
         h = load(rod.length, pack * LANES)
         xi_1, xi_2 = load6(work.xi, at), load6(work.xi, at + 6 * LANES)
         R, r = load_pose(work.start, pack * 12 * LANES)
-        operators = interval_operators(h, 0.5 * h, KAPPA * h * h, xi_1, xi_2, R, r)
-        W_1, W_2 = operators[0], operators[1]
+        W_1, W_2, A, C, Omega, c = interval_operators(h, 0.5 * h, KAPPA * h * h, xi_1, xi_2, R, r)
         R_end, r_end = load_pose(work.pose, pack * 12 * LANES)
 
         rate_1, rate_2 = load6(work.xi_dot, at), load6(work.xi_dot, at + 6 * LANES)
-        growth, change = interval_motion(h, xi_1, xi_2, rate_1, rate_2, R, r, operators)
+        growth = twist_sum(operator_apply(W_1[0], W_1[1], rate_1), operator_apply(W_2[0], W_2[1], rate_2))
+        Omega_dot = zanna(h, xi_1, xi_2, rate_1, rate_2)
+        change = operator_apply(A, C, twist_scaled(2.0 * KAPPA * h * h, ad_apply(rate_1, rate_2)))
+        change = twist_sum(change, Ad_apply(R, r, dexp_dot_apply(Omega, Omega_dot, c, Omega_dot)))
         eta_end = running_sum(work.carry, n, growth)
         eta_start = twist_sum(eta_end, twist_scaled(-1.0, growth))
         store6(work.eta, pack * 6 * LANES, Ad_inverse_apply(R_end, r_end, eta_end))
@@ -240,15 +222,16 @@ def sweep(rod, strain, columns, work):
         store6(work.eta_bias, pack * 6 * LANES, Ad_inverse_apply(R_end, r_end, bias_end))
 
         for j in range(columns):
-            if strain.first[j] > pack:
+            if strain.pack_begin[j] > pack:
                 continue
-            if pack < strain.last[j]:
+            if pack < strain.pack_end[j]:
                 field_at = (j * blocks + 2 * pack) * 6 * LANES
                 phi_1, phi_2 = load6(work.Phi, field_at), load6(work.Phi, field_at + 6 * LANES)
                 growth = twist_sum(operator_apply(W_1[0], W_1[1], phi_1), operator_apply(W_2[0], W_2[1], phi_2))
                 column = running_sum(work.carry, j, growth)
             else:
-                column = constant6(work.carry, j)
+                sums = work.carry[6 * j : 6 * j + 6]
+                column = (spread(sums[0]), spread(sums[1]), spread(sums[2])), (spread(sums[3]), spread(sums[4]), spread(sums[5]))
             store6(work.J, (j * packs + pack) * 6 * LANES, Ad_inverse_apply(R_end, r_end, column))
 
 

@@ -26,8 +26,7 @@ CONTRACTION = 0.25
 """Largest part of a correction that the next one may be where Newton is to stay on the branch it began on (Deuflhard, Newton Methods for
 Nonlinear Problems, 2004, chapter 5): with tendons that push, the strain that balances them need not be the only one."""
 ANY = 1e300  # contraction that is not watched
-MOST_TURN = 0.3
-"""Largest part of its length that a tendon's chord may move in a part of a push: it alone makes the balance nonlinear."""
+MOST_TURN = 0.3  # of its length, the most that a tendon's chord may move in a part of a push: it alone makes the balance nonlinear
 
 
 @kernel
@@ -36,7 +35,7 @@ def passive_wrench(strain, blocks, block, q):
     total = zero6()
     pack = block // 2
     for j in range(strain.active, strain.size):
-        if strain.first[j] <= pack < strain.last[j]:
+        if strain.pack_begin[j] <= pack < strain.pack_end[j]:
             column = load6(strain.passive, ((j - strain.active) * blocks + block) * 6 * LANES)
             total = twist_sum(total, twist_scaled(q[j], column))
     return total
@@ -52,15 +51,14 @@ def strain_tension(strain, q, tau):
 
 
 @kernel
-def solve_strain(rod, tendons, strain, q, tolerance, contraction, work):
+def solve_statics(arm, strain, q, part, tolerance, contraction, work):
     """Newton iteration for the strain (30) at every point, from the guess in work.xi; leaves xi, tangents and factors.
 
-    Stops when the last correction is below `tolerance` of the scaled strain: the factors belong to the iterate before it.
-    `contraction`: see CONTRACTION; ANY: a strain that is found is taken.
-    Returns -1, or the first block where a pivot was not positive, corrections did not shrink or MAX_NEWTON iterations did not do.
+    Stops when the last correction is below `tolerance` of the scaled strain: the factors belong to the iterate before it. Returns -1, or
+    the first block where a pivot was not positive, corrections did not shrink, see CONTRACTION, or MAX_NEWTON iterations did not do.
     """
-    blocks, tau = 2 * rod.packs, work.tau
-    floor = 0.0
+    rod, blocks, tau, floor = arm.rod, 2 * arm.rod.packs, work.tau, 0.0
+    strain_tension(strain, q, tau)
     for i in range(tau.size):
         floor += abs(tau[i])
     for block in range(blocks):
@@ -72,7 +70,7 @@ def solve_strain(rod, tendons, strain, q, tolerance, contraction, work):
         resolution = 1e-15 * floor * c[1][0]
         converged, last = False, squared_norm(e)
         for iteration in range(MAX_NEWTON):
-            h, total = pull(rod, tendons, block, xi, tau, work.tangent)
+            h, total = pull(rod, arm.tendons, block, xi, tau, work.tangent)
             f = factorise(scaled_stiffness(h, c), rod.free)
             residual = twist_sum(target, twist_scaled(-1.0, twist_sum(e, scaled(c, total))))
             step = solve(f, residual, rod.free)
@@ -99,7 +97,7 @@ def chords_stay(rod, tendons, before, after):
     """Whether no tendon's chord differs by more than MOST_TURN of its length between two strain fields."""
     blocks = 2 * rod.packs
     for i in range(tendons.size):
-        for block in range(2 * tendons.first[i], 2 * tendons.last[i]):
+        for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
             at = (i * blocks + block) * 5 * LANES
             (k0, p0), (k1, p1) = load6(before, block * 6 * LANES), load6(after, block * 6 * LANES)
             c0, c1 = chord(tendons.geometry, at, k0, p0), chord(tendons.geometry, at, k1, p1)
@@ -117,13 +115,6 @@ def all_pull(tau):
         if tension < 0.0:
             return False
     return True
-
-
-@kernel
-def solve_statics(arm, strain, q, part, tolerance, contraction, work):
-    """The strain at q from the guess in work.xi; there are no loads inside, of which `part` would tell."""
-    strain_tension(strain, q, work.tau)
-    return solve_strain(arm.rod, arm.tendons, strain, q, tolerance, contraction, work)
 
 
 @kernel

@@ -20,13 +20,6 @@ def chord(geometry, at, k, p):
 
 
 @kernel(inline=True)
-def unit_tangent(t_c):
-    """Unit tangent t = t_c / |t_c|, and 1 / |t_c|."""
-    inverse = 1.0 / sqrt(dot(t_c, t_c))
-    return (t_c[0] * inverse, t_c[1] * inverse, t_c[2] * inverse), inverse
-
-
-@kernel(inline=True)
 def wrench_column(geometry, at, t):
     """Wrench column s = S t = (d x t, t)."""
     y, z = load(geometry, at), load(geometry, at + LANES)
@@ -76,9 +69,11 @@ def pull(rod, tendons, block, xi, tau, tangent):
     k, p = xi
     blocks, pack = 2 * rod.packs, block // 2
     for i in range(tendons.size):
-        if tendons.first[i] <= pack < tendons.last[i]:
+        if tendons.pack_begin[i] <= pack < tendons.pack_end[i]:
             at = (i * blocks + block) * 5 * LANES
-            t, inverse = unit_tangent(chord(tendons.geometry, at, k, p))
+            t_c = chord(tendons.geometry, at, k, p)
+            inverse = 1.0 / sqrt(dot(t_c, t_c))
+            t = t_c[0] * inverse, t_c[1] * inverse, t_c[2] * inverse
             s = wrench_column(tendons.geometry, at, t)
             tension = tau[i] * load(tendons.geometry, at + 4 * LANES)
             total = twist_sum(total, twist_scaled(tension, s))
@@ -113,7 +108,7 @@ def tendon_lengths(rod, tendons, work, out):
     blocks = 2 * rod.packs
     for i in range(tendons.size):
         total = spread(0.0)
-        for block in range(2 * tendons.first[i], 2 * tendons.last[i]):
+        for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
             at, (k, p) = (i * blocks + block) * 5 * LANES, load6(work.xi, block * 6 * LANES)
             t_c = chord(tendons.geometry, at, k, p)
             total = total + load(rod.weight, block * LANES) * load(tendons.geometry, at + 4 * LANES) * sqrt(dot(t_c, t_c))
@@ -127,7 +122,7 @@ def actuation_column(arm, i, share, work, out):
     for block in range(blocks):
         weight = load(rod.weight, block * LANES) * load(share, (i * blocks + block) * LANES)
         store6(work.mismatch, block * 6 * LANES, twist_scaled(weight, actuation_wrench(arm.tendons, blocks, block, i, work.tangent)))
-    project(work.Phi, work.mismatch, point_rows(rod), strain.first, strain.last, out)
+    project(work.Phi, work.mismatch, point_rows(rod), strain.pack_begin, strain.pack_end, out)
 
 
 @kernel
@@ -137,7 +132,7 @@ def tendon_forces(rod, tendons, share, tangent, rate, out):
     blocks = 2 * rod.packs
     for i in range(tendons.size):
         sum_i = spread(0.0)
-        for block in range(2 * tendons.first[i], 2 * tendons.last[i]):
+        for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
             at = i * blocks + block
             weight = load(rod.weight, block * LANES) * load(share, at * LANES) * load(tendons.geometry, at * 5 * LANES + 4 * LANES)
             t, moved = load3(tangent, at * 4 * LANES), chord_rate(tendons.geometry, at * 5 * LANES, load6(rate, block * 6 * LANES))

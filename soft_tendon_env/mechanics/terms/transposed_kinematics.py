@@ -94,7 +94,7 @@ def add_tendon_stress(rod, tendons, force, tangent, stress):
     """Adds to `stress` (points x 6) that which does the work of `force` (n_a) on the lengths of the tendons; see tendon_forces()."""
     blocks = 2 * rod.packs
     for i in range(tendons.size):
-        for block in range(2 * tendons.first[i], 2 * tendons.last[i]):
+        for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
             weight = -force[i] * load(rod.weight, block * LANES)
             wrench = twist_scaled(weight, actuation_wrench(tendons, blocks, block, i, tangent))
             store6(stress, block * 6 * LANES, twist_sum(load6(stress, block * 6 * LANES), wrench))
@@ -149,4 +149,4 @@ def add_at(field, at, x):
 @kernel
 def stress_force(rod, strain, work, stress, out):
     """Generalised force Phi^T stress of a stress field with the weights in it, out (n)."""
-    project(work.Phi, stress, point_rows(rod), strain.first, strain.last, out)
+    project(work.Phi, stress, point_rows(rod), strain.pack_begin, strain.pack_end, out)
