@@ -104,8 +104,7 @@ class Effect(Configuration):
         return np.zeros(0)
 
     def potential_energy(self, arm: Configured) -> float:
-        """Potential energy [J]: that of an effect between commands and tensions is 0. Raises ValueError where it has none, as unless a
-        class says so."""
+        """Potential energy [J], 0 of an effect between commands and tensions. Raises ValueError where it has none, as by default."""
         if self.is_actuation and self.command_unit == "N":
             return 0.0
         raise ValueError(f"the effect {type(self).__name__} has no potential energy")
@@ -141,8 +140,7 @@ def _transmission_of(effect: Effect, rod: Discretisation) -> dict[str, Any]:
 
 Class = TypeVar("Class", bound=type[Effect])
 
-EFFECTS: dict[str, type[Effect]] = {}
-"""Every registered effect's configuration class, by the name that scenes use."""
+EFFECTS: dict[str, type[Effect]] = {}  # every registered effect's configuration class, by the name that scenes use
 
 
 def register_effect(name: str) -> Callable[[Class], Class]:

@@ -1,26 +1,26 @@
-"""Loads: gravity, a wrench at the tip and a payload, and disturbances, which are wrenches at points of the rod as functions of time.
+"""Loads: gravity, a wrench at the tip and a payload; and in time disturbances, which are wrenches at points of the rod, and a moving base.
 
 The place of a disturbance is a cubic through the nodes nearest to it, none beyond the end of a tendon. It is shared among them with its
 weights there, by virtual work: force and moment are exact, the error is of fourth order in the distance of the nodes.
 """
 
 import math
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, DeadLoads, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
-from soft_tendon_env.mechanics.algebra.lie import plus, rotate_back, times, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, exp_se3, minus, plus, rotate_back, times, twist_sum
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store3, store6
-from soft_tendon_env.mechanics.effects import adds_wrench, allow_turning, limits_step
+from soft_tendon_env.mechanics.effects import Base, adds_wrench, allow_turning, limits_step, moves_base
 from soft_tendon_env.mechanics.terms.kinematics import load_pose, tip_pose_of
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
-from soft_tendon_env.tools.types import Frequency, NotNegative, Number, Positive, Triple
+from soft_tendon_env.tools.types import Direction, Frequency, NotNegative, Number, Positive, Triple, Turning
 
 EDGE = 1e-9  # [s], up to which times of pulses and of the integrator count as the same
 SAME = 1e-12  # of the rod's length, up to which two places are one
@@ -90,8 +90,7 @@ class TipLoad(Effect):
         return -float(arm.pose[-1, :3, 3] @ np.array(self.force))
 
     def dead_loads(self) -> DeadLoads | None:
-        follows = self.frame == "tip" and (any(self.force) or any(self.moment))
-        return None if follows else DeadLoads(force=self.force, moment=self.moment)
+        return None if self.frame == "tip" and self.acts else DeadLoads(force=self.force, moment=self.moment)
 
 
 class TipLoadParameters(Struct):
@@ -209,7 +208,7 @@ def disturbance_wrench(disturbance, nodes):
 
 @limits_step(DisturbanceParameters)
 @kernel
-def limit_step(disturbance, nodes, longest):
+def limit_disturbance_step(disturbance, nodes, longest):
     """Steps follow the signals: up to a fraction of the period of a sine, and to the next end of a pulse."""
     for i in range(disturbance.loads.shape[0]):
         row = disturbance.loads[i]
@@ -218,3 +217,75 @@ def limit_step(disturbance, nodes, longest):
         for edge in (row[1], row[2]):
             if row[0] == PULSE and edge > nodes.time + EDGE:
                 longest[0] = min(longest[0], edge - nodes.time)
+
+
+@register_effect("moving_base")
+class MovingBase(Effect):
+    """`[effects.moving_base]`: the base's frame moves along with the world's axes and turns about a fixed axis through its origin.
+
+    r(t) = `velocity` t + `acceleration` t^2 / 2 + `amplitude` sin(2 pi f t), theta(t) = `angular_velocity` t + `angular_amplitude`
+    sin(2 pi f t), with t the time of the simulation or of the episode. Base twist and acceleration enter the recursions (17)-(18) where
+    they begin, from which inertia forces follow. Statics are those of the base at rest in its pose at t = 0.
+    """
+
+    velocity: Triple = Field((0.0, 0.0, 0.0), description="velocity (x, y, z) at time 0 [m/s], world frame")
+    acceleration: Triple = Field((0.0, 0.0, 0.0), description="constant acceleration (x, y, z) [m/s^2]")
+    amplitude: Triple = Field((0.0, 0.0, 0.0), description="amplitude (x, y, z) of the swing [m]")
+    axis: Direction = Field((0.0, 0.0, 1.0), description="axis about which it turns [-], of any length but zero")
+    angular_velocity: Turning = Field(0.0, description="constant angular velocity [rad/s]")
+    angular_amplitude: Number = Field(0.0, description="amplitude of the turning swing [rad]")
+    frequency: Frequency = Field(0.0, description="frequency f of both swings [Hz]")
+
+    @model_validator(mode="after")
+    def _swings(self) -> Self:
+        if not self.frequency and (any(self.amplitude) or self.angular_amplitude):
+            raise ValueError("frequency should be above 0 Hz where there is an amplitude")
+        return self
+
+    def parameters(self, rod: Discretisation) -> "MovingBaseParameters":
+        x, y, z = (part / math.hypot(*self.axis) for part in self.axis)
+        turning = (x, y, z), self.angular_velocity, self.angular_amplitude, 2.0 * math.pi * self.frequency
+        return MovingBaseParameters(self.velocity, self.acceleration, self.amplitude, *turning)
+
+
+class MovingBaseParameters(Struct):
+    """The motion, with a unit axis and the angular frequency [rad/s]."""
+
+    velocity: Triple
+    acceleration: Triple
+    amplitude: Triple
+    axis: Triple
+    angular_velocity: float
+    angular_amplitude: float
+    omega: float
+
+
+@moves_base(MovingBaseParameters)
+@kernel
+def move(motion, base: Base):
+    """Pose (R, r), spatial twist (w, r_dot - w x r) and its rate (w_dot, r_ddot - w_dot x r - w x r_dot)."""
+    t, phase = base.time, motion.omega * base.time
+    sine, cosine = math.sin(phase), math.cos(phase)
+    angle = motion.angular_velocity * t + motion.angular_amplitude * sine
+    rate = motion.angular_velocity + motion.angular_amplitude * motion.omega * cosine
+    rate_dot = -motion.angular_amplitude * motion.omega * motion.omega * sine
+    r = plus(plus(times(t, motion.velocity), times(0.5 * t * t, motion.acceleration)), times(sine, motion.amplitude))
+    r_dot = plus(plus(motion.velocity, times(t, motion.acceleration)), times(motion.omega * cosine, motion.amplitude))
+    r_ddot = minus(motion.acceleration, times(motion.omega * motion.omega * sine, motion.amplitude))
+    w, w_dot = times(rate, motion.axis), times(rate_dot, motion.axis)
+    v, v_dot = minus(r_dot, cross(w, r)), minus(minus(r_ddot, cross(w_dot, r)), cross(w, r_dot))
+    R, _ = exp_se3((times(angle, motion.axis), (0.0, 0.0, 0.0)), coefficients(angle * angle))
+    for i in range(9):
+        base.pose[i] = R[i]
+    for i in range(3):
+        base.pose[9 + i] = r[i]
+        base.twist[i], base.twist[3 + i] = w[i], v[i]
+        base.acceleration[i], base.acceleration[3 + i] = w_dot[i], v_dot[i]
+
+
+@limits_step(MovingBaseParameters)
+@kernel
+def limit_base_step(motion, nodes, longest):
+    """Steps are short beside a period of the swing, and beside a turn."""
+    allow_turning(motion.omega, longest)
+    allow_turning(motion.angular_velocity, longest)

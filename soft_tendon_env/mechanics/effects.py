@@ -286,10 +286,8 @@ def call(address, parameters, arguments):
 def _call(typingctx, address, parameters, arguments):
     def emit(context, builder, signature, given):
         kinds = (_PARAMETERS, *signature.args[2].types)
-        address_of_parameters = builder.inttoptr(given[1], context.get_value_type(_PARAMETERS))
-        return emit_call_at(
-            context, builder, given[0], types.none, kinds, [address_of_parameters, *cgutils.unpack_tuple(builder, given[2])]
-        )
+        pointer = builder.inttoptr(given[1], context.get_value_type(_PARAMETERS))
+        return emit_call_at(context, builder, given[0], types.none, kinds, [pointer, *cgutils.unpack_tuple(builder, given[2])])
 
     return types.none(address, parameters, arguments), emit
 

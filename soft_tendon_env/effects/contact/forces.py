@@ -28,15 +28,12 @@ from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.types import Array, NotNegative, Triple
 
 STICTION_SPEED = 1e-4  # [m/s] of slip, below which friction falls: what it holds creeps
-FREE, WALL = 0.2, 0.45
-"""Depths in radii of the rod between which the wall stops what would go through: a wire between two samples a radius apart is half a radius
-deep in both."""
+FREE, WALL = 0.2, 0.45  # depths in radii of the rod between which the wall stops what would go through: a wire between samples is 0.5 deep
 WALL_DISSIPATION = 1.0  # [s/m] the least c of the wall: what begins within an obstacle leaves it at 1 m/s at most
 OVERRUN, THROUGH = 0.1, 0.15  # of the radius: how much deeper a step in contact may lead, and from where on it is tried again shorter
 LANDED, MOST_LANDED, IDLE = 0.01, 8.0, 0.05
-"""Share of the arm's kinetic energy that a sample is to store where a step ends in what it comes upon; how many such shares all samples may
-store; and the speed of the arm, in its lengths per second, that counts besides, or that of the fastest obstacle: at rest steps need not end
-where a contact begins."""
+"""Share of the arm's kinetic energy that a sample is to store where a step ends in what it comes upon; how many such shares all may store;
+and the speed of the arm, in its lengths per second, that counts besides: at rest steps need not end where a contact begins."""
 CUTS, SAME = 64, 1e-3  # places at which the way of a sample is looked at, at most; and the share of the way that counts as none
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -65,10 +62,6 @@ class Contact(Effect):
     def sample_places(self, rod: Discretisation) -> Array:
         """Arc lengths (samples,) [m] at which contact is looked for."""
         return make_samples(rod)[2]
-
-    def bodies(self) -> tuple[tuple[str, bool], ...]:
-        """Obstacles as messages name them, and whether they move."""
-        return tuple((f"obstacles[{i}], a {obstacle.type}", obstacle.moves) for i, obstacle in enumerate(self.obstacles))
 
     def potential_energy(self, arm: Configured) -> float:
         """That of the normal forces: friction stores none."""
@@ -223,8 +216,7 @@ def read_contacts(contact, nodes, gap, position, force):
 @kernel
 def limit_contact(contact, nodes, longest):
     """Steps are short beside the periods of obstacles that swing, and the next one ends where something is met. The last one was too long
-    if a sample went through something on its way, or if all that met something in it came to store more than a share of the arm's
-    energy, which the step took from nothing."""
+    if a sample went through something, or if all that met something came to store more than a share of the arm's energy."""
     intervals, landed, fastest = contact.intervals, 0.0, 0.0
     for j in range(contact.obstacles.shape[0]):
         fastest = max(fastest, size(body_at(contact.obstacles, j, nodes.time).velocity))

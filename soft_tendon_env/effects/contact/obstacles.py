@@ -7,15 +7,14 @@ import math
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lie import coefficients, dot, exp_se3, minus, plus, rotate, rotate_back, times
 from soft_tendon_env.tools.configuration import Configuration
-from soft_tendon_env.tools.types import LEAST, Array, Frequency, Length, Number, Triple
+from soft_tendon_env.tools.types import Array, Direction, Frequency, Length, Number, Triple
 
-PLANE, BOX, CYLINDER = 0.0, 1.0, 2.0
-"""Kinds of signed distances, see `distance`: spheres and capsules are boxes with rounded edges."""
+PLANE, BOX, CYLINDER = 0.0, 1.0, 2.0  # kinds of signed distances, see `distance`: spheres and capsules are boxes with rounded edges
 
 
 @kernel(inline=True)
@@ -146,14 +145,7 @@ class Obstacle(Configuration):
 class Directed(Obstacle):
     """Base of the shapes with an axis, the z axis of their frame."""
 
-    axis: Triple = Field((0.0, 0.0, 1.0), description="direction of the axis [-], of any length but zero")
-
-    @field_validator("axis")
-    @classmethod
-    def _is_a_direction(cls, axis: Triple) -> Triple:
-        if max(map(abs, axis)) < LEAST:
-            raise ValueError("should be a direction, not zero")
-        return axis
+    axis: Direction = Field((0.0, 0.0, 1.0), description="direction of the axis [-], of any length but zero")
 
     @property
     def orientation(self) -> Array:

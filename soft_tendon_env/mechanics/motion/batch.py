@@ -141,15 +141,13 @@ def advance_parts(arm, scheme, commands, durations, motion, row, results, scratc
     rows, outcome, none = batch.rows, batch.outcome, Record(batch.rows.q[:0], batch.rows.q_dot[:0], batch.reading.tip_pose[:0])
     outcome.status[row], outcome.rejected[row] = OK, 0
     for part in range(commands.shape[1]):
-        part_scheme = Scheme(scheme.method, scheme.control, scheme.begins or part > 0)
+        held = Scheme(scheme.method, scheme.control, scheme.begins or part > 0)
         tape_border(tape, row, part, motion)
-        done = advance(
-            arm, part_scheme, commands[row, part : part + 1], durations[row, part : part + 1], motion, rows.step[row], scratch, none
-        )
+        done = advance(arm, held, commands[row, part : part + 1], durations[row, part : part + 1], motion, rows.step[row], scratch, none)
         rows.step[row] = done.step
         outcome.status[row] = done.status
         outcome.rejected[row] += done.rejected
-        tape_part(tape, row, part, commands[row, part], durations[row, part] if done.status == OK else -1.0, part_scheme.begins)
+        tape_part(tape, row, part, commands[row, part], durations[row, part] if done.status == OK else -1.0, held.begins)
         if done.status != OK:
             break
     tape_border(tape, row, commands.shape[1], motion)
