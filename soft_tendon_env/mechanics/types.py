@@ -14,7 +14,7 @@ G = sum Phi^T Y, M D G the mass, damping and stiffness matrices.
 
 import numpy as np
 
-from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned
+from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned_copy
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import EffectTable
 
@@ -139,9 +139,9 @@ def point_field(values: np.ndarray) -> np.ndarray:
     """Packs values at the points (..., intervals, 2, components) into the kernels' flat layout."""
     *lead, intervals, two, components = values.shape
     packed = values.reshape(*lead, intervals // LANES, LANES, two, components)
-    return aligned(np.moveaxis(packed, -3, -1)).ravel()
+    return aligned_copy(np.moveaxis(packed, -3, -1)).ravel()
 
 
 def node_field(values: np.ndarray) -> np.ndarray:
     """Packs values at the nodes (intervals, components) into the kernels' flat layout."""
-    return aligned(values.reshape(-1, LANES, values.shape[-1]).swapaxes(-1, -2)).ravel()
+    return aligned_copy(values.reshape(-1, LANES, values.shape[-1]).swapaxes(-1, -2)).ravel()

@@ -94,7 +94,7 @@ def aligned_zeros(*shape, dtype=np.float64):
     return room[start : start + size].reshape(shape)
 
 
-def aligned(values):
+def aligned_copy(values):
     """Copy of an array that begins where a cache line does, see aligned_zeros()."""
     copy = aligned_zeros(*values.shape, dtype=values.dtype)
     copy[...] = values

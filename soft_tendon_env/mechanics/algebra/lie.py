@@ -177,7 +177,7 @@ def matrix_sum(A, B):
 
 
 @kernel(inline=True)
-def matrix_scaled(s, A):
+def scale_matrix(s, A):
     return s * A[0], s * A[1], s * A[2], s * A[3], s * A[4], s * A[5], s * A[6], s * A[7], s * A[8]
 
 
@@ -196,7 +196,7 @@ def twist_sum(x, y):
 
 
 @kernel(inline=True)
-def twist_scaled(s, x):
+def scale_twist(s, x):
     return times(s, x[0]), times(s, x[1])
 
 
@@ -271,7 +271,7 @@ def dexp_dot_apply(Omega, Omega_dot, c, x):
     a_dot, b_dot = c.a1 * rate, c.b1 * rate
     a_dual, b_dual = c.a2 * kp * rate + c.a1 * rate_dual, c.b2 * kp * rate + c.b1 * rate_dual
     y = twist_sum(
-        twist_sum(twist_scaled(a_dot, once), twist_scaled(b_dot, twice)), twist_sum(twist_scaled(c.a, turned), twist_scaled(c.b, mixed))
+        twist_sum(scale_twist(a_dot, once), scale_twist(b_dot, twice)), twist_sum(scale_twist(c.a, turned), scale_twist(c.b, mixed))
     )
     dual = plus(plus(times(a_dual, once[0]), times(b_dual, twice[0])), plus(times(c.a1 * kp, turned[0]), times(c.b1 * kp, mixed[0])))
     return y[0], plus(y[1], dual)

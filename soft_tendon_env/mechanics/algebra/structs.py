@@ -83,7 +83,9 @@ class Struct:
         if isinstance(value, tuple) and all(isinstance(part, float) for part in value):
             words += np.array(value).view(np.int64).tolist()
             return float, len(value)
-        given = f"one of {value.dtype}, {value.flags.c_contiguous = }" if isinstance(value, np.ndarray) else repr(value)
+        given = repr(value)
+        if isinstance(value, np.ndarray):
+            given = f"one of {value.dtype}" if value.flags.c_contiguous else "a strided one"
         kinds = "a contiguous array of float64 or int64, a tuple of int alone or of float alone, a Struct, or a number"
         raise TypeError(f"{type(self).__name__}.{name} should be {kinds}, not {given}")
 

@@ -107,7 +107,7 @@ def solve_upper(f, b, free):
 
 
 @kernel(inline=True)
-def scaled(s, x):
+def scale6(s, x):
     """Component by component product of two twist-shaped tuples."""
     return (s[0][0] * x[0][0], s[0][1] * x[0][1], s[0][2] * x[0][2]), (s[1][0] * x[1][0], s[1][1] * x[1][1], s[1][2] * x[1][2])
 
@@ -115,7 +115,7 @@ def scaled(s, x):
 @kernel(inline=True)
 def solve(f, b, free):
     """Solution H^-1 b by the factor of H."""
-    return solve_upper(f, scaled(((f[15], f[16], f[17]), (f[18], f[19], f[20])), solve_lower(f, b, free)), free)
+    return solve_upper(f, scale6(((f[15], f[16], f[17]), (f[18], f[19], f[20])), solve_lower(f, b, free)), free)
 
 
 @kernel(inline=True)

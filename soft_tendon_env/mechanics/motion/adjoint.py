@@ -16,7 +16,7 @@ import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.algebra.lie import coad_apply, twist_scaled
+from soft_tendon_env.mechanics.algebra.lie import coad_apply, scale_twist
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 from soft_tendon_env.mechanics.motion.advance import Record, Scheme, advance
@@ -218,7 +218,7 @@ def read_adjoint(arm, places, tape, cotangents, row, work, memory):
     if has_rates:  # the twist in the frame of the tip changes as that is turned
         turned = coad_apply(tip_twist(arm.rod, work), as_wrench(twist))
         fields.wrench[:] = 0.0
-        add_at(fields.wrench, fields.wrench.size - 5 * LANES - 1, twist_scaled(-1.0, turned))
+        add_at(fields.wrench, fields.wrench.size - 5 * LANES - 1, scale_twist(-1.0, turned))
         add_wrench_stress(arm.rod, fields.wrench, work, fields.field)
     stress_force(arm.rod, arm.strain, work, fields.field, fields.middle)
     for i in range(q.size):

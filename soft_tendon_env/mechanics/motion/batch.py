@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import aligned
+from soft_tendon_env.mechanics.algebra.lanes import aligned_copy
 from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 from soft_tendon_env.mechanics.motion.advance import Record, Scheme, advance
@@ -87,7 +87,7 @@ class Batch(Struct):
 
 def make_batch(arm: Arm, places: Places, motion: Motion, step: float, count: int) -> Batch:
     """Batch of so many rows of one arm in one motion, read at these places; step: [s] to try next."""
-    fields = {name: aligned(np.tile(values, (count, 1))) for name, values in motion._asdict().items()}
+    fields = {name: aligned_copy(np.tile(values, (count, 1))) for name, values in motion._asdict().items()}
     rows = Rows(arm=np.full(count, arm.address), step=np.full(count, step), **fields)
     outcome = Outcome(status=np.zeros(count, dtype=np.int64), rejected=np.zeros(count, dtype=np.int64))
     return Batch(arm=arm, places=places, rows=rows, outcome=outcome, reading=make_reading(arm, places, count))

@@ -13,8 +13,8 @@ from soft_tendon_env.mechanics.algebra.lie import (
     plus,
     rotate,
     rotate_back,
+    scale_twist,
     times,
-    twist_scaled,
     twist_sum,
 )
 from soft_tendon_env.mechanics.algebra.linear import copy
@@ -57,8 +57,8 @@ def pose_error_cotangents(error, cotangent, pose, wanted):
             c = coefficients(dot(k, k))
             e, e_dual = -0.5 * c.a1 / c.a, 0.5 * (c.a1 * c.a1 / c.a - c.a2) / c.a * dot(k, Omega[1])
             once = coad_apply(Omega, force)
-            even = twist_sum(force, twist_scaled(e, coad_apply(Omega, once)))
-            moment, odd = plus(even[0], times(e_dual, cross(k, cross(k, force[1])))), twist_scaled(0.5, once)
+            even = twist_sum(force, scale_twist(e, coad_apply(Omega, once)))
+            moment, odd = plus(even[0], times(e_dual, cross(k, cross(k, force[1])))), scale_twist(0.5, once)
             for i in range(3):
                 pose[row, j, i], pose[row, j, 3 + i] = -moment[i] - odd[0][i], -even[1][i] - odd[1][i]
                 wanted[row, j, i], wanted[row, j, 3 + i] = moment[i] - odd[0][i], even[1][i] - odd[1][i]

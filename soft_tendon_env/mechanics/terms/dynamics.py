@@ -8,7 +8,7 @@ from typing import NamedTuple
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, WIDE, lane, lane_sums, load, load_wide, spread, spread_wide, store
 from soft_tendon_env.mechanics.algebra.lie import coad_apply, twist_sum
-from soft_tendon_env.mechanics.algebra.symmetric6 import load6, scaled, store6
+from soft_tendon_env.mechanics.algebra.symmetric6 import load6, scale6, store6
 
 
 class RowLayout(NamedTuple):
@@ -167,6 +167,6 @@ def bias_force(rod, strain, work):
     for pack in range(rod.packs):
         at = pack * 6 * LANES
         inertia, eta = load6(rod.inertia, at), load6(work.eta, at)
-        momentum = scaled(inertia, eta)
-        store6(work.wrench, at, twist_sum(scaled(inertia, load6(work.eta_bias, at)), coad_apply(eta, momentum)))
+        momentum = scale6(inertia, eta)
+        store6(work.wrench, at, twist_sum(scale6(inertia, load6(work.eta_bias, at)), coad_apply(eta, momentum)))
     project(work.J, work.wrench, node_rows(), strain.pack_begin, strain.jacobian_end, work.bias)

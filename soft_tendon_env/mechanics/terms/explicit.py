@@ -2,9 +2,9 @@
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
-from soft_tendon_env.mechanics.algebra.lie import twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import scale_twist, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
-from soft_tendon_env.mechanics.algebra.symmetric6 import load6, scaled, store6, symmetric_product
+from soft_tendon_env.mechanics.algebra.symmetric6 import load6, scale6, store6, symmetric_product
 from soft_tendon_env.mechanics.terms.dynamics import stiffness_matrix, sum_columns
 from soft_tendon_env.mechanics.terms.parametrisation import PARAMETRISATIONS, Parametrisation
 from soft_tendon_env.mechanics.terms.tendons import pull
@@ -22,8 +22,8 @@ def explicit_columns(arm, strain, u, q, q_dot, work):
         at, weight = block * 6 * LANES, load(rod.weight, block * LANES)
         stiff, xi = load6(rod.root_stiffness, at), load6(work.xi, at)
         pulled = pull(rod, arm.tendons, block, xi, work.tau, work.tangent)[1]
-        strained = twist_sum(xi, twist_scaled(-1.0, load6(rod.reference_strain, at)))
-        store6(work.mismatch, at, twist_scaled(-weight, twist_sum(scaled(stiff, scaled(stiff, strained)), pulled)))
+        strained = twist_sum(xi, scale_twist(-1.0, load6(rod.reference_strain, at)))
+        store6(work.mismatch, at, scale_twist(-weight, twist_sum(scale6(stiff, scale6(stiff, strained)), pulled)))
 
 
 @kernel
@@ -37,8 +37,8 @@ def explicit_matrices(arm, strain, work):
             if strain.pack_begin[j] <= block // 2 < strain.pack_end[j]:
                 column_at = (j * blocks + block) * 6 * LANES
                 phi = load6(strain.field, column_at)
-                wrench = twist_sum(scaled(stiff, scaled(stiff, phi)), symmetric_product(h, phi))
-                store6(work.Y, column_at, twist_scaled(weight, wrench))
+                wrench = twist_sum(scale6(stiff, scale6(stiff, phi)), symmetric_product(h, phi))
+                store6(work.Y, column_at, scale_twist(weight, wrench))
     stiffness_matrix(rod, strain, work)
     copy_matrix(strain.damping, work.D)
 

@@ -8,7 +8,7 @@ import math
 
 from soft_tendon_env.compiler.compilation import kernel, phase
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread, store
-from soft_tendon_env.mechanics.algebra.lie import twist_scaled
+from soft_tendon_env.mechanics.algebra.lie import scale_twist
 from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, load21, store6, symmetric_product
 from soft_tendon_env.mechanics.effects import EXPLICIT, IMPLICIT_POSE, IMPLICIT_TWIST, Base, Nodes, Points, call
@@ -104,9 +104,9 @@ def weigh(rod, work):
     """Multiplies stresses and their derivatives by the weights of the points; stresses get the sign of a load."""
     for block in range(2 * rod.packs):
         at, weight = block * 6 * LANES, load(rod.weight, block * LANES)
-        store6(work.stress, at, twist_scaled(-weight, load6(work.stress, at)))
-        store6(work.point_stiffness, at, twist_scaled(weight, load6(work.point_stiffness, at)))
-        store6(work.point_damping, at, twist_scaled(weight, load6(work.point_damping, at)))
+        store6(work.stress, at, scale_twist(-weight, load6(work.stress, at)))
+        store6(work.point_stiffness, at, scale_twist(weight, load6(work.point_stiffness, at)))
+        store6(work.point_damping, at, scale_twist(weight, load6(work.point_damping, at)))
 
 
 @phase

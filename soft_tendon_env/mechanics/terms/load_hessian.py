@@ -14,7 +14,7 @@ import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, dot, operator_apply, plus, times, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, dot, operator_apply, plus, scale_twist, times, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import add_product
 from soft_tendon_env.mechanics.terms.kinematics import KAPPA, interval_operators, magnus, pose_at, twist_at
 from soft_tendon_env.mechanics.terms.transposed_kinematics import add_at, transposed_dexp, wrench_at_start, zanna_transposed
@@ -89,7 +89,7 @@ def _assemble_interval(rod, node, wrench, work, D):
                 entry = (block + a // 6) * 21 + max(i, j) * (max(i, j) + 1) // 2 + min(i, j)
                 D[b, a] = work.factor[entry * LANES + node % LANES]
         for steps, share in STENCIL:
-            moved = twist_scaled(steps * way, e)
+            moved = scale_twist(steps * way, e)
             first, second = twist_sum(xi_1, moved) if a < 6 else xi_1, twist_sum(xi_2, moved) if a >= 6 else xi_2
             stress = _interval_stress(rod, node, first, second, wrench, work)
             for b in range(SIZE):

@@ -6,8 +6,8 @@ Newton iteration leaves.
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
-from soft_tendon_env.mechanics.algebra.lie import plus, times, twist_scaled, twist_sum
-from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, load21, scaled, solve, store6, zero6
+from soft_tendon_env.mechanics.algebra.lie import plus, scale_twist, times, twist_sum
+from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, load21, scale6, solve, store6, zero6
 from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, stiffness_matrix
 from soft_tendon_env.mechanics.terms.parametrisation import PARAMETRISATIONS, Parametrisation
 from soft_tendon_env.mechanics.terms.statics_newton import passive_wrench, solve_statics, statics_is_unique, strain_tension
@@ -18,7 +18,7 @@ from soft_tendon_env.mechanics.types import StaticsBased
 @kernel(inline=True)
 def solve_column(f, c, wrench, free):
     """Column Phi = H^-1 wrench, H^-1 = C^1/2 L^-T D^-1 L^-1 C^1/2."""
-    return scaled(c, solve(f, scaled(c, wrench), free))
+    return scale6(c, solve(f, scale6(c, wrench), free))
 
 
 @kernel(inline=True)
@@ -33,20 +33,20 @@ def coordinate_wrenches(arm, law, block, u, q, work):
     for i in range(tendons.size):
         if tendons.pack_begin[i] <= pack < tendons.pack_end[i]:
             wrench = actuation_wrench(tendons, blocks, block, i, work.tangent)
-            mismatch = twist_sum(mismatch, twist_scaled(u[i] - work.tau[i], wrench))
+            mismatch = twist_sum(mismatch, scale_twist(u[i] - work.tau[i], wrench))
             for m in range(law.row_start[i], law.row_start[i + 1]):
                 at, column = (law.column[m] * blocks + block) * 6 * LANES, wrench
                 if law.mixed:
-                    column = twist_sum(load6(work.Phi, at), twist_scaled(law.weight[m], wrench))
+                    column = twist_sum(load6(work.Phi, at), scale_twist(law.weight[m], wrench))
                 store6(work.Phi, at, column)
-                store6(work.Y, at, twist_scaled(weight, column))
+                store6(work.Y, at, scale_twist(weight, column))
     for j in range(law.active, law.size):
         if law.pack_begin[j] <= pack < law.pack_end[j]:
             at, column = (j * blocks + block) * 6 * LANES, load6(law.passive, ((j - law.active) * blocks + block) * 6 * LANES)
-            mismatch = twist_sum(mismatch, twist_scaled(-q[j], column))
+            mismatch = twist_sum(mismatch, scale_twist(-q[j], column))
             store6(work.Phi, at, column)
-            store6(work.Y, at, twist_scaled(weight, column))
-    store6(work.mismatch, block * 6 * LANES, twist_scaled(weight, mismatch))
+            store6(work.Y, at, scale_twist(weight, column))
+    store6(work.mismatch, block * 6 * LANES, scale_twist(weight, mismatch))
 
 
 @kernel(inline=True)
@@ -78,7 +78,7 @@ def statics_columns(arm, strain, u, q, q_dot, work):
             if strain.pack_begin[j] <= block // 2 < strain.pack_end[j]:
                 at = (j * blocks + block) * 6 * LANES
                 phi = solve_column(f, c, load6(work.Phi, at), rod.free)
-                rate = twist_sum(rate, twist_scaled(q_dot[j], phi))
+                rate = twist_sum(rate, scale_twist(q_dot[j], phi))
                 store6(work.Phi, at, phi)
         turning = turning_wrench(arm.tendons, blocks, block, rate, work)
         store6(work.xi_dot, block * 6 * LANES, rate)
@@ -98,7 +98,7 @@ def rate_wrench(tendons, law, blocks, block, q_dot, work):
     total = passive_wrench(law, blocks, block, q_dot)
     for i in range(tendons.size):
         if tendons.pack_begin[i] <= block // 2 < tendons.pack_end[i]:
-            total = twist_sum(total, twist_scaled(work.tau_dot[i], actuation_wrench(tendons, blocks, block, i, work.tangent)))
+            total = twist_sum(total, scale_twist(work.tau_dot[i], actuation_wrench(tendons, blocks, block, i, work.tangent)))
     return total
 
 

@@ -6,12 +6,12 @@ In scaled form, with C = Sigma^-1 (0 for rigid strains) and e = Sigma^1/2 (xi - 
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load
-from soft_tendon_env.mechanics.algebra.lie import dot, minus, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import dot, minus, scale_twist, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
     is_positive,
     load6,
-    scaled,
+    scale6,
     scaled_stiffness,
     solve,
     squared_norm,
@@ -37,7 +37,7 @@ def passive_wrench(strain, blocks, block, q):
     for j in range(strain.active, strain.size):
         if strain.pack_begin[j] <= pack < strain.pack_end[j]:
             column = load6(strain.passive, ((j - strain.active) * blocks + block) * 6 * LANES)
-            total = twist_sum(total, twist_scaled(q[j], column))
+            total = twist_sum(total, scale_twist(q[j], column))
     return total
 
 
@@ -65,17 +65,17 @@ def solve_statics(arm, strain, q, part, tolerance, contraction, work):
         at = block * 6 * LANES
         c, reference = load6(rod.root_compliance, at), load6(rod.reference_strain, at)
         xi = load6(work.xi, at)
-        e = scaled(load6(rod.root_stiffness, at), twist_sum(xi, twist_scaled(-1.0, reference)))
-        target = scaled(c, passive_wrench(strain, blocks, block, q))
+        e = scale6(load6(rod.root_stiffness, at), twist_sum(xi, scale_twist(-1.0, reference)))
+        target = scale6(c, passive_wrench(strain, blocks, block, q))
         resolution = 1e-15 * floor * c[1][0]
         converged, last = False, squared_norm(e)
         for iteration in range(MAX_NEWTON):
             h, total = pull(rod, arm.tendons, block, xi, tau, work.tangent)
             f = factorise(scaled_stiffness(h, c), rod.free)
-            residual = twist_sum(target, twist_scaled(-1.0, twist_sum(e, scaled(c, total))))
+            residual = twist_sum(target, scale_twist(-1.0, twist_sum(e, scale6(c, total))))
             step = solve(f, residual, rod.free)
             e = twist_sum(e, step)
-            xi = twist_sum(reference, scaled(c, e))
+            xi = twist_sum(reference, scale6(c, e))
             size = squared_norm(step)
             excess = size - (tolerance * tolerance) * squared_norm(e) - resolution * resolution
             if largest(excess) <= 0.0:

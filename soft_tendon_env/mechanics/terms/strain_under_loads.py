@@ -14,13 +14,13 @@ from nothing, or along a motion; where the Hessian loses its positive pivots the
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, largest
-from soft_tendon_env.mechanics.algebra.lie import twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import scale_twist, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
     is_positive,
     load6,
-    scaled,
+    scale6,
     scaled_stiffness,
     squared_norm,
     store6,
@@ -56,7 +56,7 @@ def linearise_loaded(arm, strain, q, part, work):
             return block
         store_factor(work.factor, block, h)
         wrench = twist_sum(load6(memory.step, at), passive_wrench(strain.law, blocks, block, q))
-        wrench = twist_sum(wrench, twist_scaled(-1.0, twist_sum(pulled, scaled(load6(rod.root_stiffness, at), load6(memory.e, at)))))
+        wrench = twist_sum(wrench, scale_twist(-1.0, twist_sum(pulled, scale6(load6(rod.root_stiffness, at), load6(memory.e, at)))))
         store6(memory.step, at, wrench)
     return -1 if factorise_hessian(rod, strain, part, work) > 0.0 else blocks
 
@@ -67,10 +67,10 @@ def apply_correction(rod, xi, memory):
     size, norm = 0.0, 0.0
     for block in range(2 * rod.packs):
         at = block * 6 * LANES
-        step = scaled(load6(rod.root_stiffness, at), load6(memory.step, at))
+        step = scale6(load6(rod.root_stiffness, at), load6(memory.step, at))
         e = twist_sum(load6(memory.e, at), step)
         store6(memory.e, at, e)
-        store6(xi, at, twist_sum(load6(rod.reference_strain, at), scaled(load6(rod.root_compliance, at), e)))
+        store6(xi, at, twist_sum(load6(rod.reference_strain, at), scale6(load6(rod.root_compliance, at), e)))
         found = largest(squared_norm(step))
         if not found <= size:
             size = found
@@ -99,8 +99,8 @@ def solve_loaded(arm, strain, q, part, tolerance, contraction, work):
     rod, memory, xi = arm.rod, work.under_loads, work.xi
     for block in range(2 * rod.packs):
         at = block * 6 * LANES
-        strained = twist_sum(load6(xi, at), twist_scaled(-1.0, load6(rod.reference_strain, at)))
-        store6(memory.e, at, scaled(load6(rod.root_stiffness, at), strained))
+        strained = twist_sum(load6(xi, at), scale_twist(-1.0, load6(rod.reference_strain, at)))
+        store6(memory.e, at, scale6(load6(rod.root_stiffness, at), strained))
     strain_tension(strain.law, q, work.tau)
     tolerance, resolution, last = max(SHARPER * tolerance, ROUND_OFF), rounding(rod, strain, part, work.tau), 0.0
     for iteration in range(MAX_NEWTON):

@@ -6,7 +6,7 @@ project's sign (positive tension pulls) the actuation column is -s, so that Psi 
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread, sqrt, store
-from soft_tendon_env.mechanics.algebra.lie import dot, minus, times, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import dot, minus, scale_twist, times, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store3, store6, zero6, zero21
 from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
 
@@ -76,7 +76,7 @@ def pull(rod, tendons, block, xi, tau, tangent):
             t = t_c[0] * inverse, t_c[1] * inverse, t_c[2] * inverse
             s = wrench_column(tendons.geometry, at, t)
             tension = tau[i] * load(tendons.geometry, at + 4 * LANES)
-            total = twist_sum(total, twist_scaled(tension, s))
+            total = twist_sum(total, scale_twist(tension, s))
             h = add_stiffness(h, tendons.geometry, at, tension * inverse, s, rod.free)
             store_at = (i * blocks + block) * 4 * LANES
             store3(tangent, store_at, t)
@@ -89,7 +89,7 @@ def actuation_wrench(tendons, blocks, block, i, tangent):
     """Actuation wrench Phi_a of a tendon at one block, by the tangents that pull() left."""
     at = i * blocks + block
     presence, t = load(tendons.geometry, (at * 5 + 4) * LANES), load3(tangent, at * 4 * LANES)
-    return twist_scaled(-presence, wrench_column(tendons.geometry, at * 5 * LANES, t))
+    return scale_twist(-presence, wrench_column(tendons.geometry, at * 5 * LANES, t))
 
 
 @kernel
@@ -121,7 +121,7 @@ def actuation_column(arm, i, share, work, out):
     rod, strain, blocks = arm.rod, arm.strain, 2 * arm.rod.packs
     for block in range(blocks):
         weight = load(rod.weight, block * LANES) * load(share, (i * blocks + block) * LANES)
-        store6(work.mismatch, block * 6 * LANES, twist_scaled(weight, actuation_wrench(arm.tendons, blocks, block, i, work.tangent)))
+        store6(work.mismatch, block * 6 * LANES, scale_twist(weight, actuation_wrench(arm.tendons, blocks, block, i, work.tangent)))
     project(work.Phi, work.mismatch, point_rows(rod), strain.pack_begin, strain.pack_end, out)
 
 

@@ -10,7 +10,7 @@ import math
 
 from soft_tendon_env.compiler.compilation import kernel, phase
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, spread
-from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, times, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, scale_twist, times, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
 from soft_tendon_env.mechanics.terms.kinematics import twist_at
@@ -154,5 +154,5 @@ def add_lost_stress(arm, work):
         for i in range(tendons.size):
             if tendons.pack_begin[i] <= block // 2 < tendons.pack_end[i]:
                 lost = work.tension[i] * (spread(1.0) - load(work.share, (i * blocks + block) * LANES))
-                total = twist_sum(total, twist_scaled(lost, actuation_wrench(tendons, blocks, block, i, work.tangent)))
+                total = twist_sum(total, scale_twist(lost, actuation_wrench(tendons, blocks, block, i, work.tangent)))
         store6(work.stress, at, total)
