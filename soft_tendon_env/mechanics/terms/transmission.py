@@ -136,11 +136,10 @@ def find_share(arm, i, friction, z, work):
                 angle, inside = angle + across + CUT_ACROSS * cut, inside + CUT_INSIDE * cut
             else:
                 angle += BEFORE / (1.0 - 2.0 * BEFORE) * inside
-            for at in (first * LANES + m, (first + 1) * LANES + m):
-                work.share[at] = math.exp(-z * friction * angle)
-                work.slip[at] = friction * angle * work.share[at]
-                angle += inside
-            angle -= inside
+            for at, phi in ((first * LANES + m, angle), ((first + 1) * LANES + m, angle + inside)):
+                work.share[at] = math.exp(-z * (friction * phi))
+                work.slip[at] = friction * phi * work.share[at]
+            angle += inside
             before, width_before = other, width
     return angle
 
