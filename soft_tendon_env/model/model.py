@@ -74,7 +74,7 @@ class Model:
         (own, ours), (their, theirs) = (([*model.acting], model.arm.effects) for model in (self, other))
         if their[: len(own)] != own:
             return f"which effects act, from {', '.join(own) or 'none'} to {', '.join(their) or 'none'}"
-        sizes = [[np.shape(field) for part in table.structs[: len(own)] for field in part.fields().values()] for table in (ours, theirs)]
+        sizes = [[np.shape(field) for struct in table.structs[: len(own)] for field in struct] for table in (ours, theirs)]
         is_alike = sizes[0] == sizes[1] and np.array_equal(ours.first_state, theirs.first_state[: len(own) + 1])
         return "" if is_alike and theirs.state.size <= ours.state.size else "the number of internal states, or of places, of an effect"
 

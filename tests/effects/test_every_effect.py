@@ -180,7 +180,7 @@ def test_what_no_kernel_reads_of_a_transmission_is_refused(monkeypatch, numbers,
             return numbers
 
     with pytest.raises(TypeError, match=f"Gear.transmission gives {message}"):
-        build_model(load_scene("three_tendon").replace({"effects.gear": {}}), "fast")
+        build_model(load_scene("three_tendon").replace({"effects.gear": {}}))
 
 
 def test_an_effect_says_itself_how_strong_it_is(monkeypatch):

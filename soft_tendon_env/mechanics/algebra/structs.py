@@ -6,6 +6,7 @@ code reads its fields by name, `work.xi`. Without the compiler it is a plain obj
 
 import functools
 import hashlib
+from collections.abc import Iterator
 from typing import Any, Self
 from weakref import WeakValueDictionary
 
@@ -97,6 +98,9 @@ class Struct:
     def fields(self) -> dict[str, Any]:
         """The fields by name."""
         return {name: self.__dict__[name] for name in self.names()}
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self.fields().values())
 
     def replaced(self, **changes: Any) -> Self:
         """A struct with some fields changed, and the others shared."""
