@@ -56,10 +56,11 @@ def run(settings: Arena) -> None:
     found, picture = standings_by_regime(settings, experiment), out / "arena.png"
     if settings.write_docs is not None:
         picture = Path(settings.write_docs).with_suffix(".png")
-    text = benchmark_tables(settings, found)
     legend = "\n".join(f"- `{name}`: {SETTINGS[name].description}." for name in settings.settings)
-    print(f"\n{legend}\n\n{text}\n")
-    write_csv(out / "arena.csv", [{"regime": regime, **row} for regime, of in found.items() for row in records(of)])
+    text = f"{benchmark_tables(settings, found)}\n\n{legend}"
+    print(f"\n{text}\n")
+    for path in {out / "arena.csv", picture.with_suffix(".csv")}:
+        write_csv(path, [{"regime": regime, **row} for regime, of in found.items() for row in records(of)])
     draw_errors({f"information: {regime}": of for regime, of in found.items()}, picture)
-    parts = [f"{what.capitalize()}.", *(f"Note: {note}." for note in notes), text]
-    page.write(marker, "\n\n".join([*parts, f"![Errors of all policies by setting and regime]({picture.name})"]))
+    parts = [f"{what.capitalize()}.", *(f"Note: {note}." for note in notes)]
+    page.write(marker, "\n\n".join([*parts, f"![Errors of all policies by setting and regime]({picture.name})", text]))

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.evaluation import comparison, tables
-from soft_tendon_env.evaluation.entrants import agents_of, every_file
+from soft_tendon_env.evaluation.entrants import agents_of
 from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.evaluation.provenance import machine, origin, write_json
 from soft_tendon_env.evaluation.settings import Comparison, Settings
@@ -50,11 +50,10 @@ def play(settings: Settings, tasks: Sequence[str], policies: tuple[str, ...], ou
     with mistakes():
         require("pictures")
         files = {task: agents_of(task, policies) for task in tasks}
-        arms = {task: comparison.shared_arms(settings, task, every_file(of_task)) for task, of_task in files.items()}
+        arms = {task: comparison.shared_arms(settings, task, of_task) for task, of_task in files.items()}
         experiments = {task: comparison.compare(settings, task, of_task, folder / "cells") for task, of_task in arms.items()}
         check_cluster(settings.cluster)
         writable_folder(folder)
-        comparison.print_caveats(settings, arms)
     from soft_tendon_env.evaluation.pictures import draw_errors
 
     what, texts = f"{len(settings.seeds)} episodes of {settings.seconds:g} s", dict[str, str]()
@@ -62,9 +61,10 @@ def play(settings: Settings, tasks: Sequence[str], policies: tuple[str, ...], ou
     for task, experiment in experiments.items():
         experiment.play(f"{task}: policies x model errors", settings.workers, settings.cluster)
         found, summaries = comparison.standings_of(experiment, files[task])
-        shown = comparison.comparison_tables(task, files[task], found, summaries)
-        print(f"\n## {task}\n\n{shown}\n")
-        texts[task] = f"{what.capitalize()}.\n\n{shown}"
+        errors = tables.error_table(found)
+        texts[task] = f"{what.capitalize()}.\n\n{errors}"
+        several = f"{errors}\n\n{tables.ERRORS_LEGEND}\n\n" if len(files[task]) > 1 else ""
+        print(f"\n## {task}\n\n{several}{comparison.numbers_table(task, files[task], summaries)}\n")
         write_json(folder / f"{task}.json", {**origin(), **comparison.results_record(settings, task, arms[task], found, summaries)})
         tables.write_csv(folder / f"{task}.csv", tables.records(found))
         draw_errors({task: found}, folder / f"{task}.png")

@@ -11,8 +11,7 @@ from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import provenance, tables
 from soft_tendon_env.evaluation.settings import TaskName
-from soft_tendon_env.policies.agent import load_agent
-from soft_tendon_env.policies.agent_files import AgentName, find_agent, read_config
+from soft_tendon_env.policies.agent import AgentName, find_agent, load_agent, read_config
 from soft_tendon_env.policies.network import WEIGHTS
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.files import digest

@@ -6,9 +6,9 @@ from pydantic import Field
 
 from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import mistakes, require
-from soft_tendon_env.evaluation.comparison import alone, make_cell, opening_hint, print_caveats, record_side_by_side, shared_arms
-from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, NOMINAL
-from soft_tendon_env.evaluation.entrants import agents_of, every_file, model_in_the_loop
+from soft_tendon_env.evaluation.comparison import make_cell, opening_hint, record_side_by_side, shared_arms
+from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS
+from soft_tendon_env.evaluation.entrants import agents_of, model_in_the_loop
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Seeds, TaskName
 from soft_tendon_env.evaluation.summaries import summarise
@@ -33,9 +33,8 @@ def run(settings: Record) -> None:
     task, out = settings.task, Path(settings.out)
     with mistakes():
         require("recording")
-        arms = shared_arms(settings, task, every_file(agents_of(task, settings.policies)))
-        players = {name: alone(make_cell(settings, settings.seeds, task, name, own, NOMINAL)).open() for name, own in arms.items()}
-        print_caveats(settings, {task: arms})
+        arms = shared_arms(settings, task, agents_of(task, settings.policies))
+        players = {name: make_cell(settings, settings.seeds, task, name, own).open() for name, own in arms.items()}
         file = recording.RerunFile(out)
     print(f"{task}, episodes of {settings.seconds:g} s from seeds {', '.join(map(str, settings.seeds))}; {machine()}\n")
     with file:

@@ -7,7 +7,7 @@ from pydantic import Field
 from soft_tendon_env.cli.errors import mistakes
 from soft_tendon_env.evaluation.tables import markdown_table
 from soft_tendon_env.model.coordinates import make_strain
-from soft_tendon_env.model.grid import make_grid
+from soft_tendon_env.model.grid import at_points, make_grid
 from soft_tendon_env.scene.file import SHIPPED, load_scene, scene_names
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration
@@ -37,4 +37,5 @@ def run(settings: Scenes) -> None:
 
 def coordinate_count(scene: Scene) -> int:
     """How many coordinates the strain of a scene has."""
-    return make_strain(scene, make_grid(scene, INTERVALS)).size
+    grid = make_grid(scene, INTERVALS)
+    return make_strain(scene, grid, at_points(scene, grid)).size

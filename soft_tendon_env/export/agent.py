@@ -102,7 +102,7 @@ class _ControlPeriod(torch.nn.Module):
         if integral is not None:  # its linear maps: to the way that is integrated, and from the integral to what moves
             unit, size = integral.goal_unit, episodes.layout.space.shape[0]
             way = np.eye(3) / unit if episodes.task.goal else integral._way(np.eye(size))
-            moved = unit * np.eye(3) if episodes.task.goal else integral._moved(np.zeros(way.T.shape), np.eye(way.shape[1]))
+            moved = unit * np.eye(3) if episodes.task.goal else integral._move_target(np.zeros(way.T.shape), np.eye(way.shape[1]))
             self.way, self.shift = as_tensors(way, moved)
             states["integral"] = torch.zeros(len(moved))
         measured = dict(zip(MEASUREMENTS, as_tensors(*measurements(episodes).values()), strict=True))

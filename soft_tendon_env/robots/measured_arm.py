@@ -16,7 +16,7 @@ from soft_tendon_env.envs.observation import HISTORY
 from soft_tendon_env.envs.tasks import TIP
 from soft_tendon_env.mechanics.motion.scratch import Tape
 from soft_tendon_env.mechanics.motion.status import OK
-from soft_tendon_env.model.step_control import slowest_vibration
+from soft_tendon_env.model.step_control import RESOLVED, linear_rate
 from soft_tendon_env.policies.estimators import PARAMETERS
 from soft_tendon_env.policies.regimes import TARGET_GROUPS
 from soft_tendon_env.robots.clock import Pacer
@@ -44,7 +44,7 @@ class MeasuredArm(Arms):
     def __init__(self, episodes: Episodes, robot: SafeRobot, is_there: bool, rise: float, still: float, log: RobotLog | None) -> None:
         super().__init__(episodes.model, 1, episodes.period, np.empty(0), episodes.sensors)
         self.robot, self.pacer, self._log, self._rise, self._still = robot, Pacer(robot.clock, episodes.period), log, rise, still
-        self._window = max(WINDOW, np.pi / slowest_vibration(episodes.model))  # [s], half a swing, which stands still where it turns
+        self._window = max(WINDOW, np.pi / (RESOLVED * linear_rate(episodes.model)))  # [s], half a swing, which stands still where it turns
         self._is_there = self._has_zeros = is_there
         self._command, self._actuation = episodes.start_command, episodes.actuation
         self.zero: dict[str, Array] = {}

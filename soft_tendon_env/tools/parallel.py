@@ -1,14 +1,15 @@
-"""Independent runs side by side, by joblib: in processes of this machine, or on a Ray cluster.
+"""Independent runs side by side: in processes of this machine, by joblib, or as tasks of a Ray cluster.
 
 Cells of an experiment, trainings of a sweep, trials of a search and motions of a calibration all go through `run_all`.
 """
 
 import contextlib
+import itertools
 import os
 import runpy
 import socket
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -45,20 +46,19 @@ def run_all(
 
     Raises what `call` raises, and stops the other runs then, as on Ctrl-C; ValueError where a cluster cannot be reached.
     """
-    import joblib
     from tqdm import tqdm  # not for everyone who imports an environment
 
     results, workers, main = dict[int, Result](), max(min(workers, len(runs)), 1), sys.modules["__main__"]
     script = Path(str(main.__file__)).absolute() if getattr(main, "__spec__", None) is None and hasattr(main, "__file__") else None
     origin = os.getpid(), extensions(), script
-    jobs = [joblib.delayed(_run)(call, origin, place, run) for place, run in enumerate(runs)]
-    with tqdm(total=len(runs), desc=label, unit=unit, leave=False, disable=QUIET) as bar, _backend(workers, cluster, threads):
-        with contextlib.closing(joblib.Parallel(batch_size=1, return_as="generator_unordered")(jobs)) as found:
-            for place, result in found:
-                results[place] = result
-                if done is not None:
-                    done(place, result)
-                bar.update()
+    jobs = [(call, origin, place, run) for place, run in enumerate(runs)]
+    found = _on_this_machine(jobs, workers, threads) if cluster is None else _on_cluster(jobs, workers, cluster)
+    with tqdm(total=len(runs), desc=label, unit=unit, leave=False, disable=QUIET) as bar, contextlib.closing(found):
+        for place, result in found:
+            results[place] = result
+            if done is not None:
+                done(place, result)
+            bar.update()
     return [results[place] for place in range(len(runs))]
 
 
@@ -76,23 +76,30 @@ def _run(call: Callable[[Run], Result], origin: tuple[int, list[str], Path | Non
 _SCRIPTS = set[Path]()  # that were run in this process
 
 
-@contextlib.contextmanager
-def _backend(workers: int, cluster: str | None, threads: bool) -> Iterator[None]:
-    """joblib's backend while runs go on."""
+def _on_this_machine(jobs: Sequence[tuple[Any, ...]], workers: int, threads: bool) -> Generator[tuple[int, Any], None, None]:
+    """Results of `_run`, each with its place, as they come."""
     import joblib
 
     kind, options = ("threading", {}) if workers == 1 or threads else ("loky", {"inner_max_num_threads": 1})
-    with contextlib.ExitStack() as stack:
-        if cluster is not None:
-            stack.enter_context(ray_cluster(cluster, workers, "runs side by side"))
-            from ray.util.joblib import register_ray
-            from ray.util.joblib.ray_backend import RayBackend
+    with joblib.parallel_config(kind, n_jobs=workers, **options):
+        yield from joblib.Parallel(batch_size=1, return_as="generator_unordered")(joblib.delayed(_run)(*job) for job in jobs)
 
-            RayBackend.supports_return_generator = True  # Ray's results come one by one; joblib's own pool, its base, rules that out
-            register_ray()
-            kind, options = "ray", {}
-        stack.enter_context(joblib.parallel_config(kind, n_jobs=workers, **options))
-        yield
+
+def _on_cluster(jobs: Sequence[tuple[Any, ...]], workers: int, cluster: str) -> Generator[tuple[int, Any], None, None]:
+    """Results of `_run`, each with its place, as they come. The end of the connection to Ray stops those that still run."""
+    with ray_cluster(cluster, workers, "runs side by side"):
+        import ray
+
+        task, waiting = ray.remote(num_cpus=1)(_run), iter(jobs)
+        running = [task.remote(*job) for job in itertools.islice(waiting, workers)]
+        while running:
+            (ready,), running = ray.wait(running)
+            running += [task.remote(*job) for job in itertools.islice(waiting, 1)]
+            try:
+                found = ray.get(ready)
+            except ray.exceptions.RayTaskError as error:
+                raise error.cause from error
+            yield found
 
 
 @contextlib.contextmanager

@@ -11,17 +11,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from optuna.trial import Trial
 from pydantic import Field, model_validator
 
+from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation.conditions import SEEDS
-from soft_tendon_env.evaluation.play import validation_scores
-from soft_tendon_env.evaluation.settings import RegimeNames, TaskName
+from soft_tendon_env.evaluation.play import evaluate_rows
+from soft_tendon_env.evaluation.settings import RegimeNames, TaskName, episode_steps
 from soft_tendon_env.evaluation.summaries import tracking_cost
 from soft_tendon_env.learning.config import Training, find_config
 from soft_tendon_env.policies import load_policy
-from soft_tendon_env.policies.agent_files import EnvironmentOptions
+from soft_tendon_env.policies.agent import EnvironmentOptions
 from soft_tendon_env.policies.names import Controller, PolicyName
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.policies.regimes import REGIMES
@@ -81,7 +83,12 @@ class Search(Configuration, ABC):
 
     def played(self, make: Callable[[Any], Policy], task: str, options: Mapping[str, Any], seconds: float, skip: float) -> float:
         """Cost [m] of a policy over the tuning seeds, under one condition."""
-        return tracking_cost(validation_scores(make, task, options, SEEDS["tuning"][: self.episodes], seconds, skip))
+        steps = episode_steps(seconds, skip, options)
+        envs = gym.make_vec(IDS[task], num_envs=self.episodes, max_episode_steps=steps, **options)
+        try:
+            return tracking_cost(evaluate_rows(make(envs), envs, SEEDS["tuning"][: self.episodes], skip))
+        finally:
+            envs.close()
 
 
 class ControllerSearch(Search):
