@@ -1,9 +1,8 @@
 """Evaluations of the equation of motion as a time step of the presets has them."""
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated
+from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated, evaluate_force
 from soft_tendon_env.mechanics.motion.implicit_euler import later_matrices
-from soft_tendon_env.mechanics.motion.stages import evaluate_force
 from soft_tendon_env.model.step_control import LOOSEST_STRAIN
 
 METHOD = Extrapolated(6, 2, with_inertia=True, freeze_jacobian=True, strain_tolerance=LOOSEST_STRAIN)

@@ -25,8 +25,8 @@ from _results import APPENDIX, folders, markdown_table, parser_of, write_block, 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.test_inputs import HOLD, motion_tensions
 from soft_tendon_env.compiler.compilation import cache_folder, kernel
+from soft_tendon_env.mechanics.motion.extrapolation import STEP_TOLERANCE
 from soft_tendon_env.mechanics.motion.scratch import make_scratch
-from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.model.model import model_on
 

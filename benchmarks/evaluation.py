@@ -24,7 +24,7 @@ from _trajectory_input import DURATION, tension_table
 
 import soft_tendon_env as ste
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE, predict_strain
+from soft_tendon_env.mechanics.motion.extrapolation import STEP_TOLERANCE, predict_strain
 from soft_tendon_env.mechanics.terms.evaluate import evaluate, evaluate_forces
 from soft_tendon_env.mechanics.terms.parametrisation import strain_matrices
 from soft_tendon_env.mechanics.workspace import make_workspace

@@ -13,7 +13,7 @@ from mkdocs.structure.pages import Page
 from soft_tendon_env.accuracy.fidelity import PRESETS
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.effects.contact.obstacles import Box, Capsule, Cylinder, Obstacle, Plane, Sphere
-from soft_tendon_env.effects.disturbance import Load, Pulse, Sine
+from soft_tendon_env.effects.loads import Load, Pulse, Sine
 from soft_tendon_env.effects.material import Branch
 from soft_tendon_env.envs import IDS, TASKS, Options, ResetOptions
 from soft_tendon_env.envs.observation import GROUPS

@@ -44,8 +44,7 @@ FIND = f"{PACKAGE.name}.find_kernel"
 _WORD, _ADDRESS = ir.IntType(64), ir.IntType(8).as_pointer()
 
 _setting, _compiling, _thread = threading.Lock(), threading.RLock(), threading.local()
-_errors: list[BaseException] = []
-"""Why kernels could not be compiled when machine code called them, for the kernel that Python has called to raise."""
+_errors: list[BaseException] = []  # why kernels could not be compiled that machine code called, for the one that Python called to raise
 
 
 def kernel(function: Any = None, *, inline: bool = False, refcount: bool | None = None) -> Any:
@@ -61,9 +60,9 @@ def kernel(function: Any = None, *, inline: bool = False, refcount: bool | None 
         return functools.partial(kernel, inline=inline, refcount=refcount)
     if config.DISABLE_JIT:
         return function
-    own = is_of_package(function)
-    options = {**OPTIONS, "forceinline": inline, "_nrt": not own if refcount is None else refcount}
-    return Kernel(function, options).call if own else numba.njit(**options)(function)
+    is_ours = is_of_package(function)
+    options = {**OPTIONS, "forceinline": inline, "_nrt": not is_ours if refcount is None else refcount}
+    return Kernel(function, options).call if is_ours else numba.njit(**options)(function)
 
 
 def phase(function: Any) -> Any:
@@ -111,10 +110,8 @@ class Kernel:
         return self._jitted("from_kernels", no_cpython_wrapper=True)
 
     def _jitted(self, below: str | None, **options: bool) -> Any:
-        """numba's function, whose machine code numba keeps in a folder below the cache folder, if there is one.
-
-        Code for arguments of a user's own classes is not kept: in the next process these may have other kernels, or not be there.
-        """
+        """numba's function, whose machine code numba keeps in a folder below the cache folder, if there is one. That for arguments of
+        users' classes is not kept: in the next process these may have other kernels, or not be there."""
         folder = cache_folder() if self._keep and below else None
         with _setting, contextlib.ExitStack() as after:
             after.callback(setattr, config, "CACHE_DIR", config.CACHE_DIR)
@@ -142,22 +139,16 @@ class Kernel:
             self.from_kernels.compile(kinds)
         return self.from_kernels.overloads[kinds]
 
-    def _with_defaults(self, kinds: tuple[types.Type, ...]) -> tuple[types.Type, ...]:
-        left_out = [*inspect.signature(self._function).parameters.values()][len(kinds) :]
-        return *kinds, *(types.Omitted(parameter.default) for parameter in left_out)
-
     def _typer(self, context: Any) -> Callable[..., types.Type]:
-        def returned(*kinds: types.Type, **named: types.Type) -> types.Type:
-            given = inspect.signature(self._function).bind(*kinds, **named).args
-            return types.none if self._is_phase else self.compiled(self._with_defaults(given)).signature.return_type
+        def returned(*kinds: types.Type) -> types.Type:
+            return types.none if self._is_phase else self.compiled(kinds).signature.return_type
 
         returned.__signature__ = inspect.signature(self._function)  # type: ignore[attr-defined]
         return returned
 
     def _emit(self, context: Any, builder: ir.IRBuilder, signature: Any, given: Any) -> Any:
         """Code of a call from a kernel: of a copy that is inlined, or at the address, which is found at the first call."""
-        kinds = self._with_defaults(signature.args)
-        given = [*given, *[context.get_dummy_value()] * (len(kinds) - len(given))]
+        kinds = signature.args
         if self._options.get("forceinline"):
             compiled = self.compiled(kinds)
             context.add_linking_libs([compiled.library])

@@ -16,6 +16,7 @@ from soft_tendon_env.drawing.shapes import (
     base_poses,
     drawing_stations,
     mount_size,
+    obstacles_of,
     surface,
     tendon_curves,
     tension_colors,
@@ -88,8 +89,8 @@ class ArmRenderer:
         base = base_poses(self._model, np.array([scene.time]), scene.effects)
         backbone = backbones(self._model, scene.strain[None], self._arc_length, base)
         pieces = [*self._arm(backbone[0], base[0]), *self._tendons(backbone, scene.tension), *trail(scene.trail, self.turn)]
-        solids = (scene.effects or self._model.scene.effects).solids(scene.time)
-        pieces += [solid(surface(shape, self._box), OBSTACLE, self.turn) for shape in solids]
+        obstacles = obstacles_of(scene.effects or self._model.scene.effects)
+        pieces += [solid(surface(obstacle, scene.time, self._box), OBSTACLE, self.turn) for obstacle in obstacles]
         self._show(pieces, scene)
         self._canvas.restore_region(self._background)
         for artist in self.artists:

@@ -1,8 +1,11 @@
-"""Curves, bodies and solids of arms in space, where several arms stand, and the cameras that see them, for pictures and recordings."""
+"""Curves, bodies and obstacles of arms in space, where several arms stand, and the cameras that see them, for pictures and recordings."""
+
+import functools
 
 import numpy as np
 
-from soft_tendon_env.effects import Effects, Solid
+from soft_tendon_env.effects import Effects
+from soft_tendon_env.effects.contact.obstacles import Obstacle, read_distances
 from soft_tendon_env.mechanics.motion.batch import read_backbones
 from soft_tendon_env.mechanics.terms.external_forces import place_base
 from soft_tendon_env.mechanics.workspace import make_workspace
@@ -12,7 +15,7 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene, rod_length, rod_radius, tendon_ends, tendon_offset
 from soft_tendon_env.tools.types import Array
 
-AROUND, ALONG, FINENESS = 32, 8, 12  # quadrilaterals around a round solid, along a straight one, and along a side of a face
+FINENESS = 12  # quadrilaterals along a side of the boxes from which surfaces are made
 BEHIND = 0.1  # depth of the mount behind the rod's base, in lengths of the rod
 FROM, AZIMUTH = 15.0, -58.0  # direction from which an arm is seen [deg]: above the floor, and around the vertical
 PULLS = -1.0, 0.0, 0.12, 0.4, 1.0
@@ -70,44 +73,39 @@ def tendon_curves(model: Model, backbone: Array, arc_length: Array) -> list[Arra
     return curves
 
 
-def surface(solid: Solid, box: tuple[Array, Array]) -> Array:
-    """Quadrilaterals (n, 4, 3) [m] of a solid's surface, seen counterclockwise from outside; of a plane the part in a view's box."""
-    R, r = solid.pose[:3, :3], solid.pose[:3, 3]
-    if solid.kind == "plane":
-        lower, upper = box
-        middle, half = 0.5 * (lower + upper), 0.5 * float(np.max(upper - lower))
-        nearest = middle - R[:, 2] * float(R[:, 2] @ (middle - r))
-        return np.asarray(_face(half * np.eye(3)[0], half * np.eye(3)[1]) @ R.T + nearest)
-    if solid.kind == "box":
-        x, y, z = 0.5 * np.diag(solid.size)
-        faces = [face for a, b, c in ((x, y, z), (y, z, x), (z, x, y)) for face in (_face(a, b) + c, _face(b, a) - c)]
-        return np.asarray(np.concatenate(faces) @ R.T + r)
-    return np.asarray(_revolve(*_outline(solid)) @ R.T + r)
+def surface(obstacle: Obstacle, time: float, box: tuple[Array, Array]) -> Array:
+    """Quadrilaterals (n, 4, 3) [m] of an obstacle's surface at a time [s], seen counterclockwise from outside; of an endless one the part
+    in a view's box."""
+    pose = obstacle.pose(time)
+    R, r = pose[:3, :3], pose[:3, 3]
+    if not obstacle.is_endless:
+        return np.asarray(_surface_at_origin(obstacle.kind, obstacle.sizes()) @ R.T + r)
+    lower, upper = box
+    middle, half = 0.5 * (lower + upper), 0.5 * float(np.max(upper - lower))
+    return np.asarray(half * _square() @ R.T + middle - R[:, 2] * float(R[:, 2] @ (middle - r)))
 
 
-def _face(a: Array, b: Array) -> Array:
-    """The parallelogram from -a - b to a + b in small pieces, whose normal is a x b."""
-    steps = np.linspace(-1.0, 1.0, FINENESS + 1)
-    grid = steps[:, None, None] * a + steps[None, :, None] * b
+def obstacles_of(effects: Effects) -> tuple[Obstacle, ...]:
+    """Obstacles of a scene's effects."""
+    return () if effects.contact is None else tuple(effects.contact.obstacles)
+
+
+def _square() -> Array:
+    """The square from (-1, -1, 0) to (1, 1, 0) in small pieces, seen counterclockwise from above."""
+    side = np.linspace(-1.0, 1.0, FINENESS + 1)
+    grid = np.stack([*np.meshgrid(side, side, indexing="ij"), np.zeros((side.size, side.size))], axis=-1)
     return np.stack([grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]], axis=2).reshape(-1, 4, 3)
 
 
-def _outline(solid: Solid) -> tuple[Array, Array]:
-    """Radius and height (m,) [m] of a solid of revolution, from its lower end to its upper one."""
-    radius, half = solid.size[0], 0.5 * solid.size[1] if len(solid.size) > 1 else 0.0
-    angle, side = np.linspace(-0.5 * np.pi, 0.0, FINENESS), np.linspace(-half, half, ALONG + 1)[1:-1] if half else np.empty(0)
-    radii, below = radius * np.cos(angle), -half + radius * np.sin(angle)
-    if solid.kind == "cylinder":
-        radii, below = np.linspace(0.0, radius, 4), np.full(4, -half)
-    return np.concatenate([radii, np.full(side.size, radius), radii[::-1]]), np.concatenate([below, side, -below[::-1]])
-
-
-def _revolve(radius: Array, height: Array) -> Array:
-    """The surface of revolution around z."""
-    angle = np.linspace(0.0, 2.0 * np.pi, AROUND + 1)
-    x, y = np.cos(angle)[None, :] * radius[:, None], np.sin(angle)[None, :] * radius[:, None]
-    grid = np.stack([x, y, np.broadcast_to(height[:, None], x.shape)], axis=-1)
-    return np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=2).reshape(-1, 4, 3)
+@functools.cache
+def _surface_at_origin(kind: float, sizes: tuple[float, ...]) -> Array:
+    """The surface in the obstacle's frame: that of the box around it, every corner moved to the nearest point of the obstacle."""
+    faces = _square() + [0.0, 0.0, 1.0], _square()[:, ::-1] - [0.0, 0.0, 1.0]
+    box = np.concatenate([np.roll(face, k, axis=-1) for face in faces for k in range(3)]) * (np.array(sizes[:3]) + sizes[3])
+    row = np.concatenate([[kind], np.zeros(5), sizes, np.zeros(3), np.eye(3).ravel(), np.zeros(6)])
+    corners = np.empty((1, 4 * len(box), 3))
+    read_distances(row[None], box.reshape(-1, 3), 0.0, np.empty(corners.shape[:2]), corners)
+    return corners.reshape(box.shape)
 
 
 def view_box(scene: Scene) -> tuple[Array, Array, int, bool]:

@@ -38,10 +38,8 @@ class Actuators(Effect):
         if self.delay > (most := MOST_WAITING * rod.step):
             text = f"is {self.delay:g}: it should be at most {most:g} s, {MOST_WAITING} integrator steps of {rod.step:g} s"
             raise ConfigurationError([Problem(("effects", "actuators", "delay"), text)])
-        rate = math.inf if self.rate_limit is None else self.rate_limit
-        lags = int(self.time_constant > 0.0 or self.rate_limit is not None)
-        times = {"delay": self.delay, "time_constant": self.time_constant, "finest": FINEST * rod.step}
-        return {"lags": lags, "rate_limit": rate, **times}
+        lags, rate = int(self.time_constant > 0.0 or self.rate_limit is not None), self.rate_limit or math.inf
+        return {"delay": self.delay, "lags": lags, "time_constant": self.time_constant, "rate_limit": rate, "finest": FINEST * rod.step}
 
     def state(self, rod: Discretisation) -> Array:
         tendons = rod.tendon_length.size

@@ -61,14 +61,6 @@ class DeadLoads(NamedTuple):
     moment: tuple[float, ...] = (0.0, 0.0, 0.0)  # [N m] at the tip
 
 
-class Solid(NamedTuple):
-    """A simple solid, as pictures and recordings show it."""
-
-    kind: str  # plane, the half-space below it with its normal along z; sphere, capsule, cylinder, box
-    size: tuple[float, ...]  # [m]: none; radius; radius and length along z, that of a capsule without its caps; the same; edges x, y, z
-    pose: Array  # (4, 4) of its middle
-
-
 class Effect(Configuration):
     """Base of the effects' configurations: what a scene's table says, checked.
 
@@ -77,8 +69,10 @@ class Effect(Configuration):
         is_actuation: whether it lies between commands and tensions, as numbers of the `transmission`: what is told of the arm under given
             tensions is without it.
         command_unit: unit of the commands that it takes; "N": the tension that comes of them at rest.
+        strengths: keys, of numbers or vectors, whose size says how strong it is: passive fields made under it hold under weaker ones.
     """
 
+    strengths: ClassVar[tuple[str, ...]] = ()
     is_contact: ClassVar[bool] = False
     is_actuation: ClassVar[bool] = False
     command_unit: ClassVar[str] = "N"
@@ -110,8 +104,7 @@ class Effect(Configuration):
         return np.zeros(0)
 
     def potential_energy(self, arm: Configured) -> float:
-        """Potential energy [J]: that of an effect between commands and tensions is 0. Raises ValueError where it has none, as unless a
-        class says so."""
+        """Potential energy [J], 0 of an effect between commands and tensions. Raises ValueError where it has none, as by default."""
         if self.is_actuation and self.command_unit == "N":
             return 0.0
         raise ValueError(f"the effect {type(self).__name__} has no potential energy")
@@ -120,29 +113,34 @@ class Effect(Configuration):
         """Dead loads in place of the kernel, for a strain with `include_loads`: all that it would add, or None."""
         return None
 
-    def solids(self, time: float = 0.0) -> tuple[Solid, ...]:
-        """Solids that show the effect at a time [s], always as many, in the same order: none unless a class says so."""
-        return ()
 
-
-def _check_kernels(name: str, kind: type[Struct]) -> None:
-    """Raises TypeError where no kernel is registered for parameters of this class; warns of one that reads the time, but lets steps be as
-    long as they like."""
-    kernels = kernels_of(kind)
+def _parameters_of(name: str, effect: Effect, rod: Discretisation) -> Struct:
+    """The parameters of an effect that acts by kernels. Raises TypeError where no kernel is for them; warns of one that reads the time, but
+    limits no step."""
+    parameters = effect.parameters(rod)
+    kind, kernels = type(parameters).__name__, kernels_of(type(parameters))
     if not kernels:
-        raise TypeError(f"the effect {name!r} has no kernel for its parameters: decorate one with @adds_wrench({kind.__name__})")
-    read = {word for own in kernels.values() for word in getattr(own, "py_func", own).__code__.co_names}
-    if "limit" not in kernels and "time" in read and "time" not in kind.names():
+        raise TypeError(f"the effect {name!r} has no kernel for its parameters: decorate one with @adds_wrench({kind})")
+    read = {word for kernel in kernels.values() for word in getattr(kernel, "py_func", kernel).__code__.co_names}
+    if "limit" not in kernels and "time" in read and "time" not in type(parameters).names():
         text = "reads the time, but no kernel of it is decorated with @limits_step: steps may pass over its changes"
-        warnings.warn(f"the effect with parameters {kind.__name__} {text}", stacklevel=2)
+        warnings.warn(f"the effect with parameters {kind} {text}", stacklevel=2)
+    return parameters
+
+
+def _transmission_of(effect: Effect, rod: Discretisation) -> dict[str, Any]:
+    """Numbers of the transmission that an effect gives. Raises TypeError for other names or types than kernels read."""
+    known = {key: type(value) for key, value in DIRECT.fields().items() if key != "filter"}
+    for key, value in (numbers := effect.transmission(rod)).items():
+        if known.get(key) is not type(value):
+            allowed = ", ".join(f"{name} ({kind.__name__})" for name, kind in known.items())
+            raise TypeError(f"{type(effect).__name__}.transmission gives {key} = {shown(value)}: it may give {allowed}")
+    return numbers
 
 
 Class = TypeVar("Class", bound=type[Effect])
 
-EFFECTS: dict[str, type[Effect]] = {}
-"""Every registered effect's configuration class, by the name that scenes use."""
-STRENGTHS = {"gravity": ("acceleration",), "tip_load": ("force", "moment", "mass"), "fluid": ("density", "current")}
-"""Keys of effects, numbers or vectors, whose size says how strong they are."""
+EFFECTS: dict[str, type[Effect]] = {}  # every registered effect's configuration class, by the name that scenes use
 
 
 def register_effect(name: str) -> Callable[[Class], Class]:
@@ -193,13 +191,11 @@ class Effects(Configuration):
 
     def table(self, rod: Discretisation) -> EffectTable:
         """Table of the acting effects for the kernels, in the order of their names. Raises TypeError where one has no kernel."""
-        effects, parameters, numbers = self.acting(), list[Struct](), dict[str, Any]()
+        effects, numbers = self.acting(), dict[str, Any]()
+        parameters = [Struct() if effect.is_actuation else _parameters_of(name, effect, rod) for name, effect in effects.items()]
         states = [effect.state(rod) for effect in effects.values()]
-        for i, (name, effect) in enumerate(effects.items()):
-            parameters.append(Struct() if effect.is_actuation else effect.parameters(rod))
-            if not effect.is_actuation:
-                _check_kernels(name, type(parameters[i]))
-            numbers.update(effect.transmission(rod), **({"filter": i} if effect.is_actuation and states[i].size else {}))
+        for i, effect in enumerate(effects.values()):
+            numbers.update(_transmission_of(effect, rod), **({"filter": i} if effect.is_actuation and states[i].size else {}))
         return EffectTable(parameters, states, DIRECT.replaced(**numbers))
 
     def added_inertia(self, rod: Discretisation) -> Array:
@@ -212,13 +208,10 @@ class Effects(Configuration):
         return sum((effect.payload for effect in self.chosen().values()), np.zeros(6))
 
     def potential_energy(self, arm: Configured) -> float:
-        """Potential energy [J] of all effects, `arm.state` being their internal states one after the other. Raises ValueError where one
-        has none."""
-        energy, first = 0.0, 0
-        for effect in self.chosen().values():
-            last = first + effect.state(arm.rod).size
-            energy, first = energy + effect.potential_energy(arm._replace(state=arm.state[first:last])), last
-        return energy
+        """Potential energy [J] of all effects, `arm.state` being those of all in turn. Raises ValueError where one has none."""
+        effects = self.chosen().values()
+        states = np.split(arm.state, np.cumsum([effect.state(arm.rod).size for effect in effects]))
+        return sum(effect.potential_energy(arm._replace(state=state)) for effect, state in zip(effects, states, strict=False))
 
     @property
     def command_unit(self) -> str:
@@ -247,31 +240,29 @@ class Effects(Configuration):
 
     def dead_loads(self) -> DeadLoads:
         """The sum of what a strain with `include_loads` answers to."""
-        own = [loads for effect in self.chosen().values() if (loads := effect.dead_loads())]
-        return DeadLoads(*(tuple(np.sum(vectors, axis=0).tolist()) for vectors in zip(DeadLoads(), *own, strict=True)))
-
-    def solids(self, time: float = 0.0) -> tuple[Solid, ...]:
-        """Solids that show all effects at a time [s]."""
-        return tuple(solid for effect in self.chosen().values() for solid in effect.solids(time))
+        dead = [loads for effect in self.chosen().values() if (loads := effect.dead_loads())]
+        return DeadLoads(*(tuple(np.sum(vectors, axis=0).tolist()) for vectors in zip(DeadLoads(), *dead, strict=True)))
 
     def sample_smaller(self, random: np.random.Generator) -> "Effects":
-        """These effects with their STRENGTHS at a random size up to their own, and vectors in random directions."""
+        """These effects with their `strengths` at a random size up to their own, and vectors in random directions."""
         tables = self.model_dump()
-        for name in tables:
-            drawn = {key: (1.0 - random.random()) * np.array(tables[name][key]) for key in STRENGTHS.get(name, ())}
-            for key, own in drawn.items():
-                direction = random.normal(size=own.size) if own.ndim else np.ones(1)
-                tables[name][key] = (np.linalg.norm(own) / np.linalg.norm(direction) * direction) if own.ndim else own
+        for name, effect in self.chosen().items():
+            smaller = {key: (1.0 - random.random()) * np.array(tables[name][key]) for key in effect.strengths}
+            for key, value in smaller.items():
+                direction = random.normal(size=value.size) if value.ndim else np.ones(1)
+                tables[name][key] = (np.linalg.norm(value) / np.linalg.norm(direction) * direction) if value.ndim else value
         return Effects(**tables)
 
     def includes(self, other: "Effects") -> bool:
         """Whether `sample_smaller` reaches all of the other effects: what was made under these holds under those."""
-        own = self.model_dump()
-        for name, table in other.everywhere().model_dump().items():
-            mine, strong = own.get(name), STRENGTHS.get(name, ())
-            weaker = mine and any(np.linalg.norm(mine[key]) < np.linalg.norm(table[key]) for key in strong)
-            if mine is None or weaker or any(mine[key] != value for key, value in table.items() if key not in strong):
+        most = self.model_dump()
+        for name, effect in other.everywhere().chosen().items():
+            if name not in most:
                 return False
+            for key, value in effect.model_dump().items():
+                is_weaker = key in effect.strengths and np.linalg.norm(value) <= np.linalg.norm(most[name][key])
+                if not is_weaker and value != most[name][key]:
+                    return False
         return True
 
     def __getattr__(self, name: str) -> Any:

@@ -12,6 +12,8 @@ Left out: a payload's volume and drag, pressure drag on the tip's face, viscous 
 pressure (internal forces are effective tensions). The whole rod is under the surface, however it moves.
 """
 
+from typing import ClassVar
+
 import numpy as np
 from pydantic import Field
 
@@ -33,6 +35,8 @@ STILL = 1e-60  # [m^2/s^2], added to a squared speed that is divided by
 class Fluid(Effect):
     """`[effects.fluid]`: drag coefficients are those of a cylinder across a stream at Reynolds numbers of 1e3 to 1e5, and of friction."""
 
+    strengths: ClassVar[tuple[str, ...]] = ("density", "current")
+
     density: Positive = Field(description="density of the fluid [kg/m^3], 1000 for water")
     current: Triple = Field((0.0, 0.0, 0.0), description="its velocity (x, y, z) [m/s], world frame, everywhere and always the same")
     normal_drag: NotNegative = Field(1.1, description="drag coefficient C_n across the rod [-], 1 to 1.2")
@@ -43,9 +47,8 @@ class Fluid(Effect):
         pressure = 0.5 * self.density * rod.over_nodes(lambda arc_length: 2.0 * rod.radius(arc_length)[:, None])
         displaced = self.displaced_mass(rod)
         slices = displaced, self.added_mass * displaced, self.normal_drag * pressure, np.pi * self.tangential_drag * pressure
-        fluid, added, normal, tangential = (node_field(values) for values in slices)
         gravity = rod.effects.gravity.acceleration if rod.effects.gravity else (0.0, 0.0, 0.0)
-        return FluidParameters(fluid, added, normal, tangential, self.current, gravity)
+        return FluidParameters(*map(node_field, slices), self.current, gravity)
 
     def displaced_mass(self, rod: Discretisation) -> Array:
         """Mass (nodes, 1) [kg] of the fluid in whose place the slices are."""
@@ -95,11 +98,8 @@ def fluid_wrench(fluid, nodes):
 
 @kernel(inline=True)
 def stream_wrench(added, w, v, stream):
-    """Wrench of the added mass on a slice that moves with (w, v), less that which it would have in fluid at rest.
-
-    With A = added diag(0, 1, 1) and s = v - stream, from the kinetic energies 1/2 s A s and 1/2 v A v:
-    (v x A v - s x A s, w x A stream - A (w x stream)).
-    """
+    """Wrench of the added mass on a slice that moves with (w, v), less that in fluid at rest: with A = added diag(0, 1, 1) and
+    s = v - stream, from the kinetic energies 1/2 s A s and 1/2 v A v, (v x A v - s x A s, w x A stream - A (w x stream))."""
     s = minus(v, stream)
     moment = (0.0 * added, added * (s[0] * s[2] - v[0] * v[2]), added * (v[0] * v[1] - s[0] * s[1]))
     force = (added * (w[1] * stream[2] - w[2] * stream[1]), -added * (w[2] * stream[0]), added * (w[1] * stream[0]))

@@ -1,24 +1,38 @@
-"""Loads that the arm carries: gravity, a wrench at the tip, a payload."""
+"""Loads: gravity, a wrench at the tip and a payload; and in time disturbances, which are wrenches at points of the rod, and a moving base.
 
-from typing import Literal
+The place of a disturbance is a cubic through the nodes nearest to it, none beyond the end of a tendon. It is shared among them with its
+weights there, by virtual work: force and moment are exact, the error is of fourth order in the distance of the nodes.
+"""
+
+import math
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, DeadLoads, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
-from soft_tendon_env.mechanics.algebra.lie import plus, rotate_back, times
+from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, exp_se3, minus, plus, rotate_back, times, twist_sum
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.algebra.symmetric6 import load3, store3
-from soft_tendon_env.mechanics.effects import adds_wrench
+from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store3, store6
+from soft_tendon_env.mechanics.effects import Base, adds_wrench, allow_turning, limits_step, moves_base
 from soft_tendon_env.mechanics.terms.kinematics import load_pose, tip_pose_of
-from soft_tendon_env.tools.types import NotNegative, Triple
+from soft_tendon_env.mechanics.types import node_field
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
+from soft_tendon_env.tools.types import Direction, Frequency, NotNegative, Number, Positive, Triple, Turning
+
+EDGE = 1e-9  # [s], up to which times of pulses and of the integrator count as the same
+SAME = 1e-12  # of the rod's length, up to which two places are one
+PULSE, SINE = 1.0, 2.0
+ALWAYS = 0.0, 0.0, 0.0
 
 
 @register_effect("gravity")
 class Gravity(Effect):
     """`[effects.gravity]`: weight of the rod and its payload, in the world frame, in which the straight rod lies along x."""
+
+    strengths: ClassVar[tuple[str, ...]] = ("acceleration",)
 
     acceleration: Triple = Field(description="acceleration (x, y, z) [m/s^2]")
 
@@ -51,6 +65,8 @@ def gravity_wrench(gravity, nodes):
 class TipLoad(Effect):
     """`[effects.tip_load]`: a wrench at the tip, and a payload fixed to it."""
 
+    strengths: ClassVar[tuple[str, ...]] = ("force", "moment", "mass")
+
     force: Triple = Field((0.0, 0.0, 0.0), description="force (x, y, z) at the tip [N]")
     moment: Triple = Field((0.0, 0.0, 0.0), description="moment (x, y, z) at the tip [N m]")
     frame: Literal["world", "tip"] = Field("world", description="frame of their components: a dead load, or one that follows the tip")
@@ -74,8 +90,7 @@ class TipLoad(Effect):
         return -float(arm.pose[-1, :3, 3] @ np.array(self.force))
 
     def dead_loads(self) -> DeadLoads | None:
-        follows = self.frame == "tip" and (any(self.force) or any(self.moment))
-        return None if follows else DeadLoads(force=self.force, moment=self.moment)
+        return None if self.frame == "tip" and self.acts else DeadLoads(force=self.force, moment=self.moment)
 
 
 class TipLoadParameters(Struct):
@@ -98,3 +113,179 @@ def tip_load_wrench(tip_load, nodes):
     for i in range(3):
         nodes.wrench[at + i * LANES] += moment[i]
         nodes.wrench[at + (3 + i) * LANES] += force[i]
+
+
+class Pulse(Configuration):
+    """1 for a time, before and after it 0. Integrator steps end where it begins and ends."""
+
+    type: Literal["pulse"] = "pulse"
+    start: Positive = Field(description="begin [s], after 0")
+    duration: Positive = Field(description="duration [s]")
+
+    @property
+    def numbers(self) -> Triple:
+        return PULSE, self.start, self.start + self.duration
+
+
+class Sine(Configuration):
+    """sin(2 pi frequency t + phase). The arm rests under its value at time 0."""
+
+    type: Literal["sine"] = "sine"
+    frequency: Annotated[Frequency, Field(gt=0)] = Field(description="frequency [Hz]")
+    phase: Number = Field(0.0, description="phase [deg]")
+
+    @property
+    def numbers(self) -> Triple:
+        return SINE, 2.0 * math.pi * self.frequency, math.radians(self.phase)
+
+
+class Load(Configuration):
+    """One load at a point, in the world frame."""
+
+    at: NotNegative = Field(description="arc length of the point [m]")
+    force: Triple = Field((0.0, 0.0, 0.0), description="force [N]")
+    moment: Triple = Field((0.0, 0.0, 0.0), description="moment [N m]")
+    signal: Annotated[Pulse | Sine, Field(discriminator="type")] | None = Field(None, description="factor over time, by default 1")
+
+
+@register_effect("disturbance")
+class Disturbance(Effect):
+    """`[effects.disturbance]` with `[[effects.disturbance.loads]]`. Equilibria and resets are those under the loads at time 0."""
+
+    loads: tuple[Load, ...] = Field(min_length=1, description="the loads")
+
+    def parameters(self, rod: Discretisation) -> "DisturbanceParameters":
+        for i, push in enumerate(self.loads):
+            if push.at > rod.length * (1.0 + SAME):
+                problem = Problem(("effects", "disturbance", "loads", i, "at"), f"is {push.at:g} m: the rod has {rod.length:g} m")
+                raise ConfigurationError([problem])
+        rows = [[*(push.signal.numbers if push.signal else ALWAYS), *push.moment, *push.force] for push in self.loads]
+        return DisturbanceParameters(np.array(rows), np.array([node_field(weights(rod, push.at)[:, None]) for push in self.loads]))
+
+
+def weights(rod: Discretisation, at: float) -> Array:
+    """Weights (nodes,) with which values at the nodes, 0 at the base, add up to that at an arc length [m]: exact for functions that are
+    cubic between the borders, where there are four nodes."""
+    places, found, same = np.append(0.0, rod.node), np.zeros(rod.node.size + 1), SAME * rod.length
+    border = min(int(np.searchsorted(rod.borders, at + same, side="right")), rod.borders.size - 1)
+    inside = np.flatnonzero((places > rod.borders[border - 1] - same) & (places < rod.borders[border] + same))
+    piece = inside[np.append(True, np.diff(places[inside]) > same)]  # without the empty intervals at the tip
+    nearest = piece[np.argsort(np.abs(places[piece] - at), kind="stable")[:4]]
+    away = (places[nearest] - min(at, places[piece[-1]])) / (places[piece[1]] - places[piece[0]])
+    powers = np.arange(nearest.size)
+    found[nearest] = np.linalg.solve(away ** powers[:, None], powers == 0)
+    return found[1:]
+
+
+class DisturbanceParameters(Struct):
+    """The loads, and their weights at the nodes."""
+
+    loads: Array  # loads x 9: signal (3), moment, force
+    weight: Array  # loads x nodes
+
+
+@kernel
+def signal_at(row, time):
+    """The signal of a load, from the first three numbers of its row, at a time [s]."""
+    if row[0] == PULSE:
+        return 1.0 if row[1] <= time + EDGE and time + EDGE < row[2] else 0.0
+    return math.sin(row[1] * time + row[2]) if row[0] == SINE else 1.0
+
+
+@adds_wrench(DisturbanceParameters)
+@kernel
+def disturbance_wrench(disturbance, nodes):
+    """All loads at the nodes' time."""
+    for i in range(disturbance.loads.shape[0]):
+        row, weight = disturbance.loads[i], disturbance.weight[i]
+        factor = signal_at(row, nodes.time)
+        for pack in range(nodes.packs if factor != 0.0 else 0):
+            at, share = pack * 6 * LANES, factor * load(weight, pack * LANES)
+            R, _ = load_pose(nodes.pose, pack * 12 * LANES)
+            here = rotate_back(R, times(share, (row[3], row[4], row[5]))), rotate_back(R, times(share, (row[6], row[7], row[8])))
+            store6(nodes.wrench, at, twist_sum(load6(nodes.wrench, at), here))
+
+
+@limits_step(DisturbanceParameters)
+@kernel
+def limit_disturbance_step(disturbance, nodes, longest):
+    """Steps follow the signals: up to a fraction of the period of a sine, and to the next end of a pulse."""
+    for i in range(disturbance.loads.shape[0]):
+        row = disturbance.loads[i]
+        if row[0] == SINE:
+            allow_turning(row[1], longest)
+        for edge in (row[1], row[2]):
+            if row[0] == PULSE and edge > nodes.time + EDGE:
+                longest[0] = min(longest[0], edge - nodes.time)
+
+
+@register_effect("moving_base")
+class MovingBase(Effect):
+    """`[effects.moving_base]`: the base's frame moves along with the world's axes and turns about a fixed axis through its origin.
+
+    r(t) = `velocity` t + `acceleration` t^2 / 2 + `amplitude` sin(2 pi f t), theta(t) = `angular_velocity` t + `angular_amplitude`
+    sin(2 pi f t), with t the time of the simulation or of the episode. Base twist and acceleration enter the recursions (17)-(18) where
+    they begin, from which inertia forces follow. Statics are those of the base at rest in its pose at t = 0.
+    """
+
+    velocity: Triple = Field((0.0, 0.0, 0.0), description="velocity (x, y, z) at time 0 [m/s], world frame")
+    acceleration: Triple = Field((0.0, 0.0, 0.0), description="constant acceleration (x, y, z) [m/s^2]")
+    amplitude: Triple = Field((0.0, 0.0, 0.0), description="amplitude (x, y, z) of the swing [m]")
+    axis: Direction = Field((0.0, 0.0, 1.0), description="axis about which it turns [-], of any length but zero")
+    angular_velocity: Turning = Field(0.0, description="constant angular velocity [rad/s]")
+    angular_amplitude: Number = Field(0.0, description="amplitude of the turning swing [rad]")
+    frequency: Frequency = Field(0.0, description="frequency f of both swings [Hz]")
+
+    @model_validator(mode="after")
+    def _swings(self) -> Self:
+        if not self.frequency and (any(self.amplitude) or self.angular_amplitude):
+            raise ValueError("frequency should be above 0 Hz where there is an amplitude")
+        return self
+
+    def parameters(self, rod: Discretisation) -> "MovingBaseParameters":
+        x, y, z = (part / math.hypot(*self.axis) for part in self.axis)
+        turning = (x, y, z), self.angular_velocity, self.angular_amplitude, 2.0 * math.pi * self.frequency
+        return MovingBaseParameters(self.velocity, self.acceleration, self.amplitude, *turning)
+
+
+class MovingBaseParameters(Struct):
+    """The motion, with a unit axis and the angular frequency [rad/s]."""
+
+    velocity: Triple
+    acceleration: Triple
+    amplitude: Triple
+    axis: Triple
+    angular_velocity: float
+    angular_amplitude: float
+    omega: float
+
+
+@moves_base(MovingBaseParameters)
+@kernel
+def move(motion, base: Base):
+    """Pose (R, r), spatial twist (w, r_dot - w x r) and its rate (w_dot, r_ddot - w_dot x r - w x r_dot)."""
+    t, phase = base.time, motion.omega * base.time
+    sine, cosine = math.sin(phase), math.cos(phase)
+    angle = motion.angular_velocity * t + motion.angular_amplitude * sine
+    rate = motion.angular_velocity + motion.angular_amplitude * motion.omega * cosine
+    rate_dot = -motion.angular_amplitude * motion.omega * motion.omega * sine
+    r = plus(plus(times(t, motion.velocity), times(0.5 * t * t, motion.acceleration)), times(sine, motion.amplitude))
+    r_dot = plus(plus(motion.velocity, times(t, motion.acceleration)), times(motion.omega * cosine, motion.amplitude))
+    r_ddot = minus(motion.acceleration, times(motion.omega * motion.omega * sine, motion.amplitude))
+    w, w_dot = times(rate, motion.axis), times(rate_dot, motion.axis)
+    v, v_dot = minus(r_dot, cross(w, r)), minus(minus(r_ddot, cross(w_dot, r)), cross(w, r_dot))
+    R, _ = exp_se3((times(angle, motion.axis), (0.0, 0.0, 0.0)), coefficients(angle * angle))
+    for i in range(9):
+        base.pose[i] = R[i]
+    for i in range(3):
+        base.pose[9 + i] = r[i]
+        base.twist[i], base.twist[3 + i] = w[i], v[i]
+        base.acceleration[i], base.acceleration[3 + i] = w_dot[i], v_dot[i]
+
+
+@limits_step(MovingBaseParameters)
+@kernel
+def limit_base_step(motion, nodes, longest):
+    """Steps are short beside a period of the swing, and beside a turn."""
+    allow_turning(motion.omega, longest)
+    allow_turning(motion.angular_velocity, longest)

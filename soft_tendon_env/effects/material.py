@@ -124,16 +124,16 @@ def remembered_stress(memory, points):
     for k in range(memory.time.size):
         kept, changed, rated = lag_weights(h / memory.time[k])
         for at in range(0, per_branch, LANES):
-            root, own = load(points.root_stiffness, at), k * per_branch + at
+            root, place = load(points.root_stiffness, at), k * per_branch + at
             stiffness = root * root
             strain = load(points.strain, at) - load(points.reference, at)
-            lag = strain - load(points.state, own)
+            lag = strain - load(points.state, place)
             if h > 0.0:
                 change = load(points.strain, at) - load(points.before, at)
                 lag = kept * (lag - change) + changed * change
                 if h < math.inf:
                     lag = lag + (rated * h) * load(points.rate, at)
-                store(points.state, own, strain - lag)
+                store(points.state, place, strain - lag)
             store(points.stress, at, load(points.stress, at) + memory.modulus[k] * stiffness * lag)
             store(points.stiffness, at, load(points.stiffness, at) + memory.spring[k] * stiffness)
             store(points.damping, at, load(points.damping, at) + memory.damper[k] * stiffness)

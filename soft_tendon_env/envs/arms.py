@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from soft_tendon_env.mechanics.motion import batch
 from soft_tendon_env.mechanics.motion.adjoint import AdjointMemory, Cotangents, adjoint_rows, make_adjoint_memory, make_cotangents
 from soft_tendon_env.mechanics.motion.advance import Scheme
-from soft_tendon_env.mechanics.motion.scratch import Motion, Scratch, make_scratch
+from soft_tendon_env.mechanics.motion.scratch import Motion, Scratch, Tape, make_scratch, make_tape
 from soft_tendon_env.mechanics.motion.status import MESSAGES, OK
-from soft_tendon_env.mechanics.motion.tape import Tape, make_tape
 from soft_tendon_env.mechanics.types import Implicit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.step_control import linear_rate, step_control, step_method

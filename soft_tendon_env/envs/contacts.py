@@ -15,9 +15,9 @@ def deepest(model: Model, positions: Array, radius: Array, standing: bool = Fals
     """Depth [m] of the ball, of radius (m,) [m] about positions (m, 3) [m], that is deepest in an obstacle at time 0, its number, and the
     obstacle as messages name it. standing: of those that stand still alone."""
     contact, found = model.scene.effects.contact, [(-np.inf, 0, "")]
-    for (name, moves), gap in zip(contact.bodies(), contact.distances(positions) - radius, strict=True):
-        if not (standing and moves):
-            found.append((float(-gap.min()), int(gap.argmin()), f"effects.contact.{name}"))
+    for (i, obstacle), gap in zip(enumerate(contact.obstacles), contact.distances(positions) - radius, strict=True):
+        if not (standing and obstacle.moves):
+            found.append((float(-gap.min()), int(gap.argmin()), f"effects.contact.obstacles[{i}], a {obstacle.type}"))
     return max(found)
 
 

@@ -34,9 +34,8 @@ from soft_tendon_env.envs.tracking import Reward, Tracking, Weight, goal_distanc
 from soft_tendon_env.envs.trajectories import TargetDraws, TargetTrajectories
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
-from soft_tendon_env.mechanics.motion.scratch import Motion
+from soft_tendon_env.mechanics.motion.scratch import Motion, Tape
 from soft_tendon_env.mechanics.motion.status import OK
-from soft_tendon_env.mechanics.motion.tape import Tape
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.state import State, checked_motion, state_of
 from soft_tendon_env.model.step_control import cause_of, step_control

@@ -9,7 +9,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from soft_tendon_env.control.protocol import SensorNoise
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.mechanics.motion.batch import Reading
-from soft_tendon_env.mechanics.motion.pose_errors import perturb_poses
+from soft_tendon_env.mechanics.motion.pose_errors import move_poses
 from soft_tendon_env.scene.parameters import TABLES, Range, dotted_ranges, ranges_of
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, plain, shown
@@ -129,7 +129,9 @@ class Sensors:
             self._noise[row] = self._generator[row].standard_normal(self._noise.shape[1:]) * self._deviation
         noise = self._noise[np.arange(len(step_count)), step_count % CHUNK]
         position, rotation, length, strain, rate = (noise[:, part] for part in self._parts)
-        pose = np.empty_like(reading.tip_pose)
-        perturb_poses(reading.tip_pose, rotation.copy(), position.copy(), pose)
+        pose, turn = np.empty_like(reading.tip_pose), np.zeros((len(rotation), 1, 6))
+        turn[:, 0, :3] = rotation
+        move_poses(reading.tip_pose, turn, pose[:, None])
+        pose[:, :3, 3] += position
         strain, rate = strain.reshape(reading.strain.shape), rate.reshape(reading.strain_rate.shape)
         return Measured(pose, reading.tendon_length + length, reading.strain + strain, reading.strain_rate + rate)

@@ -21,8 +21,7 @@ from numba.extending import intrinsic, overload
 from soft_tendon_env.compiler.compilation import address_of, emit_call_at, kernel
 from soft_tendon_env.mechanics.algebra.structs import Struct, StructType, struct_at
 
-TURN = 2.0 * math.pi / 16.0
-"""Angle [rad] by which what is periodic may go on within one integrator step."""
+TURN = 2.0 * math.pi / 16.0  # [rad] by which what is periodic may go on within one integrator step
 
 
 class BeforeStep(Struct):
@@ -129,8 +128,7 @@ HOOKS: dict[str, tuple[Any, ...]] = {
 _KERNELS: dict[tuple[str, type], Any] = {}
 _IMPLICIT: dict[type, int] = {}
 _PARAMETERS = StructType(Struct, ())  # numba's type of parameters, of which a call passes the address alone
-_FUNCTIONS: list[Callable[..., None]] = []
-"""Kernels by their addresses less 1, where nothing is compiled."""
+_FUNCTIONS: list[Callable[..., None]] = []  # kernels by their addresses less 1, where nothing is compiled
 
 Decorator = Callable[[Any], Any]
 
@@ -158,9 +156,9 @@ class EffectTable(Struct):
         self.__dict__["_structs"] = tuple(structs)  # which their addresses do not keep
         super().__init__(
             count=len(structs),
-            **{hook: _words(_address_of_kernel(hook, own) for own in structs) for hook in HOOKS},
-            implicit=_words(_IMPLICIT.get(type(own), EXPLICIT) for own in structs),
-            parameters=_words(own.address for own in structs),
+            **{hook: _words(_address_of_kernel(hook, struct) for struct in structs) for hook in HOOKS},
+            implicit=_words(_IMPLICIT.get(type(struct), EXPLICIT) for struct in structs),
+            parameters=_words(struct.address for struct in structs),
             transmission=transmission,
             first_state=np.cumsum([0, *(part.size for part in states)]),
             state=np.concatenate([np.zeros(0), *states]),
@@ -225,9 +223,9 @@ def adds_wrench(kind: type, implicit: Sequence[str] = ()) -> Decorator:
 
     def register_once(function: Any) -> Any:
         steps = pairwise(dis.get_instructions(code := getattr(function, "py_func", function).__code__))
-        own = {now.argval for before, now in steps if before.argrepr.split(", ")[-1] == code.co_varnames[1]} & {"stiffness", "damping"}
-        if own and implicit:
-            text = f"adds to nodes.{min(own)} what implicit={implicit!r} finds by differences: leave out one of the two"
+        stiff = {now.argval for before, now in steps if before.argrepr.split(", ")[-1] == code.co_varnames[1]} & {"stiffness", "damping"}
+        if stiff and implicit:
+            text = f"adds to nodes.{min(stiff)} what implicit={implicit!r} finds by differences: leave out one of the two"
             raise ValueError(f"the kernel {code.co_name} for {kind.__name__} {text}, or it counts twice")
         _IMPLICIT[kind] = sum(bits[name] for name in {*implicit})
         return register(function)
@@ -259,10 +257,10 @@ def kernels_of(kind: type) -> dict[str, Any]:
     return {hook: function for hook in HOOKS if (function := _KERNELS.get((hook, kind))) is not None}
 
 
-def _address_of_kernel(hook: str, own: Struct) -> int:
+def _address_of_kernel(hook: str, parameters: Struct) -> int:
     """The address of the kernel for these parameters, 0 where there is none; compiles it when needed."""
-    function = _KERNELS.get((hook, type(own)))
-    kind: Any = type(own) if config.DISABLE_JIT else numba.typeof(own)
+    function = _KERNELS.get((hook, type(parameters)))
+    kind: Any = type(parameters) if config.DISABLE_JIT else numba.typeof(parameters)
     return 0 if function is None else _address(hook, function, kind)
 
 
@@ -288,8 +286,8 @@ def call(address, parameters, arguments):
 def _call(typingctx, address, parameters, arguments):
     def emit(context, builder, signature, given):
         kinds = (_PARAMETERS, *signature.args[2].types)
-        own = builder.inttoptr(given[1], context.get_value_type(_PARAMETERS))
-        return emit_call_at(context, builder, given[0], types.none, kinds, [own, *cgutils.unpack_tuple(builder, given[2])])
+        pointer = builder.inttoptr(given[1], context.get_value_type(_PARAMETERS))
+        return emit_call_at(context, builder, given[0], types.none, kinds, [pointer, *cgutils.unpack_tuple(builder, given[2])])
 
     return types.none(address, parameters, arguments), emit
 

@@ -14,7 +14,7 @@ G = sum Phi^T Y, M D G the mass, damping and stiffness matrices.
 
 import numpy as np
 
-from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned
+from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned_copy
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import EffectTable
 
@@ -43,14 +43,17 @@ class Tendons(Struct):
 
     size: int
     geometry: FloatVector  # tendon x points x 5: y, z [m], y', z', presence (1 on [start, end], else 0)
-    first: IntVector  # (n_a) first pack that holds a part of the tendon
-    last: IntVector  # (n_a) one past the last such pack
+    pack_begin: IntVector  # (n_a) first pack that holds a part of the tendon
+    pack_end: IntVector  # (n_a) one past the last such pack
 
 
 class Strain(Struct):
     """Base of the strain parametrisations: what their n coordinates q mean."""
 
     size: int  # n
+    pack_begin: IntVector  # (n) first pack in which the coordinate strains the rod
+    pack_end: IntVector  # (n) one past the last
+    jacobian_end: IntVector  # (n) the number of packs: a strain anywhere moves all nodes up to the tip
     is_tensions = False  # whether q_i is the tension of tendon i, and nothing else is a coordinate
     has_potential = True  # whether all that acts inside of the strain has a potential, so that G is symmetric
 
@@ -58,8 +61,7 @@ class Strain(Struct):
 class Implicit(Strain):
     """Base of the strains that static equilibrium defines implicitly: coordinates are tensions and passive wrenches.
 
-    Tensions u, with the loads inside, are in balance at q = [u; 0] (34): K less the force of the loads inside is G q, and G is the
-    stiffness at rest.
+    Tensions u are in balance, with the loads inside, at q = [u; 0] (34).
     """
 
     law: "StaticsBased"  # of tensions and passive wrenches
@@ -79,10 +81,6 @@ class Implicit(Strain):
 class StaticsBased(Implicit):
     """Statics-based strain (30). Tensions of the strain law: tau_i = sum weight[m] q[column[m]], m in row_start[i]..row_start[i+1]."""
 
-    size: int  # n, coordinates
-    first: IntVector  # (n) first pack in which the coordinate strains the rod
-    last: IntVector  # (n) one past the last
-    tip: IntVector  # (n) the number of packs: a strain anywhere moves all nodes up to the tip
     row_start: IntVector  # (n_a + 1)
     column: IntVector
     weight: FloatVector
@@ -105,10 +103,6 @@ class StaticsBased(Implicit):
 class Loaded(Implicit):
     """Statics-based strain with dead loads inside (35), which have every tension strain the whole rod."""
 
-    size: int  # n, coordinates
-    first: IntVector  # (n) 0: see StaticsBased
-    last: IntVector  # (n) the number of packs
-    tip: IntVector  # (n) the number of packs
     law: StaticsBased  # of the tensions and passive wrenches
     acceleration: tuple[float, float, float]  # of gravity [m/s^2], on all mass; as the next in the world frame
     force: tuple[float, float, float]  # at the tip [N]
@@ -123,10 +117,6 @@ class Loaded(Implicit):
 class Explicit(Strain):
     """Explicit strain parametrisation, xi = xi* + Phi q."""
 
-    size: int
-    first: IntVector
-    last: IntVector
-    tip: IntVector
     field: FloatVector  # coordinate x points x 6, Phi
     stiffness: np.ndarray  # (n, n) int Phi^T Sigma Phi
     damping: np.ndarray  # (n, n) int Phi^T Upsilon Phi
@@ -149,9 +139,9 @@ def point_field(values: np.ndarray) -> np.ndarray:
     """Packs values at the points (..., intervals, 2, components) into the kernels' flat layout."""
     *lead, intervals, two, components = values.shape
     packed = values.reshape(*lead, intervals // LANES, LANES, two, components)
-    return aligned(np.moveaxis(packed, -3, -1)).ravel()
+    return aligned_copy(np.moveaxis(packed, -3, -1)).ravel()
 
 
 def node_field(values: np.ndarray) -> np.ndarray:
     """Packs values at the nodes (intervals, components) into the kernels' flat layout."""
-    return aligned(values.reshape(-1, LANES, values.shape[-1]).swapaxes(-1, -2)).ravel()
+    return aligned_copy(values.reshape(-1, LANES, values.shape[-1]).swapaxes(-1, -2)).ravel()

@@ -50,12 +50,9 @@ class LoadMemory(Struct):
 
 
 class Workspace(Struct):
-    """Arrays that one evaluation fills. The kernels read what the same evaluation has written, and besides:
-
-    xi, the guess from which Newton starts; clock, state, before and since, when effects are evaluated and what was before; and what
-    nothing writes: ones, the base of an arm that stands still, Phi of explicit strains, which are their fields, and zeros, as of columns in
-    packs where their coordinate moves nothing.
-    """
+    """Arrays that one evaluation fills. Kernels read what the same evaluation has written, and besides xi, the guess of Newton's method,
+    clock, state, before and since; and what nothing writes: ones, the base of an arm that stands still, Phi of explicit strains, and
+    zeros."""
 
     tau: Annotated[np.ndarray, "n_a"]  # tensions of the strain law [N]; of explicit strains those that pull
     tau_dot: Annotated[np.ndarray, "n_a"]

@@ -40,14 +40,15 @@ def make_strain(scene: Scene, grid: Grid, here: AtPoints, law: StaticsBased | No
     """Arrays of the scene's strain parametrisation: an explicit basis, or a law, made anew if None, with its dead loads, if any."""
     if isinstance(scene.strain, ExplicitStrain):
         fields = mode_fields(scene.strain.modes, grid)
-        first, last = pack_ranges(fields.any(axis=(2, 3)) & grid.real)
+        begin, end = pack_ranges(fields.any(axis=(2, 3)) & grid.real)
         stiffness, damping = (_inner(fields, fields, density, grid) for density in (here.elasticity, here.damping))
-        tip = np.full(len(fields), grid.packs)
-        return Explicit(size=len(fields), first=first, last=last, tip=tip, field=point_field(fields), stiffness=stiffness, damping=damping)
+        reach = {"size": len(fields), "pack_begin": begin, "pack_end": end, "jacobian_end": np.full(len(fields), grid.packs)}
+        return Explicit(**reach, field=point_field(fields), stiffness=stiffness, damping=damping)
     law, dead = law or tension_law(scene, scene.strain, grid, here), scene.effects.dead_loads()
     if not (effects_inside(scene) and np.any(dead)):
         return law
-    return Loaded(size=law.size, first=np.zeros_like(law.first), last=law.tip, tip=law.tip, law=law, **dead._asdict())
+    begin, end = np.zeros_like(law.pack_begin), law.jacobian_end
+    return Loaded(size=law.size, pack_begin=begin, pack_end=end, jacobian_end=end, law=law, **dead._asdict())
 
 
 def mode_fields(modes: tuple[Modes, ...], grid: Grid) -> Array:
@@ -81,12 +82,12 @@ def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid, here: AtPo
     active = mixing.shape[1]
     rows, columns = np.nonzero(mixing)
     pulled = (mixing != 0).T.astype(int) @ actuation.any(axis=(2, 3)) > 0
-    first, last = pack_ranges(np.concatenate([pulled, passive.any(axis=(2, 3))]) & grid.real)
+    begin, end = pack_ranges(np.concatenate([pulled, passive.any(axis=(2, 3))]) & grid.real)
     return StaticsBased(
         size=active + len(passive),
-        first=first,
-        last=last,
-        tip=np.full(active + len(passive), grid.packs),
+        pack_begin=begin,
+        pack_end=end,
+        jacobian_end=np.full(active + len(passive), grid.packs),
         row_start=np.searchsorted(rows, np.arange(len(actuation) + 1)),
         column=np.ascontiguousarray(columns),  # the same type for all scenes and for copies, or the kernels compile again
         weight=mixing[rows, columns],
@@ -101,8 +102,8 @@ def with_every_tension(arm: Arm) -> Arm:
     strain, count = arm.strain, arm.tendons.size
     assert not isinstance(strain, Explicit)
     size = count + strain.law.size - strain.law.active
-    first, last, each = np.zeros(size, dtype=np.int64), np.full(size, arm.rod.packs), np.arange(count)
-    everywhere = {"size": size, "first": first, "last": last, "tip": last}
+    begin, end, each = np.zeros(size, dtype=np.int64), np.full(size, arm.rod.packs), np.arange(count)
+    everywhere = {"size": size, "pack_begin": begin, "pack_end": end, "jacobian_end": end}
     law = strain.law.replaced(**everywhere, row_start=np.arange(count + 1), column=each, weight=np.ones(count), mixed=0, active=count)
     return arm.replaced(strain=strain.replaced(**everywhere, law=law) if isinstance(strain, Loaded) else law)
 

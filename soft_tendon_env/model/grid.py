@@ -133,8 +133,8 @@ def at_points(scene: Scene, grid: Grid) -> AtPoints:
     rate, distance = np.cross(k[grid.real].reshape(-1, 3), t), np.diff(grid.points[grid.real].ravel())[:, None]
     turn = np.diff(t, axis=1) + 0.5 * distance * (rate[:, 1:] + rate[:, :-1])
     angle = (np.linalg.norm(turn, axis=-1) * there[:, 1:] * there[:, :-1]).sum(axis=1)
-    first, last = pack_ranges((geometry[..., 4] > 0.0).any(axis=2) & grid.real)
-    tendons = Tendons(size=len(geometry), geometry=point_field(geometry), first=first, last=last)
+    begin, end = pack_ranges((geometry[..., 4] > 0.0).any(axis=2) & grid.real)
+    tendons = Tendons(size=len(geometry), geometry=point_field(geometry), pack_begin=begin, pack_end=end)
     rod = Discretisation(
         length=float(grid.breakpoints[-1]),
         borders=grid.breakpoints,

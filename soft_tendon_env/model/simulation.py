@@ -13,8 +13,7 @@ from soft_tendon_env.mechanics.motion import advance, status
 from soft_tendon_env.mechanics.motion.advance import Control, Record, Scheme
 from soft_tendon_env.mechanics.motion.batch import make_batch, step_rows
 from soft_tendon_env.mechanics.motion.period_map import linearised_rollout, make_plan
-from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
-from soft_tendon_env.mechanics.motion.tape import make_tape
+from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch, make_tape
 from soft_tendon_env.mechanics.terms.external_forces import rest_states
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.state import SHORTEST, State, checked_motion, state_of

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from soft_tendon_env.mechanics.motion.extrapolation import STEP_TOLERANCE
 from soft_tendon_env.mechanics.motion.scratch import Motion
-from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.mechanics.algebra.bounded import solve_bounded
+from soft_tendon_env.mechanics.algebra.linear import solve_bounded
 from soft_tendon_env.mechanics.types import Explicit, Implicit
 from soft_tendon_env.model.coordinates import with_every_tension
 from soft_tendon_env.model.equilibrium_residual import At, Balance

@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike
 
 from soft_tendon_env.mechanics.motion import status
 from soft_tendon_env.mechanics.motion.advance import Control
-from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated
-from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
+from soft_tendon_env.mechanics.motion.extrapolation import STEP_TOLERANCE, Extrapolated
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import extrapolation_columns
 from soft_tendon_env.tools.checks import checked_array, dimensions

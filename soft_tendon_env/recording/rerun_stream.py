@@ -27,6 +27,7 @@ from soft_tendon_env.drawing.shapes import (
     drawing_stations,
     label_place,
     mount_size,
+    obstacles_of,
     side_by_side,
     surface,
     tendon_curves,
@@ -201,22 +202,21 @@ class RerunStream:
             self._send(f"{root}/target_backbone", times, _lines(rollout.target_backbone))
 
     def _send_solids(self, root: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
-        """The solids where others than before are to be seen, and how they move: their surfaces are where they are at time 0."""
+        """The obstacles where others than before are to be seen, and how they move: their surfaces are where they are at time 0."""
         effects = rollout.effects or rollout.model.scene.effects
-        start = effects.solids()
-        if not start:
+        obstacles, moments = obstacles_of(effects), _moments(known, rollout)
+        if not obstacles:
             return
         if known.effects != effects:
             known.effects = effects
             first = _times(known, 1, rollout.period)
-            for number, solid in enumerate(start):
-                corners = surface(solid, view_box(rollout.model.scene)[:2])
-                self._send(f"{root}/solids/{number}", first, _seen_through(corners) if solid.kind == "plane" else _mesh(corners))
-        moments = [effects.solids(time) for time in _moments(known, rollout)]
-        for number, solid in enumerate(start):
-            poses = np.array([moment[number].pose for moment in moments])
-            if (poses != solid.pose).any():
-                self._send(f"{root}/solids/{number}", times, _poses(poses @ np.linalg.inv(solid.pose)))
+            for number, obstacle in enumerate(obstacles):
+                corners = surface(obstacle, 0.0, view_box(rollout.model.scene)[:2])
+                self._send(f"{root}/solids/{number}", first, _seen_through(corners) if obstacle.is_endless else _mesh(corners))
+        for number, obstacle in enumerate(obstacles):
+            if obstacle.moves:
+                poses = np.array([obstacle.pose(time) for time in moments.tolist()])
+                self._send(f"{root}/solids/{number}", times, _poses(poses @ np.linalg.inv(obstacle.pose(0.0))))
 
     def _send_numbers(self, arm: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
         rows = {"tension": rollout.tension}

@@ -44,6 +44,15 @@ Turning = Annotated[float, Field(ge=-FASTEST, le=FASTEST)]
 Length = Annotated[float, Field(gt=0), _between(SHORTEST, LONGEST, " m")]
 Triple = tuple[Number, Number, Number]
 
+
+def _is_direction(vector: Triple) -> Triple:
+    if max(map(abs, vector)) < LEAST:
+        raise ValueError("should be a direction, not zero")
+    return vector
+
+
+Direction = Annotated[Triple, AfterValidator(_is_direction)]
+
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 COMMANDS = {"N": "tension", "m": "displacement"}
 """Quantities that are commanded, by their unit: tensions, or displacements by which actuators pull tendons in."""

@@ -6,7 +6,7 @@ from scipy.optimize import brentq
 
 from soft_tendon_env import build_model
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
-from soft_tendon_env.mechanics.terms.tendon_friction import find_share
+from soft_tendon_env.mechanics.terms.transmission import find_share
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, simulate
 from soft_tendon_env.model.statics import commanded_equilibrium, static_equilibrium

@@ -65,7 +65,7 @@ def test_an_obstacle_moves_as_it_is_told():
     swing = np.array([0.0, 0.05, 0.0]) * np.sin(2 * np.pi * 0.7 * time + np.radians(30.0))
     np.testing.assert_allclose(here.r, [0.1, 0.2, 0.3] + time * np.array([0.1, 0.2, -0.3]) + swing, atol=1e-14)
     np.testing.assert_allclose(here.velocity, np.subtract(after.r, before.r) / (2 * h), atol=1e-8)
-    np.testing.assert_allclose(Contact(obstacles=[obstacle]).solids(time)[0].pose[:3, 3], here.r, atol=1e-14)
+    np.testing.assert_allclose(Contact(obstacles=[obstacle]).obstacles[0].pose(time)[:3, 3], here.r, atol=1e-14)
 
 
 def test_an_arm_rests_on_the_floor(build):

@@ -1,15 +1,17 @@
 """What holds for every effect of the package: order in time, states that continue, rows like simulations, hard inputs, configuration."""
 
 import json
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
-from soft_tendon_env.effects import EFFECTS
+from soft_tendon_env.effects import EFFECTS, Effect, register_effect
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.state import State
+from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene, scene_to_dict
 from soft_tendon_env.tools.configuration import ConfigurationError
 
@@ -51,7 +53,7 @@ MISTAKES = [
     ("disturbance", {"loads": [{"force": [0, 0, 1]}]}, r"effects.disturbance.loads\[0\].at is missing"),
     ("disturbance", {"loads": [{"at": 0.4}]}, r"effects.disturbance.loads\[0\].at is 0.4 m: the rod has 0.3 m"),
     ("disturbance", {"loads": [{"at": 0.1, "signal": PULSE}]}, r"signal.start is 0.0: .*greater than 0"),
-    ("moving_base", {"axis": [0.0, 0.0, 0.0]}, "axis should not be zero"),
+    ("moving_base", {"axis": [0.0, 0.0, 0.0]}, "axis .* should be a direction"),
     ("moving_base", {"amplitude": [0.1, 0.0, 0.0]}, "frequency should be above 0 Hz"),
     ("tendon_elasticity", {"displacement_limits": [0.0, 0.1], "stiffness": [1e3, 1e3]}, r"effects\.tendon_elasticity"),
     ("tendon_elasticity", {"displacement_limits": [0.1, 0.0], "stiffness": 1e3}, r"effects\.tendon_elasticity"),
@@ -162,3 +164,34 @@ def test_all_together(build):
     model = build("three_tendon", changes)
     table = UNITS["tendon_elasticity"] * np.random.default_rng(2).uniform(0.0, 5.0, (100, 3))
     assert np.isfinite(simulate(model, table, 2.0, 0.02).q).all()
+
+
+@pytest.mark.parametrize(
+    ("numbers", "message"), [({"gain": 2.0}, r"gain = 2.0: it may give lags \(int\), "), ({"delay": 1}, r"delay = 1: .* delay \(float\)")]
+)
+def test_what_no_kernel_reads_of_a_transmission_is_refused(monkeypatch, numbers, message):
+    monkeypatch.setattr("soft_tendon_env.effects.base.EFFECTS", dict(EFFECTS))
+
+    @register_effect("gear")
+    class Gear(Effect):
+        is_actuation: ClassVar[bool] = True
+
+        def transmission(self, rod):
+            return numbers
+
+    with pytest.raises(TypeError, match=f"Gear.transmission gives {message}"):
+        build_model(load_scene("three_tendon").replace({"effects.gear": {}}))
+
+
+def test_an_effect_says_itself_how_strong_it_is(monkeypatch):
+    monkeypatch.setattr("soft_tendon_env.effects.base.EFFECTS", dict(EFFECTS))
+
+    @register_effect("wind")
+    class Wind(Effect):
+        strengths: ClassVar[tuple[str, ...]] = ("speed",)
+
+        speed: float
+
+    effects = load_scene("three_tendon").replace({"effects.wind.speed": 2.0}).effects
+    weaker = effects.sample_smaller(np.random.default_rng(0))
+    assert 0.0 < weaker.wind.speed < 2.0 and effects.includes(weaker) and not weaker.includes(effects)

@@ -10,7 +10,7 @@ import pytest
 
 import soft_tendon_env as ste
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
-from soft_tendon_env.mechanics.terms.tendon_friction import find_share
+from soft_tendon_env.mechanics.terms.transmission import find_share
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.scene.scene import tendon_offset
 from soft_tendon_env.tools.configuration import ConfigurationError

@@ -1,4 +1,4 @@
-"""Contact as kernels compute it: forces between samples of the arm and obstacles, and the continuous collision check.
+"""Contact of the arm with obstacles: its configuration, forces between samples of the arm and obstacles, and the collision check.
 
 By virtual work a force f on a sample is the force H00 f and the moment H10 h R_a e_x x f on the node before it, and likewise on the one
 behind. With d = radius - signed distance of a sample's middle, k = stiffness ds and a smoothing depth e, N = p(d) max(0, 1 + c d_dot),
@@ -11,33 +11,72 @@ Steps end where a contact begins; those that went through something, or too deep
 """
 
 import math
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.contact.obstacles import body_at, distance, place_in, triple
-from soft_tendon_env.effects.contact.samples import ends_of, motion_at, motion_of, pose_of, position_of, sample_at
+from soft_tendon_env.effects.base import Configured, Discretisation, Effect, register_effect
+from soft_tendon_env.effects.contact.obstacles import AnyObstacle, body_at, distance, place_in, read_distances, triple
+from soft_tendon_env.effects.contact.samples import ends_of, make_samples, motion_at, motion_of, nodes_with, pose_of, position_of, sample_at
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, rotate, rotate_back, times
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import adds_wrench, allow_turning, limits_step
-from soft_tendon_env.tools.types import Array, Triple
+from soft_tendon_env.mechanics.types import node_field
+from soft_tendon_env.tools.types import Array, NotNegative, Triple
 
-STICTION_SPEED = 1e-4
-"""Slip speed [m/s] below which friction falls, at which what it holds creeps."""
-FREE, WALL = 0.2, 0.45
-"""Depths in radii of the rod between which the wall stops what would go through: a wire between two samples a radius apart is half a radius
-deep in both."""
-WALL_DISSIPATION = 1.0
-"""The least c [s/m] of the wall: what begins within an obstacle leaves it at 1 m/s at most."""
-OVERRUN, THROUGH = 0.1, 0.15
-"""Shares of the radius: how much deeper a step in contact may lead, and what turns out to be so deep that it is tried again shorter."""
+STICTION_SPEED = 1e-4  # [m/s] of slip, below which friction falls: what it holds creeps
+FREE, WALL = 0.2, 0.45  # depths in radii of the rod between which the wall stops what would go through: a wire between samples is 0.5 deep
+WALL_DISSIPATION = 1.0  # [s/m] the least c of the wall: what begins within an obstacle leaves it at 1 m/s at most
+OVERRUN, THROUGH = 0.1, 0.15  # of the radius: how much deeper a step in contact may lead, and from where on it is tried again shorter
 LANDED, MOST_LANDED, IDLE = 0.01, 8.0, 0.05
-"""Share of the arm's kinetic energy that a sample is to store where a step ends in what it comes upon; how many such shares all samples may
-store; and the speed of the arm, in its lengths per second, that counts besides, or that of the fastest obstacle: at rest steps need not end
-where a contact begins."""
-CUTS, SAME = 64, 1e-3
-"""Most places at which the way of a sample is looked at, and the share of that within which it comes up to what is allowed."""
+"""Share of the arm's kinetic energy that a sample is to store where a step ends in what it comes upon; how many such shares all may store;
+and the speed of the arm, in its lengths per second, that counts besides: at rest steps need not end where a contact begins."""
+CUTS, SAME = 64, 1e-3  # places at which the way of a sample is looked at, at most; and the share of the way that counts as none
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+@register_effect("contact")
+class Contact(Effect):
+    """`[effects.contact]` with `[[effects.contact.obstacles]]`: obstacles, fixed or moving, which the whole arm cannot enter.
+
+    Obstacles are tables with a `type`, see the classes of obstacles.py. An impact at a speed v returns it times about 1 - 2/3 c v where
+    c v is small, with c the `dissipation`.
+    """
+
+    is_contact: ClassVar[bool] = True
+
+    obstacles: tuple[AnyObstacle, ...] = Field(min_length=1, description="what the arm may touch")
+    friction: NotNegative = Field(0.0, description="coefficient of friction mu [-]")
+    dissipation: NotNegative = Field(1.0, description="damping c [s/m] of the normal force")
+
+    def parameters(self, rod: Discretisation) -> "ContactParameters":
+        return ContactParameters(*make_samples(rod)[:2], self.rows())
+
+    def rows(self) -> Array:
+        """Rows of `ContactParameters.obstacles`."""
+        return np.array([obstacle.row(self.friction, self.dissipation) for obstacle in self.obstacles])
+
+    def sample_places(self, rod: Discretisation) -> Array:
+        """Arc lengths (samples,) [m] at which contact is looked for."""
+        return make_samples(rod)[2]
+
+    def potential_energy(self, arm: Configured) -> float:
+        """That of the normal forces: friction stores none."""
+        if any(obstacle.moves for obstacle in self.obstacles):
+            raise ValueError("contact with obstacles that move has no potential energy")
+        pose = node_field(np.concatenate([arm.pose[:, :3, :3].reshape(-1, 9), arm.pose[:, :3, 3]], axis=1))
+        base, parameters = np.concatenate([np.eye(3).ravel(), np.zeros(15)]), self.parameters(arm.rod)
+        nodes, gap = nodes_with(pose, np.zeros(pose.size // 2), base, 0.0), np.empty((len(self.obstacles), len(parameters.samples)))
+        return float(read_contacts(parameters, nodes, gap, np.empty((gap.shape[1], 3)), np.empty((*gap.shape, 3))))
+
+    def distances(self, positions: Array, time: float = 0.0) -> Array:
+        """Signed distances (obstacles, m) [m] from the obstacles' surfaces to positions (m, 3) [m] at a time [s], negative inside."""
+        out = np.empty((len(self.obstacles), len(positions)))
+        read_distances(self.rows(), positions, time, out, np.empty((*out.shape, 3)))
+        return out
 
 
 class ContactParameters(Struct):
@@ -45,7 +84,7 @@ class ContactParameters(Struct):
 
     intervals: Array  # (nodes, 4): length h [m], first sample, one past the last, largest radius [m]
     samples: Array  # (samples, 9): see Sample
-    obstacles: Array  # (obstacles, 28): see obstacles.row_of
+    obstacles: Array  # (obstacles, 28): see Obstacle.row
 
 
 class Touch(NamedTuple):
@@ -75,12 +114,8 @@ def reach_of(intervals, ends):
 
 @kernel(inline=True)
 def normal_law(body, sample, depth, approach):
-    """Force [N] of a sample along the normal, its derivatives by depth and approach, and the energy [J] that it has stored: the penalty,
-    and a wall that stops what would go through, each damped.
-
-    The wall is S x^3 / width, with x from 0 at FREE to 1 at WALL, deeper by half of the obstacle's thickness and by all of it, of which as
-    much counts as the rod's radius.
-    """
+    """Force [N] of a sample along the normal, its derivatives by depth and approach, and the energy [J] stored: the penalty, and a wall
+    S x^3 / width that stops what would go through, each damped; x is 0 at FREE and 1 at WALL, less deep in what is thin."""
     k, e, smooth, c = sample.stiffness, sample.smoothing, min(depth, sample.smoothing), body.dissipation
     thick = 0.5 * min(sample.radius, body.thickness)
     width, linear = (WALL - FREE) * sample.radius + thick, depth - smooth
@@ -121,11 +156,10 @@ def add_along(field, node, lever, share, n, k):
 
 @kernel(inline=True)
 def add_to_node(nodes, node, R, weights, radius, touch):
-    """The wrench of a sample's force on one node, with the derivatives, each side of them as if the other stood still.
+    """The wrench of a sample's force on one node, with the derivatives as if the other node of the interval stood still.
 
     weights: share, reach [m], turn and part: the sample's surface moves by share dp + dtheta x (reach e_x - turn radius n) in the node's
-    frame. The blocks between both nodes of an interval are left out, so each gets 1 / part times its own, with parts that add up to 1: no
-    motion then meets less stiffness than there is.
+    frame. Each node gets 1 / part times its block, with parts that add up to 1: no motion then meets less stiffness than there is.
     """
     share, reach, turn, part = weights
     n, force = rotate_back(R, touch.normal), rotate_back(R, touch.force)
@@ -182,8 +216,7 @@ def read_contacts(contact, nodes, gap, position, force):
 @kernel
 def limit_contact(contact, nodes, longest):
     """Steps are short beside the periods of obstacles that swing, and the next one ends where something is met. The last one was too long
-    if a sample went through something on its way, or if all that met something in it came to store more than a share of the arm's
-    energy, which the step took from nothing."""
+    if a sample went through something, or if all that met something came to store more than a share of the arm's energy."""
     intervals, landed, fastest = contact.intervals, 0.0, 0.0
     for j in range(contact.obstacles.shape[0]):
         fastest = max(fastest, size(body_at(contact.obstacles, j, nodes.time).velocity))

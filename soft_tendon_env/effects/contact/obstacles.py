@@ -1,19 +1,20 @@
-"""Obstacles: the shapes, where they are at a time, and signed distances from them."""
+"""Obstacles: the shapes, where they are at a time, and signed distances from them.
+
+A shape is a class at the end of this file: by its `kind` of signed distance and its `sizes` kernels know where it is, and pictures show it.
+"""
 
 import math
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.effects.base import Array, Solid
-from soft_tendon_env.mechanics.algebra.lie import coefficients, dot, exp_se3, minus, plus, rotate_back, times
+from soft_tendon_env.mechanics.algebra.lie import coefficients, dot, exp_se3, minus, plus, rotate, rotate_back, times
 from soft_tendon_env.tools.configuration import Configuration
-from soft_tendon_env.tools.types import LEAST, Frequency, Length, Number, Triple
+from soft_tendon_env.tools.types import Array, Direction, Frequency, Length, Number, Triple
 
-PLANE, BOX, CYLINDER = 0.0, 1.0, 2.0
-"""Kinds of signed distances: spheres and capsules are boxes with rounded edges."""
+PLANE, BOX, CYLINDER = 0.0, 1.0, 2.0  # kinds of signed distances, see `distance`: spheres and capsules are boxes with rounded edges
 
 
 @kernel(inline=True)
@@ -31,7 +32,7 @@ def from_box(sizes, x):
 
 @kernel(inline=True)
 def from_cylinder(sizes, x):
-    """Distance from the cylinder about z that is, along its radius, the box of half sizes (radius, infinity, half length)."""
+    """Distance from the cylinder about z that is, along its radius, the box of half sizes (radius, radius, half length)."""
     size = math.sqrt(x[0] * x[0] + x[1] * x[1])
     out_x, out_y = (x[0] / size, x[1] / size) if size > 0.0 else (1.0, 0.0)
     away, n = from_box(sizes, (size, 0.0, x[2]))
@@ -85,16 +86,22 @@ def place_in(body, x):
 
 
 @kernel
-def read_distances(obstacles, positions, time, out):
-    """Signed distance out (obstacles, m) of positions (m, 3) at a time."""
+def read_distances(obstacles, positions, time, out, nearest):
+    """Signed distances out (obstacles, m) of positions (m, 3) at a time, and the nearest points (obstacles, m, 3) of the surfaces."""
     for j in range(obstacles.shape[0]):
         body = body_at(obstacles, j, time)
         for m in range(positions.shape[0]):
-            out[j, m] = place_in(body, triple(positions, m, 0))[1]
+            x = triple(positions, m, 0)
+            _, away, normal = place_in(body, x)
+            surface, out[j, m] = minus(x, times(away, rotate(body.R, normal))), away
+            for k in range(3):
+                nearest[j, m, k] = surface[k]
 
 
 class Obstacle(Configuration):
     """Base of the shapes: a rigid solid, fixed or moving without turning."""
+
+    kind: ClassVar[float] = BOX
 
     type: str
     position: Triple = Field(description="place at time 0 [m], but for the amplitude, world frame")
@@ -102,6 +109,10 @@ class Obstacle(Configuration):
     amplitude: Triple = Field((0.0, 0.0, 0.0), description="amplitude of a sinusoidal motion that comes to it [m]")
     frequency: Frequency = Field(0.0, description="frequency of that motion [Hz]")
     phase: Number = Field(0.0, description="phase of that motion [deg]")
+
+    def sizes(self) -> tuple[float, float, float, float]:
+        """Half sizes [m] along the axes of its frame, without the radius [m] of its edges, and that."""
+        raise NotImplementedError(f"{type(self).__name__} needs a method sizes")
 
     @property
     def orientation(self) -> Array:
@@ -113,18 +124,28 @@ class Obstacle(Configuration):
         """Whether its place depends on time."""
         return any((*self.velocity, *self.amplitude))
 
+    @property
+    def is_endless(self) -> bool:
+        """Whether it is a half-space."""
+        return math.isinf(self.sizes()[0])
+
+    def row(self, friction: float, dissipation: float) -> list[float]:
+        """Numbers for `body_at`."""
+        sizes, motion = self.sizes(), (2.0 * math.pi * self.frequency, math.radians(self.phase))
+        numbers = self.kind, min(sizes[:3]) + sizes[3], friction, dissipation, *motion, *sizes, *self.position
+        return [*numbers, *self.orientation.ravel().tolist(), *self.velocity, *self.amplitude]
+
+    def pose(self, time: float) -> Array:
+        """Pose (4, 4) of its frame at a time [s]."""
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = self.orientation, body_at(np.array([self.row(0.0, 0.0)]), 0, time).r
+        return pose
+
 
 class Directed(Obstacle):
     """Base of the shapes with an axis, the z axis of their frame."""
 
-    axis: Triple = Field((0.0, 0.0, 1.0), description="direction of the axis [-], of any length but zero")
-
-    @field_validator("axis")
-    @classmethod
-    def _is_a_direction(cls, axis: Triple) -> Triple:
-        if max(map(abs, axis)) < LEAST:
-            raise ValueError("should be a direction, not zero")
-        return axis
+    axis: Direction = Field((0.0, 0.0, 1.0), description="direction of the axis [-], of any length but zero")
 
     @property
     def orientation(self) -> Array:
@@ -137,7 +158,11 @@ class Directed(Obstacle):
 class Plane(Directed):
     """Half-space below the plane through `position` with outward normal `axis`."""
 
+    kind: ClassVar[float] = PLANE
     type: Literal["plane"] = "plane"
+
+    def sizes(self) -> tuple[float, float, float, float]:
+        return math.inf, math.inf, math.inf, 0.0
 
 
 class Sphere(Obstacle):
@@ -146,6 +171,9 @@ class Sphere(Obstacle):
     type: Literal["sphere"] = "sphere"
     radius: Length = Field(description="radius [m]")
 
+    def sizes(self) -> tuple[float, float, float, float]:
+        return 0.0, 0.0, 0.0, self.radius
+
 
 class Box(Obstacle):
     """Box about `position` with edges of `size` (x, y, z) [m], turned by `rotation` (x, y, z): angle [deg] times axis."""
@@ -153,6 +181,9 @@ class Box(Obstacle):
     type: Literal["box"] = "box"
     size: tuple[Length, Length, Length] = Field(description="edges along the axes of its frame [m]")
     rotation: Triple = Field((0.0, 0.0, 0.0), description="rotation vector of its frame [deg]")
+
+    def sizes(self) -> tuple[float, float, float, float]:
+        return 0.5 * self.size[0], 0.5 * self.size[1], 0.5 * self.size[2], 0.0
 
     @property
     def orientation(self) -> Array:
@@ -167,41 +198,20 @@ class Capsule(Directed):
     radius: Length = Field(description="radius [m]")
     length: Length = Field(description="length along the axis without the caps [m]")
 
+    def sizes(self) -> tuple[float, float, float, float]:
+        return 0.0, 0.0, 0.5 * self.length, self.radius
+
 
 class Cylinder(Directed):
     """Cylinder about `position` with flat ends, of a `radius` and a `length` [m] along `axis`."""
 
+    kind: ClassVar[float] = CYLINDER
     type: Literal["cylinder"] = "cylinder"
     radius: Length = Field(description="radius [m]")
     length: Length = Field(description="length along the axis [m]")
 
+    def sizes(self) -> tuple[float, float, float, float]:
+        return self.radius, self.radius, 0.5 * self.length, 0.0
+
 
 AnyObstacle = Annotated[Plane | Sphere | Box | Capsule | Cylinder, Field(discriminator="type")]
-
-
-def extent(own: AnyObstacle) -> tuple[float, tuple[float, ...], tuple[float, ...]]:
-    """Kind of a shape, half sizes [m] along the axes of its frame with the radius [m] of its edges, and the size of its `Solid`."""
-    match own:
-        case Plane():
-            return PLANE, (math.inf, math.inf, math.inf, 0.0), ()
-        case Sphere():
-            return BOX, (0.0, 0.0, 0.0, own.radius), (own.radius,)
-        case Box():
-            return BOX, (0.5 * own.size[0], 0.5 * own.size[1], 0.5 * own.size[2], 0.0), own.size
-        case Capsule():
-            return BOX, (0.0, 0.0, 0.5 * own.length, own.radius), (own.radius, own.length)
-    return CYLINDER, (own.radius, math.inf, 0.5 * own.length, 0.0), (own.radius, own.length)
-
-
-def row_of(own: AnyObstacle, friction: float, dissipation: float) -> list[float]:
-    """Numbers of an obstacle for `body_at`."""
-    kind, sizes, _ = extent(own)
-    numbers = [kind, min(sizes[:3]) + sizes[3], friction, dissipation, 2.0 * math.pi * own.frequency, math.radians(own.phase)]
-    return [*numbers, *sizes, *own.position, *own.orientation.ravel().tolist(), *own.velocity, *own.amplitude]
-
-
-def solid_of(own: AnyObstacle, time: float) -> Solid:
-    """The solid that shows an obstacle at a time [s]."""
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = own.orientation, body_at(np.array([row_of(own, 0.0, 0.0)]), 0, time).r
-    return Solid(own.type, extent(own)[2], pose)

@@ -13,20 +13,12 @@ from soft_tendon_env.effects.base import Array, Discretisation
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import cross, plus, rotate, times
 from soft_tendon_env.mechanics.effects import BeforeStep, ContactFlags, Nodes
+from soft_tendon_env.mechanics.terms.kinematics import pose_at, twist_at
 from soft_tendon_env.tools.types import Triple
 
 MOST_SAMPLES = 10_000
-SMOOTHING = 0.01
-"""Depth over which the stiffness grows to its full size, in radii of the rod."""
-WALL_SPEED, WALL_MASS = 30.0, 8.0
-"""Impact that the wall of a sample stops by itself within twice its width or so: this speed [m/s] of so many times the mass of its
-share."""
-
-
-@kernel(inline=True)
-def vector_at(field, at):
-    """Three components of a field, a pack of lanes apart."""
-    return field[at], field[at + LANES], field[at + 2 * LANES]
+SMOOTHING = 0.01  # depth over which the stiffness grows to its full size, in radii of the rod
+WALL_SPEED, WALL_MASS = 30.0, 8.0  # [m/s] of so many times the mass of its share: an impact that the wall of a sample stops by itself
 
 
 @kernel(inline=True)
@@ -35,9 +27,7 @@ def pose_of(nodes, node):
     if node < 0:
         base = nodes.base
         return (base[0], base[1], base[2], base[3], base[4], base[5], base[6], base[7], base[8]), (base[9], base[10], base[11])
-    at, pose = (node // LANES) * 12 * LANES + node % LANES, nodes.pose
-    x, y, z, r = vector_at(pose, at), vector_at(pose, at + 3 * LANES), vector_at(pose, at + 6 * LANES), vector_at(pose, at + 9 * LANES)
-    return (x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]), r
+    return pose_at(nodes.pose, node)
 
 
 @kernel(inline=True)
@@ -46,8 +36,8 @@ def motion_of(nodes, node, R, r):
     if node < 0:
         w = nodes.base[12], nodes.base[13], nodes.base[14]
         return w, plus((nodes.base[15], nodes.base[16], nodes.base[17]), cross(w, r))
-    at, twist = (node // LANES) * 6 * LANES + node % LANES, nodes.twist
-    return rotate(R, vector_at(twist, at)), rotate(R, vector_at(twist, at + 3 * LANES))
+    w, v = twist_at(nodes.twist, node // LANES, node % LANES)
+    return rotate(R, w), rotate(R, v)
 
 
 class Sample(NamedTuple):
@@ -131,13 +121,13 @@ def make_samples(rod: Discretisation) -> tuple[Array, Array, Array]:
     counts = np.ceil(h / np.maximum(rod.radius(0.5 * (start + rod.node)), rod.length / MOST_SAMPLES)).astype(int)
     last = np.cumsum(counts)
     t = np.concatenate([np.arange(1, count + 1) / count for count in counts if count])
-    own, share = np.repeat(h, counts), np.repeat(h / np.maximum(counts, 1), counts)
-    place = np.repeat(start, counts) + t * own
+    length, share = np.repeat(h, counts), np.repeat(h / np.maximum(counts, 1), counts)
+    place = np.repeat(start, counts) + t * length
     radius = rod.radius(place)
     share[-1] = 0.5 * share[-1] + radius[-1]  # the tip's round cap
     stiffness = rod.elasticity(place)[:, 3] / (2.0 * radius) ** 2 * share  # E A / (2 r)^2 per length and depth
     wall = WALL_MASS * WALL_SPEED**2 * rod.line_mass(place) * share
-    bases = (1 + 2 * t) * (1 - t) ** 2, own * t * (1 - t) ** 2, t**2 * (3 - 2 * t), own * t**2 * (t - 1)
+    bases = (1 + 2 * t) * (1 - t) ** 2, length * t * (1 - t) ** 2, t**2 * (3 - 2 * t), length * t**2 * (t - 1)
     samples = np.stack([*bases, t, radius, stiffness, SMOOTHING * radius, wall], axis=1)  # in the order of Sample
     largest = [radius[end - count : end].max(initial=0.0) for end, count in zip(last, counts, strict=True)]
     return np.stack([h, last - counts, last, largest], axis=1), samples, place

@@ -94,7 +94,7 @@ def aligned_zeros(*shape, dtype=np.float64):
     return room[start : start + size].reshape(shape)
 
 
-def aligned(values):
+def aligned_copy(values):
     """Copy of an array that begins where a cache line does, see aligned_zeros()."""
     copy = aligned_zeros(*values.shape, dtype=values.dtype)
     copy[...] = values
@@ -154,11 +154,6 @@ def sqrt(value):
 def largest(value):
     """The largest lane of a pack, or the float itself; NaN if any lane is NaN."""
     return np.max(value)
-
-
-def smallest(value):
-    """The smallest lane of a pack, or the float itself; NaN if any lane is NaN."""
-    return -largest(-value)
 
 
 def with_lane(value, index, number):
@@ -260,8 +255,3 @@ def _largest_overload(value):
         return found
 
     return pick
-
-
-@overload(smallest)
-def _smallest_overload(value):
-    return lambda value: -largest(-value)

@@ -135,20 +135,12 @@ def times(s, x):
 
 @kernel(inline=True)
 def rotate(R, x):
-    return (
-        R[0] * x[0] + R[1] * x[1] + R[2] * x[2],
-        R[3] * x[0] + R[4] * x[1] + R[5] * x[2],
-        R[6] * x[0] + R[7] * x[1] + R[8] * x[2],
-    )
+    return dot(R[0:3], x), dot(R[3:6], x), dot(R[6:9], x)
 
 
 @kernel(inline=True)
 def rotate_back(R, x):
-    return (
-        R[0] * x[0] + R[3] * x[1] + R[6] * x[2],
-        R[1] * x[0] + R[4] * x[1] + R[7] * x[2],
-        R[2] * x[0] + R[5] * x[1] + R[8] * x[2],
-    )
+    return dot(R[0::3], x), dot(R[1::3], x), dot(R[2::3], x)
 
 
 @kernel(inline=True)
@@ -185,7 +177,7 @@ def matrix_sum(A, B):
 
 
 @kernel(inline=True)
-def matrix_scaled(s, A):
+def scale_matrix(s, A):
     return s * A[0], s * A[1], s * A[2], s * A[3], s * A[4], s * A[5], s * A[6], s * A[7], s * A[8]
 
 
@@ -204,7 +196,7 @@ def twist_sum(x, y):
 
 
 @kernel(inline=True)
-def twist_scaled(s, x):
+def scale_twist(s, x):
     return times(s, x[0]), times(s, x[1])
 
 
@@ -279,7 +271,7 @@ def dexp_dot_apply(Omega, Omega_dot, c, x):
     a_dot, b_dot = c.a1 * rate, c.b1 * rate
     a_dual, b_dual = c.a2 * kp * rate + c.a1 * rate_dual, c.b2 * kp * rate + c.b1 * rate_dual
     y = twist_sum(
-        twist_sum(twist_scaled(a_dot, once), twist_scaled(b_dot, twice)), twist_sum(twist_scaled(c.a, turned), twist_scaled(c.b, mixed))
+        twist_sum(scale_twist(a_dot, once), scale_twist(b_dot, twice)), twist_sum(scale_twist(c.a, turned), scale_twist(c.b, mixed))
     )
     dual = plus(plus(times(a_dual, once[0]), times(b_dual, twice[0])), plus(times(c.a1 * kp, turned[0]), times(c.b1 * kp, mixed[0])))
     return y[0], plus(y[1], dual)

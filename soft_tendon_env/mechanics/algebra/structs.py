@@ -29,8 +29,7 @@ from numba.extending import (
 
 _WORD, _NUMBER = ir.IntType(64), ir.DoubleType()
 
-_INTERPRETED: WeakValueDictionary[int, "Struct"] = WeakValueDictionary()
-"""Structs by their addresses, where nothing is compiled."""
+_INTERPRETED: WeakValueDictionary[int, "Struct"] = WeakValueDictionary()  # by their addresses, where nothing is compiled
 
 
 class Struct:
@@ -85,7 +84,11 @@ class Struct:
         if isinstance(value, tuple) and all(isinstance(part, float) for part in value):
             words += np.array(value).view(np.int64).tolist()
             return float, len(value)
-        raise TypeError(f"{type(self).__name__}.{name} should be a contiguous array of float64 or int64, or a number, not {value!r}")
+        given = repr(value)
+        if isinstance(value, np.ndarray):
+            given = f"one of {value.dtype}" if value.flags.c_contiguous else "a strided one"
+        kinds = "a contiguous array of float64 or int64, a tuple of int alone or of float alone, a Struct, or a number"
+        raise TypeError(f"{type(self).__name__}.{name} should be {kinds}, not {given}")
 
     @property
     def address(self) -> int:
@@ -140,13 +143,13 @@ _TYPES: dict[tuple[Any, ...], StructType] = {}
 
 @typeof_impl.register(Struct)
 def _typeof_struct(value, context):
-    own = value.__dict__
-    if "_numba_type_" not in own:
-        if own["_layout"] not in _TYPES:
+    attributes = value.__dict__
+    if "_numba_type_" not in attributes:
+        if attributes["_layout"] not in _TYPES:
             fields = value.fields().items()
-            _TYPES[own["_layout"]] = StructType(type(value), tuple((name, typeof_impl(field, context)) for name, field in fields))
-        own["_numba_type_"] = _TYPES[own["_layout"]]  # where numba's dispatchers look first
-    return own["_numba_type_"]
+            _TYPES[attributes["_layout"]] = StructType(type(value), tuple((name, typeof_impl(field, context)) for name, field in fields))
+        attributes["_numba_type_"] = _TYPES[attributes["_layout"]]  # where numba's dispatchers look first
+    return attributes["_numba_type_"]
 
 
 @register_model(StructType)

@@ -7,7 +7,7 @@ Its length is part of its type, so the compiler leaves out the rows of rigid str
 """
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import LANES, load, smallest, spread, store
+from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load, spread, store
 from soft_tendon_env.mechanics.algebra.lie import dot
 
 
@@ -107,22 +107,7 @@ def solve_upper(f, b, free):
 
 
 @kernel(inline=True)
-def multiply_upper(f, b, free):
-    """Product L^T b."""
-    (b0, b1, b2), (b3, b4, b5) = b
-    b0 = b0 + f[0] * b1 + f[1] * b2
-    b1 = b1 + f[2] * b2
-    if len(free) > 3:
-        b0, b1, b2 = b0 + f[3] * b3, b1 + f[4] * b3, b2 + f[5] * b3
-    if len(free) > 4:
-        b0, b1, b2 = b0 + f[6] * b4 + f[10] * b5, b1 + f[7] * b4 + f[11] * b5, b2 + f[8] * b4 + f[12] * b5
-        b3 = b3 + f[9] * b4 + f[13] * b5
-        b4 = b4 + f[14] * b5
-    return (b0, b1, b2), (b3, b4, b5)
-
-
-@kernel(inline=True)
-def scaled(s, x):
+def scale6(s, x):
     """Component by component product of two twist-shaped tuples."""
     return (s[0][0] * x[0][0], s[0][1] * x[0][1], s[0][2] * x[0][2]), (s[1][0] * x[1][0], s[1][1] * x[1][1], s[1][2] * x[1][2])
 
@@ -130,13 +115,7 @@ def scaled(s, x):
 @kernel(inline=True)
 def solve(f, b, free):
     """Solution H^-1 b by the factor of H."""
-    return solve_upper(f, scaled(((f[15], f[16], f[17]), (f[18], f[19], f[20])), solve_lower(f, b, free)), free)
-
-
-@kernel(inline=True)
-def inverse_diagonal(f):
-    """Inverse pivots 1 / D, twist-shaped."""
-    return (f[15], f[16], f[17]), (f[18], f[19], f[20])
+    return solve_upper(f, scale6(((f[15], f[16], f[17]), (f[18], f[19], f[20])), solve_lower(f, b, free)), free)
 
 
 @kernel(inline=True)
@@ -155,17 +134,6 @@ def store_factor(field, block, f):
 def load21(field, at):
     first, second, third = load6(field, at), load6(field, at + 6 * LANES), load6(field, at + 12 * LANES)
     return first[0] + first[1] + second[0] + second[1] + third[0] + third[1] + load3(field, at + 18 * LANES)
-
-
-@kernel(inline=True)
-def load_factor(field, block):
-    return load21(field, block * 21 * LANES)
-
-
-@kernel(inline=True)
-def apply21(field, at, x):
-    """Product K x of a symmetric matrix K, the 21 entries of its lower triangle from `at` on, and a twist."""
-    return symmetric_product(load21(field, at), x)
 
 
 @kernel(inline=True)
@@ -213,6 +181,6 @@ def scaled_stiffness(h, c):
 def is_positive(f):
     """Whether every pivot of every lane is positive (false for NaN)."""
     return (
-        smallest(f[15]) > 0.0 and smallest(f[16]) > 0.0 and smallest(f[17]) > 0.0
-        and smallest(f[18]) > 0.0 and smallest(f[19]) > 0.0 and smallest(f[20]) > 0.0
+        largest(-f[15]) < 0.0 and largest(-f[16]) < 0.0 and largest(-f[17]) < 0.0
+        and largest(-f[18]) < 0.0 and largest(-f[19]) < 0.0 and largest(-f[20]) < 0.0
     )  # fmt: skip

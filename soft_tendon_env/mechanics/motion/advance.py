@@ -8,8 +8,7 @@ import numpy as np
 from soft_tendon_env.compiler.compilation import kernel, phase
 from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.effects import call
-from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated, extrapolated_step
-from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE, Demand, predict_strain
+from soft_tendon_env.mechanics.motion.extrapolation import STEP_TOLERANCE, Demand, Extrapolated, extrapolated_step, predict_strain
 from soft_tendon_env.mechanics.motion.status import COMMAND_QUEUE_FULL, INACCURATE, NO_STRAIN, OK, PENETRATED
 from soft_tendon_env.mechanics.terms.command_filter import follow, receive
 from soft_tendon_env.mechanics.terms.external_forces import any_of, nodes_of, place_base, remember
@@ -19,9 +18,7 @@ from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, s
 ROUGH = 1e-4  # of its length: the most that a step may err in which the arm touches something
 SHORTEST_IMPACT = 2.0**-16  # of the longest step: what is as short may err as any other
 SHORTEST_STIFF = 2.0**-20  # of the longest step: as short as that may steps become where the arm touches something or tendons are elastic
-
-LEAST_WHEN_LIMITED = 3
-"""Columns of a step where effects allow none of the longest: their motion is to be right even where it is small beside the tolerance."""
+LEAST_WHEN_LIMITED = 3  # columns where effects limit steps: their motion is to be right even where it is small beside the tolerance
 
 
 class Control(NamedTuple):
@@ -66,10 +63,8 @@ def next_step(control, most_columns, step, attempt):
 
 @kernel
 def while_touching(arm, control):
-    """Control of a step where the arm touches something or is about to: its error decides, with fixed steps too.
-
-    An impact is over in a short step, but the error of the rates that it leaves lasts: it counts as the way made in a step of the scene.
-    """
+    """Control of a step where the arm touches something or is about to: its error decides, with fixed steps too. An impact is over in a
+    short step, but the error of the rates that it leaves lasts: it counts as the way made in a step of the scene."""
     rough = ROUGH * total(arm.rod.length)
     tolerance = min(control.tolerance, rough)
     return Control(control.step, tolerance, True, control.smallest, control.horizon * tolerance / rough)

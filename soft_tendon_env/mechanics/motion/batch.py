@@ -9,18 +9,17 @@ from typing import Annotated
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import aligned
+from soft_tendon_env.mechanics.algebra.lanes import aligned_copy
 from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 from soft_tendon_env.mechanics.motion.advance import Record, Scheme, advance
 from soft_tendon_env.mechanics.motion.equilibrium import ROUND_OFF
-from soft_tendon_env.mechanics.motion.scratch import Motion
-from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
+from soft_tendon_env.mechanics.motion.extrapolation import STEP_TOLERANCE
+from soft_tendon_env.mechanics.motion.scratch import Motion, tape_border, tape_part
 from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
-from soft_tendon_env.mechanics.motion.tape import tape_border, tape_part
 from soft_tendon_env.mechanics.terms.command_filter import command_at, receive
 from soft_tendon_env.mechanics.terms.external_forces import place_base, rest_states
-from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses, poses_inside, strains_inside, tip_pose_of, tip_twist, write_pose
+from soft_tendon_env.mechanics.terms.kinematics import poses, poses_inside, strains_inside, tip_pose_of, tip_twist, write_pose
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_has_margin, strain_rate
 from soft_tendon_env.mechanics.terms.tendons import tendon_lengths
 from soft_tendon_env.mechanics.terms.transmission import actuator_tensions
@@ -88,8 +87,8 @@ class Batch(Struct):
 
 def make_batch(arm: Arm, places: Places, motion: Motion, step: float, count: int) -> Batch:
     """Batch of so many rows of one arm in one motion, read at these places; step: [s] to try next."""
-    own = {name: aligned(np.tile(values, (count, 1))) for name, values in motion._asdict().items()}
-    rows = Rows(arm=np.full(count, arm.address), step=np.full(count, step), **own)
+    fields = {name: aligned_copy(np.tile(values, (count, 1))) for name, values in motion._asdict().items()}
+    rows = Rows(arm=np.full(count, arm.address), step=np.full(count, step), **fields)
     outcome = Outcome(status=np.zeros(count, dtype=np.int64), rejected=np.zeros(count, dtype=np.int64))
     return Batch(arm=arm, places=places, rows=rows, outcome=outcome, reading=make_reading(arm, places, count))
 
@@ -142,13 +141,13 @@ def advance_parts(arm, scheme, commands, durations, motion, row, results, scratc
     rows, outcome, none = batch.rows, batch.outcome, Record(batch.rows.q[:0], batch.rows.q_dot[:0], batch.reading.tip_pose[:0])
     outcome.status[row], outcome.rejected[row] = OK, 0
     for part in range(commands.shape[1]):
-        own = Scheme(scheme.method, scheme.control, scheme.begins or part > 0)
+        held = Scheme(scheme.method, scheme.control, scheme.begins or part > 0)
         tape_border(tape, row, part, motion)
-        done = advance(arm, own, commands[row, part : part + 1], durations[row, part : part + 1], motion, rows.step[row], scratch, none)
+        done = advance(arm, held, commands[row, part : part + 1], durations[row, part : part + 1], motion, rows.step[row], scratch, none)
         rows.step[row] = done.step
         outcome.status[row] = done.status
         outcome.rejected[row] += done.rejected
-        tape_part(tape, row, part, commands[row, part], durations[row, part] if done.status == OK else -1.0, own.begins)
+        tape_part(tape, row, part, commands[row, part], durations[row, part] if done.status == OK else -1.0, held.begins)
         if done.status != OK:
             break
     tape_border(tape, row, commands.shape[1], motion)
@@ -159,34 +158,19 @@ def place_rows(batch, members, commands, work):
     """Finds strains at the coordinates of the rows in `members`, from rest, where commands (rows, n_a) have always held, and reads them."""
     rows, outcome = batch.rows, batch.outcome
     for row in members:
-        own = struct_at(batch.arm, rows.arm, row)
-        outcome.status[row] = OK if strain_from_rest(own, rows.q[row], ROUND_OFF, work)[0] < 0 else NO_STRAIN
+        arm = struct_at(batch.arm, rows.arm, row)
+        outcome.status[row] = OK if strain_from_rest(arm, rows.q[row], ROUND_OFF, work)[0] < 0 else NO_STRAIN
         outcome.rejected[row], rows.clock[row, 0], work.clock[0] = 0, 0.0, 0.0
         copy(work.xi, rows.xi[row])
-        read(own, batch.places, rows.q_dot[row], work, row, batch.reading)
-        rest_states(own, commands[row], work)
+        read(arm, batch.places, rows.q_dot[row], work, row, batch.reading)
+        rest_states(arm, commands[row], work)
         copy(work.state, rows.state[row])
 
 
 @kernel
-def place_nodes(arm, rows, row, work):
-    """Poses and twists of the nodes of a row where it is, into work.pose and work.eta."""
-    copy(rows.xi[row], work.xi)
-    work.clock[0] = rows.clock[row, 0]
-    strain_from_guess(arm, rows.q[row], STEP_TOLERANCE, work)
-    strain_rate(arm, rows.q_dot[row], work)
-    place_base(arm, work)
-    poses(arm.rod, work)
-    node_twists(arm.rod, work)
-
-
-@kernel
 def read_samples(arm, places, q, q_dot, members, work, reading, good):
-    """Read given motions q, q_dot (samples, n) at the samples named in `members`; good (samples): whether there is a strain.
-
-    Every strain is sought from rest: what is read of a sample depends on its q and q_dot alone, bit for bit. A sample without a
-    strain keeps what stood in `reading`.
-    """
+    """Reads given motions q, q_dot (samples, n) at the samples named in `members`; good (samples): whether there is a strain, sought from
+    rest: what is read depends on q and q_dot alone. A sample without a strain keeps what stood in `reading`."""
     work.clock[0] = 0.0
     for i in members:
         good[i] = strain_from_rest(arm, q[i], STEP_TOLERANCE, work)[0] < 0

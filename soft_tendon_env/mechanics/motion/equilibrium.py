@@ -27,9 +27,9 @@ class Linearisation(NamedTuple):
 def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
     """f = part (B u + F) - K at q into `out`, where asked for df/dpart too, and -df/dq along `directions` (m, n).
 
-    The strain at q is found with no guess, those next to it from there: the result depends on nothing but q. f is affine in the
-    part, so a second one gives its rate; slopes are by differences, to a relative 1e-7 or so: G lacks the derivative of the load and,
-    away from rest, that of the columns. Returns (-1, 1.0), or (block, part of q that was reached) where there is no strain.
+    The strain at q is found with no guess: the result depends on nothing but q. f is affine in the part, so a second one gives its rate;
+    slopes are by differences, to a relative 1e-7 or so: G lacks the derivative of the load and, away from rest, that of the columns.
+    Returns (-1, 1.0), or (block, part of q that was reached) where there is no strain.
     """
     block, reached = strain_from_rest(arm, q, ROUND_OFF, work)
     if block >= 0:

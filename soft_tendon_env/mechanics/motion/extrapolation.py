@@ -13,22 +13,89 @@ import math
 from typing import NamedTuple
 
 from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread, store
 from soft_tendon_env.mechanics.algebra.linear import copy, product
 from soft_tendon_env.mechanics.motion.implicit_euler import implicit_euler, start_matrices
-from soft_tendon_env.mechanics.motion.stages import Attempt, Substep, evaluate_force, predict_strain
-from soft_tendon_env.mechanics.motion.status import INACCURATE, NOT_FINITE, OK
+from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, NOT_FINITE, OK
 from soft_tendon_env.mechanics.terms.command_filter import command_at
+from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces
 
 HOPELESS = 3.0  # tolerances. Measured on random 0 to 150 N: 15 % fewer evaluations than without; with 1 more again, steps that succeed
 NEAR = 0.05  # of a step's tolerance: how far a tendon may go to a kink of its tension in a step that is extrapolated
+STEP_TOLERANCE = 1e-6  # of the strain's Newton: quadratic, so the strain itself is good to the square of it
+
+
+class Demand(NamedTuple):
+    """Accuracy that is asked of one step."""
+
+    tolerance: float  # [m] of the error estimate
+    least: int  # columns to begin with
+    horizon: float  # [s] over which an error of the rates counts as displacement
+
+
+class Substep(NamedTuple):
+    """One of the substeps of equal length from the beginning of a step to its end."""
+
+    length: float  # [s]
+    number: int
+    is_alone: bool  # it is the whole step
+    near: float  # [m] how far elastic tendons may go to where they become slack, taut or as tense as can be in a smooth step
+
+
+class Attempt(NamedTuple):
+    """Outcome of one attempted step."""
+
+    status: int
+    columns: int  # that `error` belongs to
+    evaluations: int
+    error: float  # [m] estimate
+    rows: int  # of the table that were taken
+
+
+@kernel
+def predict_strain(strain, q, q_last, work):
+    """Predicts the strain at coordinates q in work.xi: to first order along the columns of the last evaluation, and to second order as far
+    as q lies where its rates lead, along its bias; never further along the bias than along the columns."""
+    change, per_column = work.mismatch, work.xi.size  # the mismatch has been made a force
+    for m in range(0, per_column, LANES):
+        store(change, m, spread(0.0))
+    for j in range(strain.size):
+        step = q[j] - q_last[j]
+        rows = per_column // strain.jacobian_end[j]
+        for m in range(strain.pack_begin[j] * rows, strain.pack_end[j] * rows, LANES):
+            store(change, m, load(change, m) + step * load(work.Phi, j * per_column + m))
+    along, rates, curved, moved = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    for m in range(0, per_column, LANES):
+        x, rate, bias = load(change, m), load(work.xi_dot, m), load(work.xi_bias, m)
+        along, rates, curved, moved = along + x * rate, rates + rate * rate, curved + bias * bias, moved + x * x
+    time = lane_sum(along) / max(lane_sum(rates), 1e-300)
+    half = 0.5 * time * time
+    if not half * half * lane_sum(curved) <= lane_sum(moved):
+        half = 0.0
+    for m in range(0, per_column, LANES):
+        store(work.xi, m, load(work.xi, m) + load(change, m) + half * load(work.xi_bias, m))
+
+
+@kernel
+def evaluate_force(arm, method, u, q, v, state, time, scratch):
+    """Force on the coordinates, drive - C v + F, or without inertia drive + F, under the command u that acts, into scratch.force; a status.
+    state: internal states of the effects, at this time or that of work.since before it."""
+    work = scratch.work
+    copy(state, work.state)
+    work.clock[0] = time
+    work.u_is_command[0] = 1.0
+    if evaluate_forces(arm, u, q, v, method.strain_tolerance, work) >= 0:
+        return NO_STRAIN
+    copy(q, scratch.q_last)
+    for i in range(q.size):
+        scratch.force[i] = work.drive[i] - (work.bias[i] if method.with_inertia else 0.0) + work.load[i]
+    return OK
 
 
 @kernel
 def substeps(arm, method, tolerance, u, motion, step, row, scratch):
-    """The first entry of a row of the table: row + 1 substeps, to scratch.q, scratch.v; a status and the number of evaluations.
-
-    The first substep of every row goes from the evaluation at the start, which they share.
-    """
+    """The first entry of a row of the table: row + 1 substeps, to scratch.q, scratch.v, of which the first goes from the evaluation at the
+    start that all rows share; a status and the number of evaluations."""
     evaluations, h = 0, step / (row + 1)
     copy(motion.q, scratch.q)
     copy(motion.q_dot, scratch.v)
@@ -68,11 +135,9 @@ def evaluate_substep(arm, method, u, motion, number, h, scratch):
 
 @kernel
 def complete_row(row, scratch):
-    """Extrapolates a row of the table from scratch.q, scratch.v, its first entry: the last one in their place, with the error estimate.
-
-    Where the tension of an elastic tendon has a kink within the step nothing is smooth enough to be extrapolated: the first entry is kept,
-    with the estimate of a method of first order.
-    """
+    """Extrapolates a row of the table from scratch.q, scratch.v, its first entry: the last one in their place, with the error estimate;
+    where the tension of an elastic tendon has a kink within the step, which cannot be extrapolated, the first one, as of a first-order
+    method."""
     is_kinked = scratch.is_kinked[0] != 0.0 and row > 0
     kept, other = (0, 1) if is_kinked else (row, max(row - 1, 0))
     for table, value, error in ((scratch.table_q, scratch.q, scratch.error_q), (scratch.table_v, scratch.v, scratch.error_v)):
@@ -103,11 +168,8 @@ def error_estimate(rod, horizon, scratch):
 
 @kernel
 def extrapolated_step(arm, method, demand, u, motion, step, scratch):
-    """One extrapolated step from motion to scratch.q, scratch.v with as few columns, from demand.least on, as meet the tolerance.
-
-    An estimate that falls as it did by the last column, column by column, and still misses the tolerance by HOPELESS at the last one
-    ends the step before its time, with the estimate that it would have come to.
-    """
+    """One extrapolated step from motion to scratch.q, scratch.v with as few columns, from demand.least on, as meet the tolerance. It ends
+    early where the estimate, falling as it did by the last column, would miss the tolerance by HOPELESS at the end, with that estimate."""
     copy(motion.xi, scratch.work.xi)
     evaluations, error = 0, math.inf
     for row in range(method.columns):

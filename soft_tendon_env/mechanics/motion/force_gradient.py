@@ -18,13 +18,12 @@ import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load, spread, store
-from soft_tendon_env.mechanics.algebra.lie import ad_apply, coad_apply, dot, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import ad_apply, coad_apply, dot, scale_twist, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, scaled, store6
-from soft_tendon_env.mechanics.effects import call
+from soft_tendon_env.mechanics.algebra.symmetric6 import load6, load21, scale6, store6, symmetric_product
 from soft_tendon_env.mechanics.terms.dynamics import node_rows, project, sum_columns
-from soft_tendon_env.mechanics.terms.external_forces import NODE_SHARE, differ_wrenches, displace, effect_loads, nodes_of
+from soft_tendon_env.mechanics.terms.external_forces import NODE_SHARE, differ_wrenches, displace, effect_loads, sum_wrenches
 from soft_tendon_env.mechanics.terms.kinematics import poses
 from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess
 from soft_tendon_env.mechanics.terms.transmission import actuator_tensions
@@ -105,9 +104,9 @@ def hold_fields(arm, with_inertia, work, memory):
     by_q, by_rate = work.wrench, memory.wrench
     for pack in range(rod.packs):
         node_wrenches(rod, share, pack, work, memory, by_q, by_rate)
-    project(work.J, by_q, node_rows(), arm.strain.first, arm.strain.tip, memory.by_q)
-    project(work.J, by_rate, node_rows(), arm.strain.first, arm.strain.tip, memory.by_rate)
-    project(work.J, memory.mu, node_rows(), arm.strain.first, arm.strain.tip, memory.middle)
+    project(work.J, by_q, node_rows(), arm.strain.pack_begin, arm.strain.jacobian_end, memory.by_q)
+    project(work.J, by_rate, node_rows(), arm.strain.pack_begin, arm.strain.jacobian_end, memory.by_rate)
+    project(work.J, memory.mu, node_rows(), arm.strain.pack_begin, arm.strain.jacobian_end, memory.middle)
 
 
 @kernel
@@ -119,7 +118,8 @@ def hold_effects(arm, work, memory):
         differ_wrenches(arm, work)
         for pack in range(arm.rod.packs):
             at = pack * 6 * LANES
-            store6(memory.declared, at, apply21(work.node_damping, pack * 21 * LANES, load6(memory.zeta, at)))
+            damping = load21(work.node_damping, pack * 21 * LANES)
+            store6(memory.declared, at, symmetric_product(damping, load6(memory.zeta, at)))
     if stresses:
         for m in range(0, memory.xi.size, LANES):
             store(memory.moving, m, load(memory.moving, m) + load(work.stress, m))
@@ -152,10 +152,7 @@ def differ_at_nodes(arm, work, memory):
 @kernel
 def power_change(arm, k, way, work, memory, out):
     """Change, over a way, of the power that the effects' wrenches have along zeta, into the k-th component of out (nodes x 6)."""
-    work.wrench[:] = 0.0
-    for i in range(arm.effects.count):
-        if arm.effects.wrench[i] != 0:
-            call(arm.effects.wrench[i], arm.effects.parameters[i], (nodes_of(arm, work),))
+    sum_wrenches(arm, work)
     for at in range(0, out.size, 6 * LANES):
         change = spread(0.0)
         for m in range(at, at + 6 * LANES, LANES):
@@ -170,20 +167,20 @@ def node_wrenches(rod, share, pack, work, memory, by_q, by_rate):
     at = pack * 6 * LANES
     inertia, eta, zeta = load6(rod.inertia, at), load6(work.eta, at), load6(memory.zeta, at)
     alpha = twist_sum(load6(memory.alpha, at), load6(work.eta_bias, at))
-    inertia = twist_scaled(share, inertia)
-    momentum, mu, drag = scaled(inertia, eta), scaled(inertia, zeta), load6(memory.kappa, at)
-    inertial = twist_sum(scaled(inertia, alpha), coad_apply(eta, momentum))
-    rest = twist_sum(load6(memory.inertial, at), twist_scaled(-1.0, inertial))
-    nu = twist_scaled(-1.0, twist_sum(coad_apply(zeta, momentum), scaled(inertia, ad_apply(eta, zeta))))
-    turning = twist_scaled(-1.0, coad_apply(eta, mu))
+    inertia = scale_twist(share, inertia)
+    momentum, mu, drag = scale6(inertia, eta), scale6(inertia, zeta), load6(memory.kappa, at)
+    inertial = twist_sum(scale6(inertia, alpha), coad_apply(eta, momentum))
+    rest = twist_sum(load6(memory.inertial, at), scale_twist(-1.0, inertial))
+    nu = scale_twist(-1.0, twist_sum(coad_apply(zeta, momentum), scale6(inertia, ad_apply(eta, zeta))))
+    turning = scale_twist(-1.0, coad_apply(eta, mu))
     store6(memory.mu, at, mu)
     store6(memory.inertial, at, rest)
     store6(memory.kappa, at, twist_sum(turning, twist_sum(nu, drag)))
     once = twist_sum(coad_apply(alpha, mu), coad_apply(eta, twist_sum(nu, drag)))
     once = twist_sum(once, load6(memory.displaced, at))
-    store6(by_q, at, twist_sum(once, twist_scaled(-1.0, coad_apply(zeta, rest))))
-    beside = twist_sum(drag, twist_scaled(-1.0, load6(memory.declared, at)))
-    store6(by_rate, at, twist_scaled(-1.0, twist_sum(beside, twist_sum(turning, nu))))
+    store6(by_q, at, twist_sum(once, scale_twist(-1.0, coad_apply(zeta, rest))))
+    beside = twist_sum(drag, scale_twist(-1.0, load6(memory.declared, at)))
+    store6(by_rate, at, scale_twist(-1.0, twist_sum(beside, twist_sum(turning, nu))))
 
 
 @kernel

@@ -16,8 +16,8 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix, product, solve_again, solve_symmetric, total
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.motion.advance import Record, advance
+from soft_tendon_env.mechanics.motion.extrapolation import evaluate_force
 from soft_tendon_env.mechanics.motion.implicit_euler import rate_change, start_matrices
-from soft_tendon_env.mechanics.motion.stages import evaluate_force
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.terms.command_filter import command_at, receive
 from soft_tendon_env.mechanics.terms.evaluate import copy_tip
@@ -71,10 +71,8 @@ def transposed_map(balance, period, scratch, q, v, impulse):
 
 
 class Plan(Struct):
-    """Arrays of a rollout over N periods, its outcome first: n coordinates, n_a tendons, k forces, those of the tendons first.
-
-    Columns of the matrices are derivatives by (q, v, forces), of which there are 2 n + k.
-    """
+    """Arrays of a rollout over N periods, its outcome first: n coordinates, n_a tendons, k forces, those of the tendons first. The 2 n + k
+    columns of the matrices are derivatives by (q, v, forces)."""
 
     q: Annotated[np.ndarray, "N + 1", "n"]  # where every period begins, and the last one ends
     q_dot: Annotated[np.ndarray, "N + 1", "n"]
@@ -137,10 +135,8 @@ def add_jacobian(balance, h, count, share, plan, out):
 
 @kernel
 def linearised_rollout(arm, scheme, motion, steps, scratch, plan):
-    """Play plan.command from the motion, in place, and fill the plan with what happens and with the Jacobians by `steps` steps a period.
-
-    Returns a status, and the period that failed or their number.
-    """
+    """Plays plan.command from the motion, in place, and fills the plan with what happens and the Jacobians by `steps` steps a period.
+    Returns a status, and the period that failed or their number."""
     method, step, none = scheme.method, scheme.control.step, Record(plan.q[:0], plan.q_dot[:0], plan.tip_pose[:0])
     periods, length = plan.command.shape[0], total(plan.duration)
     for k in range(periods + 1):

@@ -13,8 +13,8 @@ from soft_tendon_env.mechanics.algebra.lie import (
     plus,
     rotate,
     rotate_back,
+    scale_twist,
     times,
-    twist_scaled,
     twist_sum,
 )
 from soft_tendon_env.mechanics.algebra.linear import copy
@@ -57,8 +57,8 @@ def pose_error_cotangents(error, cotangent, pose, wanted):
             c = coefficients(dot(k, k))
             e, e_dual = -0.5 * c.a1 / c.a, 0.5 * (c.a1 * c.a1 / c.a - c.a2) / c.a * dot(k, Omega[1])
             once = coad_apply(Omega, force)
-            even = twist_sum(force, twist_scaled(e, coad_apply(Omega, once)))
-            moment, odd = plus(even[0], times(e_dual, cross(k, cross(k, force[1])))), twist_scaled(0.5, once)
+            even = twist_sum(force, scale_twist(e, coad_apply(Omega, once)))
+            moment, odd = plus(even[0], times(e_dual, cross(k, cross(k, force[1])))), scale_twist(0.5, once)
             for i in range(3):
                 pose[row, j, i], pose[row, j, 3 + i] = -moment[i] - odd[0][i], -even[1][i] - odd[1][i]
                 wanted[row, j, i], wanted[row, j, 3 + i] = moment[i] - odd[0][i], even[1][i] - odd[1][i]
@@ -75,15 +75,3 @@ def move_poses(pose, twist, out):
             R_move, r_move = exp_se3(Omega, coefficients(dot(Omega[0], Omega[0])))
             write_pose(matmul(R, R_move), plus(r, rotate(R, r_move)), out[row, j])
             copy(pose[row, 3], out[row, j, 3])
-
-
-@kernel
-def perturb_poses(pose, rotation, translation, out):
-    """Poses (rows, 4, 4), turned about their own axes by rotation (rows, 3) [rad] and moved by translation (rows, 3) [m], world axes."""
-    for row in range(pose.shape[0]):
-        R, r = pose_at(pose, row)
-        k = rotation[row, 0], rotation[row, 1], rotation[row, 2]
-        R_turn, _ = exp_se3((k, (0.0, 0.0, 0.0)), coefficients(dot(k, k)))
-        move = translation[row, 0], translation[row, 1], translation[row, 2]
-        write_pose(matmul(R, R_turn), plus(r, move), out[row])
-        copy(pose[row, 3], out[row, 3])

@@ -1,4 +1,5 @@
-"""Motion of one arm and the scratch of an integrator step: extrapolation table, matrices at the start of a step, error estimates."""
+"""Motion of one arm; scratch of an integrator step: extrapolation table, matrices, error estimates; tape of a period over rows: where every
+part of it began, for the adjoint to go back from."""
 
 from typing import Annotated, NamedTuple
 
@@ -8,7 +9,7 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import aligned_zeros
 from soft_tendon_env.mechanics.algebra.linear import copy, row_stride
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.types import Arm
+from soft_tendon_env.mechanics.types import Arm, IntVector
 from soft_tendon_env.mechanics.workspace import Workspace, make_workspace, sizes_of, zeros
 
 
@@ -102,3 +103,46 @@ def make_scratch(arm: Arm, columns: int, log: int = 0) -> Scratch:
     force = aligned_zeros(arm.strain.size)
     now = Balance(mass=work.M, damping=work.D, stiffness=work.G, force=force, **shared)
     return zeros(Scratch, sizes, work=work, first=zeros(Balance, sizes), now=now, ends=zeros(TendonEnds, sizes), force=force)
+
+
+class Tape(Struct):
+    """Motion of every row where the parts of a period began, and where the last one ended; without rows nothing is kept."""
+
+    q: Annotated[np.ndarray, "rows", "borders", "n"]
+    q_dot: Annotated[np.ndarray, "rows", "borders", "n"]
+    xi: Annotated[np.ndarray, "rows", "borders", "points x 6"]
+    state: Annotated[np.ndarray, "rows", "borders", "states"]
+    clock: Annotated[np.ndarray, "rows", "borders"]
+    command: Annotated[np.ndarray, "rows", "parts", "n_a"]
+    duration: Annotated[np.ndarray, "rows", "parts"]  # [s]; negative where the step has failed
+    begins: np.ndarray  # (rows, parts) int64: 1 where the command began with the part, 0 where it went on
+    material: IntVector  # (rows) which of the materials that a row has had it was
+
+
+def make_tape(arm: Arm, rows: int, parts: int) -> Tape:
+    """Zeroed Tape for so many rows of an arm and parts of a period."""
+    sizes = {**sizes_of(arm), "rows": rows, "parts": parts, "borders": parts + 1}
+    return zeros(Tape, sizes, begins=np.zeros((rows, parts), dtype=np.int64), material=np.zeros(rows, dtype=np.int64))
+
+
+@kernel(refcount=True)
+def motion_at(tape, row, border):
+    """Motion of a row on the tape where a part begins, or the last one ends."""
+    place = row, border
+    return Motion(tape.q[place], tape.q_dot[place], tape.xi[place], tape.state[place], tape.clock[row, border : border + 1])
+
+
+@kernel
+def tape_border(tape, row, border, motion):
+    """Keeps a motion as that at a border between parts, where anything is kept."""
+    if tape.duration.shape[0] > 0:
+        copy_motion(motion, motion_at(tape, row, border))
+
+
+@kernel
+def tape_part(tape, row, part, command, duration, begins):
+    """Keeps what was commanded in a part, for how long, and whether it began there, where anything is kept."""
+    if tape.duration.shape[0] > 0:
+        copy(command, tape.command[row, part])
+        tape.duration[row, part] = duration
+        tape.begins[row, part] = 1 if begins else 0

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, WIDE, lane, lane_sums, load, load_wide, spread, spread_wide, store
 from soft_tendon_env.mechanics.algebra.lie import coad_apply, twist_sum
-from soft_tendon_env.mechanics.algebra.symmetric6 import load6, scaled, store6
+from soft_tendon_env.mechanics.algebra.symmetric6 import load6, scale6, store6
 
 
 class RowLayout(NamedTuple):
@@ -81,27 +81,24 @@ def _write_row(total, i, tile, out):
 
 
 @kernel(inline=True)
-def _reach(tile, first, last):
+def _reach(tile, pack_begin, pack_end):
     """Range of the packs in which any column of the tile lives."""
-    begin, end = first[TILE * tile], last[TILE * tile]
-    for j in range(TILE * tile + 1, min(TILE * (tile + 1), first.size)):
-        begin, end = min(begin, first[j]), max(end, last[j])
+    begin, end = pack_begin[TILE * tile], pack_end[TILE * tile]
+    for j in range(TILE * tile + 1, min(TILE * (tile + 1), pack_begin.size)):
+        begin, end = min(begin, pack_begin[j]), max(end, pack_end[j])
     return begin, end
 
 
 @kernel
-def gram_within(columns, others, weight, rows, first, last, packs, out):
-    """Weighted Gram matrix of columns and others_j, a symmetric matrix times columns_j: out_ij = sum over the rows of columns_i weight
-    others_j, over the packs packs[0]..packs[1]-1.
-
-    Column j lives in the packs first[j]..last[j] and is zero elsewhere; `rows` is the layout of a pack.
-    """
-    (begin, end), n, per_column = packs, first.size, columns.size // first.size
+def gram_within(columns, others, weight, rows, pack_begin, pack_end, packs, out):
+    """Weighted Gram matrix out_ij, the sum over the rows of columns_i weight others_j in a range of packs, where others_j is a symmetric
+    matrix times columns_j. Column j is zero but from pack_begin[j] to pack_end[j]; `rows` is the layout of a pack."""
+    (begin, end), n, per_column = packs, pack_begin.size, columns.size // pack_begin.size
     for tile_i in range((n + TILE - 1) // TILE):
-        begin_i, end_i = _reach(tile_i, first, last)
+        begin_i, end_i = _reach(tile_i, pack_begin, pack_end)
         at_i = _tile_starts(tile_i, n, per_column)
         for tile_j in range(tile_i + 1):
-            begin_j, end_j = _reach(tile_j, first, last)
+            begin_j, end_j = _reach(tile_j, pack_begin, pack_end)
             at_j = _tile_starts(tile_j, n, per_column)
             row_0, row_1, row_2, row_3 = _zero_tile(), _zero_tile(), _zero_tile(), _zero_tile()
             for group in range(max(begin, begin_i, begin_j) * rows.groups, min(end, end_i, end_j) * rows.groups):
@@ -116,11 +113,11 @@ def gram_within(columns, others, weight, rows, first, last, packs, out):
 
 
 @kernel
-def project(columns, field, rows, first, last, out):
+def project(columns, field, rows, pack_begin, pack_end, out):
     """Generalised force of a wrench field: out_j = sum over the rows of columns_j field."""
-    n, per_column = first.size, columns.size // first.size
+    n, per_column = pack_begin.size, columns.size // pack_begin.size
     for tile in range((n + TILE - 1) // TILE):
-        begin, end = _reach(tile, first, last)
+        begin, end = _reach(tile, pack_begin, pack_end)
         at, total = _tile_starts(tile, n, per_column), _zero_tile()
         for group in range(begin * rows.groups, end * rows.groups):
             for m in range(group * rows.size, group * rows.size + rows.used, WIDE):
@@ -141,19 +138,19 @@ def sum_columns(Phi, q_dot, xi_dot):
 @kernel(inline=True)
 def mass_matrix(rod, strain, work):
     """Mass matrix M = int J^T M J dX (40a), of the body Jacobians at the nodes, into work.M."""
-    gram_within(work.J, work.J, rod.inertia, node_rows(), strain.first, strain.tip, (0, rod.packs), work.M)
+    gram_within(work.J, work.J, rod.inertia, node_rows(), strain.pack_begin, strain.jacobian_end, (0, rod.packs), work.M)
 
 
 @kernel(inline=True)
 def damping_matrix(rod, strain, work):
     """Damping matrix D = int Phi^T Upsilon Phi dX, of the strain columns at the points, into work.D."""
-    gram_within(work.Phi, work.Phi, rod.viscosity, point_rows(rod), strain.first, strain.last, (0, rod.packs), work.D)
+    gram_within(work.Phi, work.Phi, rod.viscosity, point_rows(rod), strain.pack_begin, strain.pack_end, (0, rod.packs), work.D)
 
 
 @kernel(inline=True)
 def stiffness_matrix(rod, strain, work):
     """Stiffness G = int Phi^T Phi_w dX, of the columns Phi and their wrenches Phi_w times the weight in work.Y; symmetric."""
-    gram_within(work.Phi, work.Y, work.unit, point_rows(rod), strain.first, strain.last, (0, rod.packs), work.G)
+    gram_within(work.Phi, work.Y, work.unit, point_rows(rod), strain.pack_begin, strain.pack_end, (0, rod.packs), work.G)
 
 
 @kernel
@@ -161,7 +158,7 @@ def driving_force(rod, strain, work):
     """Drive B u - K - D q_dot = int Phi^T (mismatch - Upsilon xi_dot) dX, into work.drive."""
     for m in range(0, work.xi_dot.size, LANES):
         store(work.mismatch, m, load(work.mismatch, m) - load(rod.viscosity, m) * load(work.xi_dot, m))
-    project(work.Phi, work.mismatch, point_rows(rod), strain.first, strain.last, work.drive)
+    project(work.Phi, work.mismatch, point_rows(rod), strain.pack_begin, strain.pack_end, work.drive)
 
 
 @kernel
@@ -170,6 +167,6 @@ def bias_force(rod, strain, work):
     for pack in range(rod.packs):
         at = pack * 6 * LANES
         inertia, eta = load6(rod.inertia, at), load6(work.eta, at)
-        momentum = scaled(inertia, eta)
-        store6(work.wrench, at, twist_sum(scaled(inertia, load6(work.eta_bias, at)), coad_apply(eta, momentum)))
-    project(work.J, work.wrench, node_rows(), strain.first, strain.tip, work.bias)
+        momentum = scale6(inertia, eta)
+        store6(work.wrench, at, twist_sum(scale6(inertia, load6(work.eta_bias, at)), coad_apply(eta, momentum)))
+    project(work.J, work.wrench, node_rows(), strain.pack_begin, strain.jacobian_end, work.bias)

@@ -18,10 +18,8 @@ from soft_tendon_env.mechanics.terms.transmission import actuator_tensions
 
 @kernel
 def configure(arm, q, tolerance, work):
-    """Configuration of the rod at q: poses, and the strain that Newton finds from the stress-free rod or else strain_from_rest().
-
-    A motion may come to coordinates whose parts have no strain, where tendons push. Returns as continue_strain() does.
-    """
+    """Configuration of the rod at q: poses, and the strain that Newton finds from the stress-free rod or else strain_from_rest(): where
+    tendons push, a motion may come to coordinates whose parts have no strain. Returns as continue_strain() does."""
     copy(arm.rod.reference_strain, work.xi)
     failed, reached = strain_from_guess(arm, q, tolerance, work), 1.0
     if failed >= 0:

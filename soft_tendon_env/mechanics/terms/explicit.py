@@ -1,20 +1,12 @@
 """Explicit strain parametrisation: xi = xi* + Phi q with constant fields Phi."""
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import LANES, load, sqrt, store
-from soft_tendon_env.mechanics.algebra.lie import twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
+from soft_tendon_env.mechanics.algebra.lie import scale_twist, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
-from soft_tendon_env.mechanics.algebra.symmetric6 import (
-    factorise,
-    inverse_diagonal,
-    load6,
-    multiply_upper,
-    scaled,
-    scaled_stiffness,
-    store6,
-)
-from soft_tendon_env.mechanics.terms.dynamics import gram_within, point_rows, sum_columns
-from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
+from soft_tendon_env.mechanics.algebra.symmetric6 import load6, scale6, store6, symmetric_product
+from soft_tendon_env.mechanics.terms.dynamics import stiffness_matrix, sum_columns
+from soft_tendon_env.mechanics.terms.parametrisation import PARAMETRISATIONS, Parametrisation
 from soft_tendon_env.mechanics.terms.tendons import pull
 from soft_tendon_env.mechanics.types import Explicit
 
@@ -30,35 +22,25 @@ def explicit_columns(arm, strain, u, q, q_dot, work):
         at, weight = block * 6 * LANES, load(rod.weight, block * LANES)
         stiff, xi = load6(rod.root_stiffness, at), load6(work.xi, at)
         pulled = pull(rod, arm.tendons, block, xi, work.tau, work.tangent)[1]
-        strained = twist_sum(xi, twist_scaled(-1.0, load6(rod.reference_strain, at)))
-        store6(work.mismatch, at, twist_scaled(-weight, twist_sum(scaled(stiff, scaled(stiff, strained)), pulled)))
-
-
-@kernel(inline=True)
-def root_pivot(inverse, weight):
-    """Root of the weight times a pivot, a pivot below zero (pushing tendons) counted as zero: it serves as a stiffness only."""
-    pivot = weight / inverse
-    return sqrt(0.5 * (pivot + sqrt(pivot * pivot)))
+        strained = twist_sum(xi, scale_twist(-1.0, load6(rod.reference_strain, at)))
+        store6(work.mismatch, at, scale_twist(-weight, twist_sum(scale6(stiff, scale6(stiff, strained)), pulled)))
 
 
 @kernel
 def explicit_matrices(arm, strain, work):
-    """Stiffness G = int Phi^T (Sigma - Psi(u)) Phi dX = Y^T Y, u the tensions of the columns, and D, which is constant."""
+    """Stiffness G = int Phi^T (Sigma - Psi(u)) Phi dX, u the tensions of the columns, and D, which is constant."""
     rod, blocks = arm.rod, 2 * arm.rod.packs
     for block in range(blocks):
         at, weight = block * 6 * LANES, load(rod.weight, block * LANES)
-        stiff, h = load6(rod.root_stiffness, at), pull(rod, arm.tendons, block, load6(work.xi, at), work.tau, work.tangent)[0]
-        f = factorise(scaled_stiffness(h, load6(rod.root_compliance, at)), rod.free)
-        (a, b, c), (d, e, g) = inverse_diagonal(f)
-        root = (
-            (root_pivot(a, weight), root_pivot(b, weight), root_pivot(c, weight)),
-            (root_pivot(d, weight), root_pivot(e, weight), root_pivot(g, weight)),
-        )
+        root, h = load6(rod.root_stiffness, at), pull(rod, arm.tendons, block, load6(work.xi, at), work.tau, work.tangent)[0]
+        s, t = scale6(root, root)  # Sigma, added to the diagonal of -Psi
+        h = (h[0] + s[0], h[1], h[2] + s[1], h[3], h[4], h[5] + s[2], h[6], h[7], h[8], h[9] + t[0]) + h[10:14] + (h[14] + t[1],) + h[15:]
+        h = h[:20] + (h[20] + t[2],)
         for j in range(strain.size):
-            if strain.first[j] <= block // 2 < strain.last[j]:
+            if strain.pack_begin[j] <= block // 2 < strain.pack_end[j]:
                 column_at = (j * blocks + block) * 6 * LANES
-                store6(work.Y, column_at, scaled(root, multiply_upper(f, scaled(stiff, load6(strain.field, column_at)), rod.free)))
-    gram_within(work.Y, work.Y, work.unit, point_rows(rod), strain.first, strain.last, (0, rod.packs), work.G)
+                store6(work.Y, column_at, scale_twist(weight, symmetric_product(h, load6(strain.field, column_at))))
+    stiffness_matrix(rod, strain, work)
     copy_matrix(strain.damping, work.D)
 
 
@@ -83,4 +65,4 @@ def explicit_rate(arm, strain, q_dot, work):
     sum_columns(strain.field, q_dot, work.xi_dot)
 
 
-parametrises(Explicit, Parametrisation(solve_explicit, explicit_columns, explicit_matrices, explicit_is_unique, explicit_rate))
+PARAMETRISATIONS[Explicit] = Parametrisation(solve_explicit, explicit_columns, explicit_matrices, explicit_is_unique, explicit_rate)

@@ -8,14 +8,13 @@ import math
 
 from soft_tendon_env.compiler.compilation import kernel, phase
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread, store
-from soft_tendon_env.mechanics.algebra.lie import twist_scaled
+from soft_tendon_env.mechanics.algebra.lie import scale_twist
 from soft_tendon_env.mechanics.algebra.linear import copy, total
-from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, store6
+from soft_tendon_env.mechanics.algebra.symmetric6 import load6, load21, store6, symmetric_product
 from soft_tendon_env.mechanics.effects import EXPLICIT, IMPLICIT_POSE, IMPLICIT_TWIST, Base, Nodes, Points, call
 from soft_tendon_env.mechanics.terms.command_filter import rest_filter
 from soft_tendon_env.mechanics.terms.dynamics import gram_within, node_rows, point_rows, project
-from soft_tendon_env.mechanics.terms.tendon_friction import add_lost_stress, find_shares
-from soft_tendon_env.mechanics.terms.transmission import find_columns
+from soft_tendon_env.mechanics.terms.transmission import add_lost_stress, find_columns, find_shares
 
 NODE_SHARE = 1e-7  # of a radian, of the length, and of those a second: differences of what effects do at the nodes
 
@@ -53,10 +52,10 @@ def external_force(arm, work):
     strain, (wrenches, stresses) = arm.strain, effect_loads(arm, work)
     work.load[:] = 0.0
     if stresses:
-        project(work.Phi, work.stress, point_rows(arm.rod), strain.first, strain.last, work.load)
+        project(work.Phi, work.stress, point_rows(arm.rod), strain.pack_begin, strain.pack_end, work.load)
     if wrenches:
         force = work.extra[0]
-        project(work.J, work.wrench, node_rows(), strain.first, strain.tip, force)
+        project(work.J, work.wrench, node_rows(), strain.pack_begin, strain.jacobian_end, force)
         for j in range(strain.size):
             work.load[j] += force[j]
 
@@ -68,12 +67,9 @@ def effect_loads(arm, work):
     effects, rubs = arm.effects, find_shares(arm, work)
     wrenches, stresses = any_of(effects.wrench), any_of(effects.stress) or rubs
     if wrenches:
-        work.wrench[:] = 0.0
         work.node_stiffness[:] = 0.0
         work.node_damping[:] = 0.0
-        for i in range(effects.count):
-            if effects.wrench[i] != 0:
-                call(effects.wrench[i], effects.parameters[i], (nodes_of(arm, work),))
+        sum_wrenches(arm, work)
     if stresses:
         work.stress[:] = 0.0
         work.point_stiffness[:] = 0.0
@@ -83,6 +79,15 @@ def effect_loads(arm, work):
             add_lost_stress(arm, work)
         weigh(arm.rod, work)
     return wrenches, stresses
+
+
+@kernel
+def sum_wrenches(arm, work):
+    """Wrenches of all effects into work.wrench."""
+    work.wrench[:] = 0.0
+    for i in range(arm.effects.count):
+        if arm.effects.wrench[i] != 0:
+            call(arm.effects.wrench[i], arm.effects.parameters[i], (nodes_of(arm, work),))
 
 
 @kernel
@@ -99,9 +104,9 @@ def weigh(rod, work):
     """Multiplies stresses and their derivatives by the weights of the points; stresses get the sign of a load."""
     for block in range(2 * rod.packs):
         at, weight = block * 6 * LANES, load(rod.weight, block * LANES)
-        store6(work.stress, at, twist_scaled(-weight, load6(work.stress, at)))
-        store6(work.point_stiffness, at, twist_scaled(weight, load6(work.point_stiffness, at)))
-        store6(work.point_damping, at, twist_scaled(weight, load6(work.point_damping, at)))
+        store6(work.stress, at, scale_twist(-weight, load6(work.stress, at)))
+        store6(work.point_stiffness, at, scale_twist(weight, load6(work.point_stiffness, at)))
+        store6(work.point_damping, at, scale_twist(weight, load6(work.point_damping, at)))
 
 
 @phase
@@ -140,8 +145,8 @@ def differ_wrench(arm, i, work):
         if wanted & IMPLICIT_POSE:
             displace(work.pose, k, way)
             wrench_of(arm, i, work)
-            if k < 3:
-                turn_back(work.wrench, k, way)
+            for at in range(0, work.wrench.size if k < 3 else 0, 3 * LANES):  # back in the frames before: a dead load is not stiff
+                turn(work.wrench, at + (k + 1) % 3 * LANES, at + (k + 2) % 3 * LANES, -way)
             add_differences(k, way, work, work.node_stiffness)
             copy(work.beside_pose, work.pose)
         if wanted & IMPLICIT_TWIST:
@@ -157,13 +162,6 @@ def wrench_of(arm, i, work):
     """Wrench of the i-th effect alone into work.wrench."""
     work.wrench[:] = 0.0
     call(arm.effects.wrench[i], arm.effects.parameters[i], (nodes_of(arm, work),))
-
-
-@kernel
-def turn_back(wrench, k, way):
-    """Wrenches (nodes x 6) in frames that are turned by a small angle about the k-th axis, in those before: a dead load is not stiff."""
-    for at in range(0, wrench.size, 3 * LANES):
-        turn(wrench, at + (k + 1) % 3 * LANES, at + (k + 2) % 3 * LANES, -way)
 
 
 @kernel
@@ -222,8 +220,8 @@ def add_node_gram(rod, strain, blocks, work, out):
         for j in range(strain.size):
             for pack in range(packs[0], packs[1]):
                 at = (j * rod.packs + pack) * 6 * LANES
-                store6(work.loaded, at, apply21(blocks, pack * 21 * LANES, load6(work.J, at)))
-        gram_within(work.J, work.loaded, work.unit, node_rows(), strain.first, strain.tip, packs, work.extra)
+                store6(work.loaded, at, symmetric_product(load21(blocks, pack * 21 * LANES), load6(work.J, at)))
+        gram_within(work.J, work.loaded, work.unit, node_rows(), strain.pack_begin, strain.jacobian_end, packs, work.extra)
         add_matrix(work.extra, out)
 
 
@@ -232,7 +230,7 @@ def add_point_gram(rod, strain, diagonal, work, out):
     """Adds Phi^T K Phi to out, K diagonal (points x 6), over the packs where it is not zero."""
     packs = filled_packs(diagonal, 12 * LANES)
     if packs[1] > 0:
-        gram_within(work.Phi, work.Phi, diagonal, point_rows(rod), strain.first, strain.last, packs, work.extra)
+        gram_within(work.Phi, work.Phi, diagonal, point_rows(rod), strain.pack_begin, strain.pack_end, packs, work.extra)
         add_matrix(work.extra, out)
 
 

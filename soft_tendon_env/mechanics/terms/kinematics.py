@@ -19,14 +19,14 @@ from soft_tendon_env.mechanics.algebra.lie import (
     dot,
     exp_se3,
     matmul,
-    matrix_scaled,
     matrix_sum,
     operator_apply,
     plus,
     rotate,
+    scale_matrix,
+    scale_twist,
     skew_times,
     times_skew,
-    twist_scaled,
     twist_sum,
 )
 from soft_tendon_env.mechanics.algebra.linear import copy
@@ -38,14 +38,14 @@ KAPPA = math.sqrt(3.0) / 12.0
 @kernel(inline=True)
 def magnus(h, xi_1, xi_2):
     """Magnus expansion Omega(h) = h/2 (xi_1 + xi_2) + sqrt(3) h^2/12 ad_xi_1 xi_2 (Appendix C)."""
-    return twist_sum(twist_scaled(0.5 * h, twist_sum(xi_1, xi_2)), twist_scaled(KAPPA * h * h, ad_apply(xi_1, xi_2)))
+    return twist_sum(scale_twist(0.5 * h, twist_sum(xi_1, xi_2)), scale_twist(KAPPA * h * h, ad_apply(xi_1, xi_2)))
 
 
 @kernel(inline=True)
 def zanna(h, xi_1, xi_2, x_1, x_2):
     """Zanna operator Z_h(x): the derivative of Omega along x (Appendix C)."""
-    bracket = twist_sum(ad_apply(xi_1, x_2), twist_scaled(-1.0, ad_apply(xi_2, x_1)))
-    return twist_sum(twist_scaled(0.5 * h, twist_sum(x_1, x_2)), twist_scaled(KAPPA * h * h, bracket))
+    bracket = twist_sum(ad_apply(xi_1, x_2), scale_twist(-1.0, ad_apply(xi_2, x_1)))
+    return twist_sum(scale_twist(0.5 * h, twist_sum(x_1, x_2)), scale_twist(KAPPA * h * h, bracket))
 
 
 @kernel(inline=True)
@@ -126,10 +126,10 @@ def strains_of_part(h, interval, part, work):
     """Strains at the two points of the first `part` of an interval of length h, linear between its own two."""
     pack, lane_index = interval // LANES, interval % LANES
     xi_1, xi_2 = twist_at(work.xi, 2 * pack, lane_index), twist_at(work.xi, 2 * pack + 1, lane_index)
-    slope = twist_scaled(math.sqrt(3.0) / h, twist_sum(xi_2, twist_scaled(-1.0, xi_1)))
-    middle = twist_sum(twist_scaled(0.5, twist_sum(xi_1, xi_2)), twist_scaled(0.5 * (part - h), slope))
-    reach = twist_scaled(part * math.sqrt(3.0) / 6.0, slope)
-    return twist_sum(middle, twist_scaled(-1.0, reach)), twist_sum(middle, reach)
+    slope = scale_twist(math.sqrt(3.0) / h, twist_sum(xi_2, scale_twist(-1.0, xi_1)))
+    middle = twist_sum(scale_twist(0.5, twist_sum(xi_1, xi_2)), scale_twist(0.5 * (part - h), slope))
+    reach = scale_twist(part * math.sqrt(3.0) / 6.0, slope)
+    return twist_sum(middle, scale_twist(-1.0, reach)), twist_sum(middle, reach)
 
 
 @kernel(inline=True)
@@ -159,7 +159,7 @@ def strains_inside(length, interval, distance, field, out):
         pack, lane_index = i // LANES, i % LANES
         share = math.sqrt(3.0) * (distance[m] / length[i] - 0.5) + 0.5
         xi_1, xi_2 = twist_at(field, 2 * pack, lane_index), twist_at(field, 2 * pack + 1, lane_index)
-        k, p = twist_sum(twist_scaled(1.0 - share, xi_1), twist_scaled(share, xi_2))
+        k, p = twist_sum(scale_twist(1.0 - share, xi_1), scale_twist(share, xi_2))
         for i in range(3):
             out[m, i] = k[i]
             out[m, 3 + i] = p[i]
@@ -173,24 +173,11 @@ def interval_operators(h, half, kappa, xi_1, xi_2, R, r):
     T, T_dual = dexp_operator(Omega, c)
     A = matmul(R, T)
     C = matrix_sum(matmul(R, T_dual), skew_times(r, A))
-    A_1 = matrix_sum(matrix_scaled(half, A), matrix_scaled(-kappa, times_skew(A, xi_2[0])))
-    A_2 = matrix_sum(matrix_scaled(half, A), matrix_scaled(kappa, times_skew(A, xi_1[0])))
-    C_1 = matrix_sum(matrix_scaled(half, C), matrix_scaled(-kappa, matrix_sum(times_skew(C, xi_2[0]), times_skew(A, xi_2[1]))))
-    C_2 = matrix_sum(matrix_scaled(half, C), matrix_scaled(kappa, matrix_sum(times_skew(C, xi_1[0]), times_skew(A, xi_1[1]))))
+    A_1 = matrix_sum(scale_matrix(half, A), scale_matrix(-kappa, times_skew(A, xi_2[0])))
+    A_2 = matrix_sum(scale_matrix(half, A), scale_matrix(kappa, times_skew(A, xi_1[0])))
+    C_1 = matrix_sum(scale_matrix(half, C), scale_matrix(-kappa, matrix_sum(times_skew(C, xi_2[0]), times_skew(A, xi_2[1]))))
+    C_2 = matrix_sum(scale_matrix(half, C), scale_matrix(kappa, matrix_sum(times_skew(C, xi_1[0]), times_skew(A, xi_1[1]))))
     return (A_1, C_1), (A_2, C_2), A, C, Omega, c
-
-
-@kernel(inline=True)
-def interval_motion(h, xi_1, xi_2, rate_1, rate_2, R, r, operators):
-    """Growth of the base-frame twist over the interval, and of its derivative as far as strains at constant rates alone make it."""
-    W_1, W_2, A, C, Omega, c = operators
-    growth = twist_sum(operator_apply(W_1[0], W_1[1], rate_1), operator_apply(W_2[0], W_2[1], rate_2))
-    Omega_dot = zanna(h, xi_1, xi_2, rate_1, rate_2)
-    change = twist_sum(
-        operator_apply(A, C, twist_scaled(2.0 * KAPPA * h * h, ad_apply(rate_1, rate_2))),
-        Ad_apply(R, r, dexp_dot_apply(Omega, Omega_dot, c, Omega_dot)),
-    )
-    return growth, change
 
 
 @kernel(inline=True)
@@ -205,13 +192,6 @@ def running_sum(carry, row, x):
     return k, p
 
 
-@kernel(inline=True)
-def constant6(carry, row):
-    at = row * 6
-    k = spread(carry[at]), spread(carry[at + 1]), spread(carry[at + 2])
-    return k, (spread(carry[at + 3]), spread(carry[at + 4]), spread(carry[at + 5]))
-
-
 @kernel
 def sweep(rod, strain, columns, work):
     """Twist eta = J q_dot at every node, its bias J_dot q_dot, and the first `columns` columns of J (17)-(18); after poses()."""
@@ -224,14 +204,16 @@ def sweep(rod, strain, columns, work):
         h = load(rod.length, pack * LANES)
         xi_1, xi_2 = load6(work.xi, at), load6(work.xi, at + 6 * LANES)
         R, r = load_pose(work.start, pack * 12 * LANES)
-        operators = interval_operators(h, 0.5 * h, KAPPA * h * h, xi_1, xi_2, R, r)
-        W_1, W_2 = operators[0], operators[1]
+        W_1, W_2, A, C, Omega, c = interval_operators(h, 0.5 * h, KAPPA * h * h, xi_1, xi_2, R, r)
         R_end, r_end = load_pose(work.pose, pack * 12 * LANES)
 
         rate_1, rate_2 = load6(work.xi_dot, at), load6(work.xi_dot, at + 6 * LANES)
-        growth, change = interval_motion(h, xi_1, xi_2, rate_1, rate_2, R, r, operators)
+        growth = twist_sum(operator_apply(W_1[0], W_1[1], rate_1), operator_apply(W_2[0], W_2[1], rate_2))
+        Omega_dot = zanna(h, xi_1, xi_2, rate_1, rate_2)
+        change = operator_apply(A, C, scale_twist(2.0 * KAPPA * h * h, ad_apply(rate_1, rate_2)))
+        change = twist_sum(change, Ad_apply(R, r, dexp_dot_apply(Omega, Omega_dot, c, Omega_dot)))
         eta_end = running_sum(work.carry, n, growth)
-        eta_start = twist_sum(eta_end, twist_scaled(-1.0, growth))
+        eta_start = twist_sum(eta_end, scale_twist(-1.0, growth))
         store6(work.eta, pack * 6 * LANES, Ad_inverse_apply(R_end, r_end, eta_end))
 
         bias_1, bias_2 = load6(work.xi_bias, at), load6(work.xi_bias, at + 6 * LANES)
@@ -240,15 +222,16 @@ def sweep(rod, strain, columns, work):
         store6(work.eta_bias, pack * 6 * LANES, Ad_inverse_apply(R_end, r_end, bias_end))
 
         for j in range(columns):
-            if strain.first[j] > pack:
+            if strain.pack_begin[j] > pack:
                 continue
-            if pack < strain.last[j]:
+            if pack < strain.pack_end[j]:
                 field_at = (j * blocks + 2 * pack) * 6 * LANES
                 phi_1, phi_2 = load6(work.Phi, field_at), load6(work.Phi, field_at + 6 * LANES)
                 growth = twist_sum(operator_apply(W_1[0], W_1[1], phi_1), operator_apply(W_2[0], W_2[1], phi_2))
                 column = running_sum(work.carry, j, growth)
             else:
-                column = constant6(work.carry, j)
+                sums = work.carry[6 * j : 6 * j + 6]
+                column = (spread(sums[0]), spread(sums[1]), spread(sums[2])), (spread(sums[3]), spread(sums[4]), spread(sums[5]))
             store6(work.J, (j * packs + pack) * 6 * LANES, Ad_inverse_apply(R_end, r_end, column))
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, dot, operator_apply, plus, times, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, dot, operator_apply, plus, scale_twist, times, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import add_product
 from soft_tendon_env.mechanics.terms.kinematics import KAPPA, interval_operators, magnus, pose_at, twist_at
 from soft_tendon_env.mechanics.terms.transposed_kinematics import add_at, transposed_dexp, wrench_at_start, zanna_transposed
@@ -33,8 +33,8 @@ def place(node):
 @kernel(inline=True)
 def _strains(node, work):
     """Strains at the two points of the interval that ends at a node."""
-    block, own = node // LANES * 2, node % LANES
-    return twist_at(work.xi, block, own), twist_at(work.xi, block + 1, own)
+    block, lane_index = node // LANES * 2, node % LANES
+    return twist_at(work.xi, block, lane_index), twist_at(work.xi, block + 1, lane_index)
 
 
 @kernel(inline=True)
@@ -61,8 +61,8 @@ def load_stress(rod, strain, part, work, out):
     moment, force = times(part, strain.moment), (0.0, 0.0, 0.0)
     out[:] = 0.0
     for node in range(rod.length.size - 1, -1, -1):
-        position, own = _node_load(rod, strain, part, node, work)
-        moment, force = plus(moment, cross(position, own)), plus(force, own)
+        position, node_force = _node_load(rod, strain, part, node, work)
+        moment, force = plus(moment, cross(position, node_force)), plus(force, node_force)
         xi_1, xi_2 = _strains(node, work)
         first, second = _interval_stress(rod, node, xi_1, xi_2, (moment, force), work)
         add_at(out, place(node), first)
@@ -89,7 +89,7 @@ def _assemble_interval(rod, node, wrench, work, D):
                 entry = (block + a // 6) * 21 + max(i, j) * (max(i, j) + 1) // 2 + min(i, j)
                 D[b, a] = work.factor[entry * LANES + node % LANES]
         for steps, share in STENCIL:
-            moved = twist_scaled(steps * way, e)
+            moved = scale_twist(steps * way, e)
             first, second = twist_sum(xi_1, moved) if a < 6 else xi_1, twist_sum(xi_2, moved) if a >= 6 else xi_2
             stress = _interval_stress(rod, node, first, second, wrench, work)
             for b in range(SIZE):
@@ -125,11 +125,11 @@ def factorise_hessian(rod, strain, part, work):
         j, k = (i + 1) % 3, (i + 2) % 3
         rows_Q[k, j], rows_Q[j, k] = moment[i], -moment[i]
     for node in range(rod.length.size - 1, -1, -1):
-        position, own = _node_load(rod, strain, part, node, work)
-        moment, force = plus(moment, cross(position, own)), plus(force, own)
+        position, node_force = _node_load(rod, strain, part, node, work)
+        moment, force = plus(moment, cross(position, node_force)), plus(force, node_force)
         for i in range(3):
             for j in range(3):
-                change = (dot(position, own) if i == j else 0.0) - position[i] * own[j]
+                change = (dot(position, node_force) if i == j else 0.0) - position[i] * node_force[j]
                 Q[i, j], rows_Q[i, j] = Q[i, j] + change, rows_Q[i, j] + change
         D, turn, columns, answer = memory.inverse[node], memory.turn[node], memory.columns[node], memory.answer[node]
         _assemble_interval(rod, node, (moment, force), work, D)
@@ -162,16 +162,16 @@ def solve_hessian(rod, memory, x, start):
         for a in range(SIZE):
             y[a] = c[at - start + a * LANES] * x[at + a * LANES] - turn[a, 0] * p - turn[a, 1] * q - turn[a, 2] * r
         for a in range(SIZE):
-            own = 0.0
+            strain = 0.0
             for b in range(SIZE):
-                own += D[a, b] * y[b]
-            x[at + a * LANES] = own
-            p, q, r = p + columns[a, 0] * own, q + columns[a, 1] * own, r + columns[a, 2] * own
+                strain += D[a, b] * y[b]
+            x[at + a * LANES] = strain
+            p, q, r = p + columns[a, 0] * strain, q + columns[a, 1] * strain, r + columns[a, 2] * strain
     p, q, r = 0.0, 0.0, 0.0
     for node in range(nodes):
         at, half, turn, answer = start + place(node), 0.5 * rod.length[node], memory.turn[node], memory.answer[node]
         s, t, u = p, q, r
         for a in range(SIZE):
-            own = x[at + a * LANES] + answer[a, 0] * s + answer[a, 1] * t + answer[a, 2] * u
-            x[at + a * LANES] = c[at - start + a * LANES] * own
-            p, q, r = p + half * turn[a, 0] * own, q + half * turn[a, 1] * own, r + half * turn[a, 2] * own
+            strain = x[at + a * LANES] + answer[a, 0] * s + answer[a, 1] * t + answer[a, 2] * u
+            x[at + a * LANES] = c[at - start + a * LANES] * strain
+            p, q, r = p + half * turn[a, 0] * strain, q + half * turn[a, 1] * strain, r + half * turn[a, 2] * strain

@@ -36,23 +36,19 @@ class Parametrisation(NamedTuple):
     rate: Callable[..., Any]
 
 
-_PARAMETRISATIONS: dict[type, Parametrisation] = {}
-
-
-def parametrises(arrays: type, functions: Parametrisation) -> None:
-    """Register the functions of the parametrisation with these arrays."""
-    _PARAMETRISATIONS[arrays] = functions
+PARAMETRISATIONS: dict[type, Parametrisation] = {}
+"""The functions of every parametrisation, by the class of its arrays."""
 
 
 def _of_the_arm(name):
     """Function of this name of an arm's parametrisation, to be called with the arm and all arguments after the strain."""
 
     def call(arm, *arguments):
-        return getattr(_PARAMETRISATIONS[type(arm.strain)], name)(arm, arm.strain, *arguments)
+        return getattr(PARAMETRISATIONS[type(arm.strain)], name)(arm, arm.strain, *arguments)
 
     @overload(call)
     def _compiled(arm, *arguments):
-        function = getattr(_PARAMETRISATIONS[arm.fields["strain"].instance_class], name)
+        function = getattr(PARAMETRISATIONS[arm.fields["strain"].instance_class], name)
         return lambda arm, *arguments: function(arm, arm.strain, *arguments)
 
     return call

@@ -6,12 +6,12 @@ In scaled form, with C = Sigma^-1 (0 for rigid strains) and e = Sigma^1/2 (xi - 
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load
-from soft_tendon_env.mechanics.algebra.lie import dot, minus, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import dot, minus, scale_twist, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
     is_positive,
     load6,
-    scaled,
+    scale6,
     scaled_stiffness,
     solve,
     squared_norm,
@@ -26,8 +26,7 @@ CONTRACTION = 0.25
 """Largest part of a correction that the next one may be where Newton is to stay on the branch it began on (Deuflhard, Newton Methods for
 Nonlinear Problems, 2004, chapter 5): with tendons that push, the strain that balances them need not be the only one."""
 ANY = 1e300  # contraction that is not watched
-MOST_TURN = 0.3
-"""Largest part of its length that a tendon's chord may move in a part of a push: it alone makes the balance nonlinear."""
+MOST_TURN = 0.3  # of its length, the most that a tendon's chord may move in a part of a push: it alone makes the balance nonlinear
 
 
 @kernel
@@ -36,9 +35,9 @@ def passive_wrench(strain, blocks, block, q):
     total = zero6()
     pack = block // 2
     for j in range(strain.active, strain.size):
-        if strain.first[j] <= pack < strain.last[j]:
+        if strain.pack_begin[j] <= pack < strain.pack_end[j]:
             column = load6(strain.passive, ((j - strain.active) * blocks + block) * 6 * LANES)
-            total = twist_sum(total, twist_scaled(q[j], column))
+            total = twist_sum(total, scale_twist(q[j], column))
     return total
 
 
@@ -52,32 +51,31 @@ def strain_tension(strain, q, tau):
 
 
 @kernel
-def solve_strain(rod, tendons, strain, q, tolerance, contraction, work):
+def solve_statics(arm, strain, q, part, tolerance, contraction, work):
     """Newton iteration for the strain (30) at every point, from the guess in work.xi; leaves xi, tangents and factors.
 
-    Stops when the last correction is below `tolerance` of the scaled strain: the factors belong to the iterate before it.
-    `contraction`: see CONTRACTION; ANY: a strain that is found is taken.
-    Returns -1, or the first block where a pivot was not positive, corrections did not shrink or MAX_NEWTON iterations did not do.
+    Stops when the last correction is below `tolerance` of the scaled strain: the factors belong to the iterate before it. Returns -1, or
+    the first block where a pivot was not positive, corrections did not shrink, see CONTRACTION, or MAX_NEWTON iterations did not do.
     """
-    blocks, tau = 2 * rod.packs, work.tau
-    floor = 0.0
+    rod, blocks, tau, floor = arm.rod, 2 * arm.rod.packs, work.tau, 0.0
+    strain_tension(strain, q, tau)
     for i in range(tau.size):
         floor += abs(tau[i])
     for block in range(blocks):
         at = block * 6 * LANES
         c, reference = load6(rod.root_compliance, at), load6(rod.reference_strain, at)
         xi = load6(work.xi, at)
-        e = scaled(load6(rod.root_stiffness, at), twist_sum(xi, twist_scaled(-1.0, reference)))
-        target = scaled(c, passive_wrench(strain, blocks, block, q))
+        e = scale6(load6(rod.root_stiffness, at), twist_sum(xi, scale_twist(-1.0, reference)))
+        target = scale6(c, passive_wrench(strain, blocks, block, q))
         resolution = 1e-15 * floor * c[1][0]
         converged, last = False, squared_norm(e)
         for iteration in range(MAX_NEWTON):
-            h, total = pull(rod, tendons, block, xi, tau, work.tangent)
+            h, total = pull(rod, arm.tendons, block, xi, tau, work.tangent)
             f = factorise(scaled_stiffness(h, c), rod.free)
-            residual = twist_sum(target, twist_scaled(-1.0, twist_sum(e, scaled(c, total))))
+            residual = twist_sum(target, scale_twist(-1.0, twist_sum(e, scale6(c, total))))
             step = solve(f, residual, rod.free)
             e = twist_sum(e, step)
-            xi = twist_sum(reference, scaled(c, e))
+            xi = twist_sum(reference, scale6(c, e))
             size = squared_norm(step)
             excess = size - (tolerance * tolerance) * squared_norm(e) - resolution * resolution
             if largest(excess) <= 0.0:
@@ -99,7 +97,7 @@ def chords_stay(rod, tendons, before, after):
     """Whether no tendon's chord differs by more than MOST_TURN of its length between two strain fields."""
     blocks = 2 * rod.packs
     for i in range(tendons.size):
-        for block in range(2 * tendons.first[i], 2 * tendons.last[i]):
+        for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
             at = (i * blocks + block) * 5 * LANES
             (k0, p0), (k1, p1) = load6(before, block * 6 * LANES), load6(after, block * 6 * LANES)
             c0, c1 = chord(tendons.geometry, at, k0, p0), chord(tendons.geometry, at, k1, p1)
@@ -117,13 +115,6 @@ def all_pull(tau):
         if tension < 0.0:
             return False
     return True
-
-
-@kernel
-def solve_statics(arm, strain, q, part, tolerance, contraction, work):
-    """The strain at q from the guess in work.xi; there are no loads inside, of which `part` would tell."""
-    strain_tension(strain, q, work.tau)
-    return solve_strain(arm.rod, arm.tendons, strain, q, tolerance, contraction, work)
 
 
 @kernel

@@ -14,13 +14,13 @@ from nothing, or along a motion; where the Hessian loses its positive pivots the
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, largest
-from soft_tendon_env.mechanics.algebra.lie import twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import scale_twist, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
     is_positive,
     load6,
-    scaled,
+    scale6,
     scaled_stiffness,
     squared_norm,
     store6,
@@ -29,7 +29,7 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
 from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, point_rows, project, sum_columns
 from soft_tendon_env.mechanics.terms.kinematics import poses
 from soft_tendon_env.mechanics.terms.load_hessian import factorise_hessian, load_stress, solve_hessian
-from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
+from soft_tendon_env.mechanics.terms.parametrisation import PARAMETRISATIONS, Parametrisation
 from soft_tendon_env.mechanics.terms.statics_based import coordinate_wrenches, rate_wrench, turning_wrench
 from soft_tendon_env.mechanics.terms.statics_newton import CONTRACTION, MAX_NEWTON, passive_wrench, strain_tension
 from soft_tendon_env.mechanics.terms.tendons import pull
@@ -56,7 +56,7 @@ def linearise_loaded(arm, strain, q, part, work):
             return block
         store_factor(work.factor, block, h)
         wrench = twist_sum(load6(memory.step, at), passive_wrench(strain.law, blocks, block, q))
-        wrench = twist_sum(wrench, twist_scaled(-1.0, twist_sum(pulled, scaled(load6(rod.root_stiffness, at), load6(memory.e, at)))))
+        wrench = twist_sum(wrench, scale_twist(-1.0, twist_sum(pulled, scale6(load6(rod.root_stiffness, at), load6(memory.e, at)))))
         store6(memory.step, at, wrench)
     return -1 if factorise_hessian(rod, strain, part, work) > 0.0 else blocks
 
@@ -67,10 +67,10 @@ def apply_correction(rod, xi, memory):
     size, norm = 0.0, 0.0
     for block in range(2 * rod.packs):
         at = block * 6 * LANES
-        step = scaled(load6(rod.root_stiffness, at), load6(memory.step, at))
+        step = scale6(load6(rod.root_stiffness, at), load6(memory.step, at))
         e = twist_sum(load6(memory.e, at), step)
         store6(memory.e, at, e)
-        store6(xi, at, twist_sum(load6(rod.reference_strain, at), scaled(load6(rod.root_compliance, at), e)))
+        store6(xi, at, twist_sum(load6(rod.reference_strain, at), scale6(load6(rod.root_compliance, at), e)))
         found = largest(squared_norm(step))
         if not found <= size:
             size = found
@@ -94,16 +94,13 @@ def rounding(rod, strain, part, tau):
 
 @kernel
 def solve_loaded(arm, strain, q, part, tolerance, contraction, work):
-    """Newton iteration for the strain under `part` of the loads, from the guess in work.xi; leaves xi, tangents and factors.
-
-    It stays on the branch that it began on, see CONTRACTION, whatever `contraction` is. Returns -1, or the block that stopped it, see
-    linearise_loaded().
-    """
+    """Newton iteration for the strain under `part` of the loads, from the guess in work.xi; leaves xi, tangents and factors. It stays on
+    its branch, see CONTRACTION, whatever `contraction` is. Returns -1, or the block that stopped it, see linearise_loaded()."""
     rod, memory, xi = arm.rod, work.under_loads, work.xi
     for block in range(2 * rod.packs):
         at = block * 6 * LANES
-        strained = twist_sum(load6(xi, at), twist_scaled(-1.0, load6(rod.reference_strain, at)))
-        store6(memory.e, at, scaled(load6(rod.root_stiffness, at), strained))
+        strained = twist_sum(load6(xi, at), scale_twist(-1.0, load6(rod.reference_strain, at)))
+        store6(memory.e, at, scale6(load6(rod.root_stiffness, at), strained))
     strain_tension(strain.law, q, work.tau)
     tolerance, resolution, last = max(SHARPER * tolerance, ROUND_OFF), rounding(rod, strain, part, work.tau), 0.0
     for iteration in range(MAX_NEWTON):
@@ -144,10 +141,8 @@ def load_acceleration(rod, strain, work, out):
 
 @kernel
 def loaded_columns(arm, strain, u, q, q_dot, work):
-    """Columns, xi_dot, bias and mismatch of the strain with these loads inside (35), of which B u - K + F is made.
-
-    The bias is -H^-1 times the balance differentiated twice along the motion with xi_ddot = 0, of tendons and loads.
-    """
+    """Columns, xi_dot, bias and mismatch, of which B u - K + F is made, of the strain with loads inside (35). The bias is -H^-1 times the
+    balance, of tendons and loads, differentiated twice along the motion with xi_ddot = 0."""
     rod, tendons, law, memory, size = arm.rod, arm.tendons, strain.law, work.under_loads, work.xi.size
     strain_tension(law, q_dot, work.tau_dot)
     work.Phi[:] = 0.0
@@ -169,7 +164,7 @@ def loaded_matrices(arm, strain, work):
     """Stiffness G = int Phi^T Phi_w dX and D, of the columns."""
     law, size = strain.law, work.xi.size
     for i in range(law.size):
-        project(work.Y, work.Phi[i * size : (i + 1) * size], point_rows(arm.rod), law.first, law.last, work.G[i])
+        project(work.Y, work.Phi[i * size : (i + 1) * size], point_rows(arm.rod), law.pack_begin, law.pack_end, work.G[i])
     damping_matrix(arm.rod, strain, work)
 
 
@@ -189,4 +184,4 @@ def loaded_rate(arm, strain, q_dot, work):
     solve_hessian(arm.rod, work.under_loads, work.xi_dot, 0)
 
 
-parametrises(Loaded, Parametrisation(solve_loaded, loaded_columns, loaded_matrices, loaded_is_unique, loaded_rate))
+PARAMETRISATIONS[Loaded] = Parametrisation(solve_loaded, loaded_columns, loaded_matrices, loaded_is_unique, loaded_rate)

@@ -6,7 +6,7 @@ project's sign (positive tension pulls) the actuation column is -s, so that Psi 
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread, sqrt, store
-from soft_tendon_env.mechanics.algebra.lie import dot, minus, times, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import dot, minus, scale_twist, times, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store3, store6, zero6, zero21
 from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
 
@@ -17,13 +17,6 @@ def chord(geometry, at, k, p):
     y, z = load(geometry, at), load(geometry, at + LANES)
     y_prime, z_prime = load(geometry, at + 2 * LANES), load(geometry, at + 3 * LANES)
     return p[0] + k[1] * z - k[2] * y, p[1] - k[0] * z + y_prime, p[2] + k[0] * y + z_prime
-
-
-@kernel(inline=True)
-def unit_tangent(t_c):
-    """Unit tangent t = t_c / |t_c|, and 1 / |t_c|."""
-    inverse = 1.0 / sqrt(dot(t_c, t_c))
-    return (t_c[0] * inverse, t_c[1] * inverse, t_c[2] * inverse), inverse
 
 
 @kernel(inline=True)
@@ -76,12 +69,14 @@ def pull(rod, tendons, block, xi, tau, tangent):
     k, p = xi
     blocks, pack = 2 * rod.packs, block // 2
     for i in range(tendons.size):
-        if tendons.first[i] <= pack < tendons.last[i]:
+        if tendons.pack_begin[i] <= pack < tendons.pack_end[i]:
             at = (i * blocks + block) * 5 * LANES
-            t, inverse = unit_tangent(chord(tendons.geometry, at, k, p))
+            t_c = chord(tendons.geometry, at, k, p)
+            inverse = 1.0 / sqrt(dot(t_c, t_c))
+            t = t_c[0] * inverse, t_c[1] * inverse, t_c[2] * inverse
             s = wrench_column(tendons.geometry, at, t)
             tension = tau[i] * load(tendons.geometry, at + 4 * LANES)
-            total = twist_sum(total, twist_scaled(tension, s))
+            total = twist_sum(total, scale_twist(tension, s))
             h = add_stiffness(h, tendons.geometry, at, tension * inverse, s, rod.free)
             store_at = (i * blocks + block) * 4 * LANES
             store3(tangent, store_at, t)
@@ -94,7 +89,7 @@ def actuation_wrench(tendons, blocks, block, i, tangent):
     """Actuation wrench Phi_a of a tendon at one block, by the tangents that pull() left."""
     at = i * blocks + block
     presence, t = load(tendons.geometry, (at * 5 + 4) * LANES), load3(tangent, at * 4 * LANES)
-    return twist_scaled(-presence, wrench_column(tendons.geometry, at * 5 * LANES, t))
+    return scale_twist(-presence, wrench_column(tendons.geometry, at * 5 * LANES, t))
 
 
 @kernel
@@ -113,7 +108,7 @@ def tendon_lengths(rod, tendons, work, out):
     blocks = 2 * rod.packs
     for i in range(tendons.size):
         total = spread(0.0)
-        for block in range(2 * tendons.first[i], 2 * tendons.last[i]):
+        for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
             at, (k, p) = (i * blocks + block) * 5 * LANES, load6(work.xi, block * 6 * LANES)
             t_c = chord(tendons.geometry, at, k, p)
             total = total + load(rod.weight, block * LANES) * load(tendons.geometry, at + 4 * LANES) * sqrt(dot(t_c, t_c))
@@ -126,8 +121,8 @@ def actuation_column(arm, i, share, work, out):
     rod, strain, blocks = arm.rod, arm.strain, 2 * arm.rod.packs
     for block in range(blocks):
         weight = load(rod.weight, block * LANES) * load(share, (i * blocks + block) * LANES)
-        store6(work.mismatch, block * 6 * LANES, twist_scaled(weight, actuation_wrench(arm.tendons, blocks, block, i, work.tangent)))
-    project(work.Phi, work.mismatch, point_rows(rod), strain.first, strain.last, out)
+        store6(work.mismatch, block * 6 * LANES, scale_twist(weight, actuation_wrench(arm.tendons, blocks, block, i, work.tangent)))
+    project(work.Phi, work.mismatch, point_rows(rod), strain.pack_begin, strain.pack_end, out)
 
 
 @kernel
@@ -137,7 +132,7 @@ def tendon_forces(rod, tendons, share, tangent, rate, out):
     blocks = 2 * rod.packs
     for i in range(tendons.size):
         sum_i = spread(0.0)
-        for block in range(2 * tendons.first[i], 2 * tendons.last[i]):
+        for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
             at = i * blocks + block
             weight = load(rod.weight, block * LANES) * load(share, at * LANES) * load(tendons.geometry, at * 5 * LANES + 4 * LANES)
             t, moved = load3(tangent, at * 4 * LANES), chord_rate(tendons.geometry, at * 5 * LANES, load6(rate, block * 6 * LANES))

@@ -21,8 +21,8 @@ from soft_tendon_env.mechanics.algebra.lie import (
     plus,
     rotate,
     rotate_back,
+    scale_twist,
     times,
-    twist_scaled,
     twist_sum,
 )
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
@@ -42,14 +42,14 @@ def transposed_dexp(Omega, c, psi):
     """Transposed tangent operator times a wrench, T^T psi."""
     kp, once = dot(Omega[0], Omega[1]), coad_apply(Omega, psi)
     twice = coad_apply(Omega, once)
-    t = twist_sum(psi, twist_sum(twist_scaled(-c.a, once), twist_scaled(c.b, twice)))
+    t = twist_sum(psi, twist_sum(scale_twist(-c.a, once), scale_twist(c.b, twice)))
     return plus(t[0], plus(times(-c.a1 * kp, once[1]), times(c.b1 * kp, twice[1]))), t[1]
 
 
 @kernel(inline=True)
 def zanna_transposed(mu, xi, t):
     """Product (1 + mu ad_xi)^T t with a wrench."""
-    return twist_sum(t, twist_scaled(-mu, coad_apply(xi, t)))
+    return twist_sum(t, scale_twist(-mu, coad_apply(xi, t)))
 
 
 @kernel(inline=True)
@@ -84,7 +84,7 @@ def add_wrench_stress(rod, wrench, work, stress):
         xi_1, xi_2 = load6(work.xi, at), load6(work.xi, at + 6 * LANES)
         Omega = magnus(h, xi_1, xi_2)
         t = transposed_dexp(Omega, coefficients(dot(Omega[0], Omega[0])), wrench_at_start(R, r, total))
-        t, mu = twist_scaled(0.5 * h, t), (2.0 * KAPPA) * h
+        t, mu = scale_twist(0.5 * h, t), (2.0 * KAPPA) * h
         store6(stress, at, twist_sum(load6(stress, at), zanna_transposed(-mu, xi_2, t)))
         store6(stress, at + 6 * LANES, twist_sum(load6(stress, at + 6 * LANES), zanna_transposed(mu, xi_1, t)))
 
@@ -94,9 +94,9 @@ def add_tendon_stress(rod, tendons, force, tangent, stress):
     """Adds to `stress` (points x 6) that which does the work of `force` (n_a) on the lengths of the tendons; see tendon_forces()."""
     blocks = 2 * rod.packs
     for i in range(tendons.size):
-        for block in range(2 * tendons.first[i], 2 * tendons.last[i]):
+        for block in range(2 * tendons.pack_begin[i], 2 * tendons.pack_end[i]):
             weight = -force[i] * load(rod.weight, block * LANES)
-            wrench = twist_scaled(weight, actuation_wrench(tendons, blocks, block, i, tangent))
+            wrench = scale_twist(weight, actuation_wrench(tendons, blocks, block, i, tangent))
             store6(stress, block * 6 * LANES, twist_sum(load6(stress, block * 6 * LANES), wrench))
 
 
@@ -129,13 +129,13 @@ def add_station_forces(length, interval, distance, force, work, wrench, stress):
         at_start = rotate_back(R, cross(way, f)), rotate_back(R, f)
         if i > 0:
             add_at(wrench, ((i - 1) // LANES) * 6 * LANES + (i - 1) % LANES, at_start)
-        t, mu = twist_scaled(0.5 * part, transposed_dexp(Omega, c, at_start)), 2.0 * KAPPA * part
+        t, mu = scale_twist(0.5 * part, transposed_dexp(Omega, c, at_start)), 2.0 * KAPPA * part
         first, second = zanna_transposed(-mu, xi_2, t), zanna_transposed(mu, xi_1, t)
-        both, apart = twist_sum(first, second), twist_sum(second, twist_scaled(-1.0, first))
-        turned = twist_sum(twist_scaled(0.5 * math.sqrt(3.0) * (part / h - 1.0), both), twist_scaled(0.5 * part / h, apart))
+        both, apart = twist_sum(first, second), twist_sum(second, scale_twist(-1.0, first))
+        turned = twist_sum(scale_twist(0.5 * math.sqrt(3.0) * (part / h - 1.0), both), scale_twist(0.5 * part / h, apart))
         at = 2 * (i // LANES) * 6 * LANES + i % LANES
-        add_at(stress, at, twist_sum(twist_scaled(0.5, both), twist_scaled(-1.0, turned)))
-        add_at(stress, at + 6 * LANES, twist_sum(twist_scaled(0.5, both), turned))
+        add_at(stress, at, twist_sum(scale_twist(0.5, both), scale_twist(-1.0, turned)))
+        add_at(stress, at + 6 * LANES, twist_sum(scale_twist(0.5, both), turned))
 
 
 @kernel(inline=True)
@@ -149,4 +149,4 @@ def add_at(field, at, x):
 @kernel
 def stress_force(rod, strain, work, stress, out):
     """Generalised force Phi^T stress of a stress field with the weights in it, out (n)."""
-    project(work.Phi, stress, point_rows(rod), strain.first, strain.last, out)
+    project(work.Phi, stress, point_rows(rod), strain.pack_begin, strain.pack_end, out)

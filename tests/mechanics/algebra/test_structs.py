@@ -81,10 +81,11 @@ def test_structs_are_found_by_their_addresses():
         ({"values": np.zeros(3)}, "Inner should get values, table, not values"),
         ({"values": np.zeros(3), "table": np.zeros((2, 2)), "more": 1}, "Inner should get values, table, not values, table, more"),
         ({"values": np.zeros(3, dtype=np.float32), "table": np.zeros((2, 2))}, "Inner.values should be a contiguous array of float64"),
-        ({"values": np.zeros(6)[::2], "table": np.zeros((2, 2))}, "Inner.values should be a contiguous array"),
+        ({"values": np.zeros(6)[::2], "table": np.zeros((2, 2))}, "Inner.values should be a contiguous array.* not a strided one"),
         ({"values": "text", "table": np.zeros((2, 2))}, "Inner.values should be .* not 'text'"),
+        ({"values": (1, 2.5), "table": np.zeros((2, 2))}, r"Inner.values .* a tuple of int alone or of float alone, .* not \(1, 2.5\)"),
     ],
-    ids=["missing", "too many", "float32", "strided", "text"],
+    ids=["missing", "too many", "float32", "strided", "text", "mixed"],
 )
 def test_what_compiled_code_could_not_read_is_refused(fields, message):
     with pytest.raises(TypeError, match=message):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from soft_tendon_env.mechanics.motion.extrapolation import evaluate_force
 from soft_tendon_env.mechanics.motion.force_gradient import GradientMemory, force_gradient
 from soft_tendon_env.mechanics.motion.implicit_euler import start_matrices
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
-from soft_tendon_env.mechanics.motion.stages import evaluate_force
 from soft_tendon_env.mechanics.workspace import sizes_of, zeros
 from soft_tendon_env.model.step_control import step_method
 

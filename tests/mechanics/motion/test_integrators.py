@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 
 import soft_tendon_env as ste
 from soft_tendon_env.mechanics.motion.advance import Control, next_step
-from soft_tendon_env.mechanics.motion.stages import Attempt
+from soft_tendon_env.mechanics.motion.extrapolation import Attempt
 from soft_tendon_env.mechanics.motion.status import INACCURATE, OK
 
 HOLD = 0.1  # [s], a multiple of all steps: the input is the same for all of them

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated
+from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated, evaluate_force
 from soft_tendon_env.mechanics.motion.period_map import add_jacobian, make_plan, matrices_of_motion, transposed_map
 from soft_tendon_env.mechanics.motion.scratch import make_scratch
-from soft_tendon_env.mechanics.motion.stages import evaluate_force
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.model.simulation import Simulation
 

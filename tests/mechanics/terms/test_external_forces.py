@@ -65,7 +65,7 @@ def test_the_effects_of_the_table_act_in_order(build, effects, result):
 def test_parameters_that_do_not_fit_their_class_are_refused():
     with pytest.raises(TypeError, match="Plus should get amount, not 1.0, 2.0"):
         Plus(1.0, 2.0)
-    with pytest.raises(TypeError, match="Plus.amount should be a contiguous array .* or a number, not 'x'"):
+    with pytest.raises(TypeError, match="Plus.amount should be a contiguous array .*, or a number, not 'x'"):
         Plus("x")
     with pytest.raises(TypeError, match="should be a class derived from soft_tendon_env.effects.Struct, not <class 'tuple'>"):
         adds_wrench(tuple)

@@ -5,7 +5,7 @@ import pytest
 
 from soft_tendon_env.mechanics.terms.evaluate import configure
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_rest, strain_has_margin
-from soft_tendon_env.mechanics.terms.statics_newton import ANY, solve_strain, strain_tension
+from soft_tendon_env.mechanics.terms.statics_newton import ANY, solve_statics, strain_tension
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.grid import screw_matrices
 from soft_tendon_env.scene.scene import segment_index, tendon_ends, tendon_offset
@@ -90,11 +90,10 @@ def test_rigid_strains_stay_exactly_zero(strains, build, random_state, workspace
 
 
 def guessed(model, q, guess):
-    """solve_strain from a guess: what it returns, and the strain."""
+    """solve_statics from a guess: what it returns, and the strain."""
     work = make_workspace(model.arm)
-    strain_tension(model.arm.strain, q, work.tau)
     work.xi[:] = guess
-    failed = solve_strain(model.arm.rod, model.arm.tendons, model.arm.strain, q, TOLERANCE, ANY, work)
+    failed = solve_statics(model.arm, model.arm.strain, q, 1.0, TOLERANCE, ANY, work)
     return failed, work.xi
 
 
