@@ -32,14 +32,13 @@ def explicit_matrices(arm, strain, work):
     rod, blocks = arm.rod, 2 * arm.rod.packs
     for block in range(blocks):
         at, weight = block * 6 * LANES, load(rod.weight, block * LANES)
-        root, h = load6(rod.root_stiffness, at), pull(rod, arm.tendons, block, load6(work.xi, at), work.tau, work.tangent)[0]
-        s, t = scale6(root, root)  # Sigma, added to the diagonal of -Psi
-        h = (h[0] + s[0], h[1], h[2] + s[1], h[3], h[4], h[5] + s[2], h[6], h[7], h[8], h[9] + t[0]) + h[10:14] + (h[14] + t[1],) + h[15:]
-        h = h[:20] + (h[20] + t[2],)
+        stiff, h = load6(rod.root_stiffness, at), pull(rod, arm.tendons, block, load6(work.xi, at), work.tau, work.tangent)[0]
         for j in range(strain.size):
             if strain.pack_begin[j] <= block // 2 < strain.pack_end[j]:
                 column_at = (j * blocks + block) * 6 * LANES
-                store6(work.Y, column_at, scale_twist(weight, symmetric_product(h, load6(strain.field, column_at))))
+                phi = load6(strain.field, column_at)
+                wrench = twist_sum(scale6(stiff, scale6(stiff, phi)), symmetric_product(h, phi))
+                store6(work.Y, column_at, scale_twist(weight, wrench))
     stiffness_matrix(rod, strain, work)
     copy_matrix(strain.damping, work.D)
 
