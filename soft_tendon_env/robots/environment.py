@@ -18,8 +18,8 @@ from soft_tendon_env.envs.observation import HISTORY
 from soft_tendon_env.envs.single import TendonRodEnv
 from soft_tendon_env.envs.tasks import TIP
 from soft_tendon_env.evaluation.play import play_steps
-from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.motion.scratch import Tape
+from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.model.step_control import RESOLVED, linear_rate
 from soft_tendon_env.policies.estimators import PARAMETERS
 from soft_tendon_env.policies.protocol import Policy
