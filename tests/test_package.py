@@ -30,16 +30,6 @@ def test_names_and_signatures_are_read_by_people():
         assert not re.search("numpy._typing|Annotated|Undefined|0x", str(inspect.signature(shown))), shown
 
 
-def test_reprs_are_one_line(build):
-    model = build("three_tendon", {"effects.gravity.acceleration": [0.0, 0.0, -9.81]})
-    simulation = ste.Simulation(model)
-    assert repr(model) == f"Model('three_tendon', {model.coordinate_count} coordinates, 3 tendons)"
-    assert repr(model.scene) == "Scene('three_tendon', 0.3 m, 1 segment, 3 tendons, gravity)"
-    assert repr(simulation.state) == f"State(at 0 s, {model.coordinate_count} coordinates, 0 internal states)"
-    assert repr(simulation) == f"Simulation({model!r} at 0 s)"
-    assert repr(model.scene.replace({"quadrature.least": 9}).quadrature) == "Quadrature(least=9)"
-
-
 def test_what_is_not_there_is_said():
     with pytest.raises(AttributeError, match="module 'soft_tendon_env' has no attribute 'nothing'"):
         _ = ste.nothing

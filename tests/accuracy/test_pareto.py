@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.accuracy.pareto import cpu_time, explore, measure, pareto_front, worst
+from soft_tendon_env.accuracy.pareto import explore, measure, pareto_front, worst
 from soft_tendon_env.accuracy.reference import LEVELS, Reference, distance, full_physics, reference_motions, tips
 from soft_tendon_env.accuracy.settings import Setting, evaluation_cost, strain_fields
 from soft_tendon_env.accuracy.test_inputs import HOLD, MOTIONS, motion_tensions
@@ -58,18 +58,6 @@ def test_strain_fields_keep_the_strains_and_the_loads_of_the_rod():
     for table in strain_fields(kirchhoff, None).values():
         strain = kirchhoff.replace({"strain": table}).strain
         assert set(strain.free) == {"bend_y", "bend_z"} and strain.include_loads
-
-
-@pytest.mark.slow
-def test_the_cost_model_ranks_models_as_measured_times_do(build):
-    """But for a factor, and what machines differ by: kernels that have become faster in one part only show here."""
-    fields, ratios = {"strain.passive": {"type": "snapshots", "fields": 18}}, []
-    for name, changes, intervals in (("three_tendon", {}, 4), ("paper", fields, 12), ("paper_22dof", {}, 8)):
-        model = build(name, {**changes, "quadrature.intervals": intervals, "integrator": {"columns": 3, "step": 0.02}})
-        tables = [motion_tensions(model.scene, "redrawn", 0, 1.0)]
-        point = measure(model, Setting("", {}, intervals, 0.0), tables, Reference((None,), (0.0,), LEVELS[0]))
-        ratios.append(point.cost / min(cpu_time(model, tables) for _ in range(5)))
-    assert max(ratios) < 2.5 * min(ratios), ratios
 
 
 def test_the_error_bar_bounds_the_error():

@@ -79,18 +79,6 @@ def test_a_phase_is_compiled_when_it_is_first_called():
     assert out[0] == 2.0
 
 
-@jitted
-def test_an_inlined_kernel_leaves_no_call():
-    inlined = own(inspect.unwrap(scale), forceinline=True)
-
-    @numba.njit
-    def caller(x):
-        return inlined(x)
-
-    assert caller(1.5) == inlined(1.5) == 3.0
-    assert compilation.FIND not in next(iter(caller.inspect_llvm().values()))
-
-
 INNER = "from soft_tendon_env.compiler.compilation import kernel\n\n\n@kernel{}\ndef inner(x):\n    return {} * x\n"
 OUTER = """
 from soft_tendon_env.compiler.compilation import kernel
@@ -157,16 +145,6 @@ def test_the_first_folder_that_can_be_written_is_taken_with_what_is_in_a_read_on
     monkeypatch.setattr(user_cache, "cache_parents", lambda: [blocked])
     assert compilation.cache_folder.__wrapped__() is None
     assert f"{blocked} cannot be used (Not a directory); set NUMBA_CACHE_DIR" in capsys.readouterr().err
-
-
-def test_only_the_newest_versions_are_kept(tmp_path, monkeypatch):
-    monkeypatch.setattr(user_cache, "cache_parents", lambda: [tmp_path])
-    for i in range(5):
-        folder = tmp_path / "soft_tendon_env" / f"{i:016x}"
-        folder.mkdir(parents=True)
-        os.utime(folder, (i, i))
-    kept = {compilation.cache_folder.__wrapped__().name, f"{3:016x}", f"{4:016x}"}
-    assert {path.name for path in (tmp_path / "soft_tendon_env").iterdir()} == kept
 
 
 @jitted

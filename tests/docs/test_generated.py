@@ -81,21 +81,3 @@ def test_what_is_current_is_left_and_what_changed_or_failed_is_made(listed, monk
     monkeypatch.setattr(generated, "succeeds", lambda command: write(False))
     monkeypatch.setattr(sys, "argv", ["generated.py"])
     assert generated.main() == 1 and "failed: soft-tendon own" in capsys.readouterr().err
-
-
-def test_a_picture_has_its_stamp_beside_it(listed, monkeypatch, capsys):
-    root = listed('[[made]]\npictures = ["docs/pictures/own.png"]\ncommand = "python own.py"\n', "")
-    monkeypatch.setattr(generated, "succeeds", lambda command: (root / "docs/pictures/own.png").touch() or True)
-    monkeypatch.setattr("soft_tendon_env.evaluation.pages.ROOT", root)
-    (root / "own.py").touch()
-    monkeypatch.setattr(sys, "argv", ["generated.py"])
-    assert generated.main() == 0 and "1 to be made" in capsys.readouterr().out
-    monkeypatch.setattr(Stamp, "changed", lambda stamp: False)
-    assert generated.not_current() == {}
-
-
-def test_names_that_are_not_listed_are_refused(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["generated.py", "docs/none.md"])
-    with pytest.raises(SystemExit):
-        generated.main()
-    assert "docs/none.md is not in docs/generated.toml: docs/appendix/fidelity.md" in capsys.readouterr().err

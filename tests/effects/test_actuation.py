@@ -5,9 +5,6 @@ import pytest
 from scipy.optimize import brentq
 
 from soft_tendon_env import build_model
-from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
-from soft_tendon_env.mechanics.terms.tendon_friction import find_share
-from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, simulate
 from soft_tendon_env.model.statics import commanded_equilibrium, static_equilibrium
 from soft_tendon_env.scene.scene import Scene
@@ -144,28 +141,6 @@ MU = 0.15
 
 def friction(coefficient=MU, **more):
     return {"effects.tendon_friction": {"coefficient": coefficient}, **more}
-
-
-def shares(model, q, direction):
-    """What is left of the tensions at the points (n_a, points), base to tip, where all tendons slide in a direction."""
-    work, q = make_workspace(model.arm), np.asarray(q, dtype=float)
-    assert configure(model.arm, q, 1e-12, work) == (-1, 1.0)
-    assert evaluate(model.arm, np.ones(model.tendon_count), q, 0.0 * q, 1e-12, work) == -1
-    for i in range(model.tendon_count):
-        find_share(model.arm, i, MU, direction, work)
-    return model.grid.at_points(work.share.reshape(model.tendon_count, -1), 1)[..., 0].reshape(model.tendon_count, -1)
-
-
-@pytest.mark.no_jit
-@pytest.mark.parametrize("direction", [1.0, -0.5])
-def test_the_tension_falls_with_the_angle_of_an_arc(uniform, direction):
-    """exp(-mu z theta(s)) exactly: tendons parallel to a rod bent evenly turn as it does."""
-    model = uniform(("bend_z",), 0, friction(**{"quadrature.intervals": 5}))
-    curvature = 8.0
-    q = curvature / model.strain_at(np.ones(1), [0.1])[1][0, 2, 0] * np.ones(1)
-    expected = np.exp(-MU * direction * curvature * model.grid.points[model.grid.real].ravel())
-    for found in shares(model, q, direction):
-        np.testing.assert_allclose(found[: expected.size], expected, rtol=1e-7)
 
 
 def bent(model, tension, direction):

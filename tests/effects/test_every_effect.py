@@ -154,11 +154,3 @@ def test_configuration_survives_a_round_trip_and_covers_its_variations(name, bui
 def test_what_has_no_potential_energy_says_so(build, name, table, message):
     with pytest.raises(ValueError, match=message):
         build("three_tendon", {"quadrature.intervals": 2, f"effects.{name}": table}).energy(np.zeros(3), np.zeros(3))
-
-
-def test_all_together(build):
-    """Every effect at once, with as few tensions that follow as each alone."""
-    changes = {key: value for case in CASES.values() for key, value in case.items()}
-    model = build("three_tendon", changes)
-    table = UNITS["tendon_elasticity"] * np.random.default_rng(2).uniform(0.0, 5.0, (100, 3))
-    assert np.isfinite(simulate(model, table, 2.0, 0.02).q).all()

@@ -10,7 +10,6 @@ from soft_tendon_env.model.statics import static_equilibrium
 
 LENGTH, RADIUS, YOUNG, DENSITY = 0.3, 0.01, 5e5, 1070.0
 AREA, INERTIA = np.pi * RADIUS**2, np.pi * RADIUS**4 / 4
-WATER = {"effects.fluid": {"density": 1000.0}}
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 NO_DRAG = {"effects.fluid.normal_drag": 0.0, "effects.fluid.tangential_drag": 0.0}
 

@@ -10,7 +10,6 @@ from soft_tendon_env.model.contact_forces import contact_forces
 from soft_tendon_env.model.state import State
 from soft_tendon_env.tools.configuration import ConfigurationError
 
-FLOOR = {"type": "plane", "position": [0.0, 0.0, -0.04]}
 BALL = {"type": "sphere", "position": [0.2, 0.0, 0.08], "radius": 0.04}
 
 

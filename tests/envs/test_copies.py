@@ -2,6 +2,8 @@
 
 import copy
 import pickle
+import threading
+from multiprocessing import get_context
 
 import cloudpickle
 import gymnasium as gym
@@ -96,4 +98,48 @@ def test_what_is_recorded_is_not_copied(tmp_path):
         with pytest.raises(TypeError, match="a.rrd cannot be copied: copy an environment without RecordRollout"):
             copied(env)
     copy.deepcopy(env.unwrapped).step(np.zeros(3))
+    env.close()
+
+
+ROWS = 24
+
+
+def forked(act):
+    """What act() returns in a forked child."""
+    context = get_context("fork")
+    receive, send = context.Pipe(duplex=False)
+    child = context.Process(target=lambda: send.send(act()))
+    child.start()
+    try:
+        assert receive.poll(60.0), "the child hangs"
+        return receive.recv()
+    finally:
+        child.kill()
+        child.join()
+
+
+def stepped(env, seed, steps=4):
+    """What some steps give, rejected steps and everything else that info says included."""
+    return [env.step(action) for action in np.random.default_rng(seed).uniform(-1.0, 1.0, (steps, ROWS, 3))]
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
+def test_a_forked_child_and_its_parent_go_on_alike(same):
+    """The child has threads of its own and closes them; its parent's may be handed work, or be stopped, when it is forked."""
+    env = TipPoseVectorEnv(ROWS, threads=3, scene="three_tendon", fidelity="fast")
+    env.reset(seed=0)
+    stepped(env, 1)
+    assert sum(thread.name.startswith("ThreadPoolExecutor") for thread in threading.enumerate()) >= 2
+
+    def act():
+        before = threading.active_count()
+        result = stepped(env, 2)
+        meanwhile = threading.active_count()
+        env.close()
+        return result, (before, meanwhile, threading.active_count())
+
+    _, pool = env.episodes.arms._pool
+    with pool._shutdown_lock:
+        child, threads = forked(act)
+    assert same(child, stepped(env, 2)) and threads == (1, 3, 1)
     env.close()

@@ -126,18 +126,6 @@ def test_drawn_tensions_lie_within_their_fraction_of_the_limits(target, limits):
         assert target != "random" or np.ptp(u, axis=0).min() > 0.1
 
 
-@pytest.mark.parametrize("scene", ["three_tendon", "paper", "helical"])
-@pytest.mark.parametrize("target", ["random", "ramp", "hold"])
-def test_without_load_targets_are_static_shapes_of_their_tensions(scene, target):
-    env = TipPoseEnv(scene=scene, target=target, fidelity="standard")
-    course, tension = course_of(env, 3)
-    reading, q = read(env, course, TIMES)
-    for u, pose in zip(tension(TIMES), reading.tip_pose, strict=True):
-        rest = static_equilibrium(env.episodes.model, u)
-        assert rest.converged
-        np.testing.assert_allclose(pose, rest.tip_pose, atol=1e-9)
-
-
 def shape_errors(env, course, tension, times, on_path=True):
     """Distances [m] of the target's tip from where the tensions would hold it at rest, over the rod's length: where a slowly loaded arm
     goes or, where tensions beside those of rest lead elsewhere, next to the target."""
@@ -170,17 +158,6 @@ def test_under_load_targets_are_static_shapes_at_knots_and_nearly_so_between(tar
         worst = max(worst, shape_errors(env, course, tension, between).max())
     print(f"{kind} {target}: {worst:.2e} of the length")
     assert worst < 1e-4
-
-
-def test_a_ramp_ends_where_its_tensions_hold_the_arm(arm):
-    given = [2.0, 0.0, 1.0]
-    env = ShapeEnv(**arm, target={"type": "ramp", "tension": given, "duration": 0.5})
-    env.reset(seed=0)
-    np.testing.assert_allclose(env.episodes.target_pose[0], env.episodes.arms.reading.tip_pose[0], atol=1e-8)  # begins at rest
-    for _ in range(30):
-        env.step(np.zeros(3))
-    np.testing.assert_allclose(env.episodes.target_pose[0], static_equilibrium(env.episodes.model, given).tip_pose, atol=1e-9)
-    assert not env.episodes.target.tip_twist[0].any()
 
 
 UNHELD = {

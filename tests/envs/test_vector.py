@@ -95,22 +95,6 @@ def test_rows_are_single_environments_with_everything_random(kind, arms, everyth
     vector.close()
 
 
-@pytest.mark.parametrize("mode", ["same_step", "next_step"])
-def test_first_episodes_can_be_shorter_by_row(mode):
-    """With 12 steps an episode: rows that were to end after 4, 12 (of 99) and 1 do, and have whole episodes from there on."""
-    vector = TipPoseVectorEnv(3, 12, mode, **SMALL)
-    vector.reset(seed=0, options={"episode_steps": [4, 99, 1]})
-    ends = [[], [], []]
-    for step in range(1, 31):
-        truncated = vector.step(np.zeros((3, 3)))[3]
-        for row in np.flatnonzero(truncated):
-            ends[row].append(step)
-    idle = mode == "next_step"  # a step that resets
-    assert ends == [[4, 16 + idle, 28 + 2 * idle], [12, 24 + idle], [1, 13 + idle, 25 + 2 * idle]]
-    vector.reset(seed=0)
-    assert not any(vector.step(np.zeros((3, 3)))[3].any() for _ in range(11)), "the next reset is a usual one"
-
-
 def test_ended_rows_must_be_reset_where_nothing_resets_them():
     vector = TipPoseVectorEnv(2, 1, "disabled", **SMALL)
     with pytest.raises(ResetNeeded, match="first reset"):

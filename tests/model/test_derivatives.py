@@ -21,7 +21,6 @@ LOADED = {**WEIGHT, "effects.tip_load.mass": 0.005}
 FULL = {"strain": {"type": "explicit", "modes": [{"strains": ["torsion", "bend_y", "bend_z", "stretch"], "order": 1, "span": "rod"}]}}
 PUSH = {"force": [0.0, 0.2, 0.0], "at": 0.3, "signal": {"type": "sine", "frequency": 2.0}}
 MEMORY = {"effects.viscoelastic_memory.branches": [{"modulus": 0.3, "relaxation_time": 0.1}]}
-PLATE = {**WEIGHT, "effects.contact.obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.02], "axis": [0.0, 0.0, 1.0]}]}
 
 
 def built(changes, name="three_tendon"):

@@ -96,49 +96,6 @@ def test_adjoint_is_near_differences(build, scene):
         assert np.linalg.norm(own - expected) < ERRORS.get((scene, name), 0.03) * np.linalg.norm(expected), name
 
 
-@pytest.mark.parametrize("scene", ["bare", "loads inside", "explicit", "turning base"])
-def test_positions_along_the_backbone_go_back_exactly(build, scene):
-    """Over no time, against central differences: along each coordinate, and none by rates."""
-    base = {"effects.moving_base": {"angular_velocity": 2.0}}
-    arms, command = moving_rows(build, SCENES.get(scene, base))
-    start, at_once = {name: getattr(arms.rows, name).copy() for name in KEPT}, np.zeros((ROWS, 1))
-    tape, found, weight = arms.make_tape(), drawn(arms, ["backbone_position"]), drawn(arms, ["backbone_position"]).backbone_position
-    arms.step(command, np.arange(ROWS), at_once, tape)
-    arms.adjoint(tape, np.arange(ROWS), found)
-    for j, unit in enumerate(np.broadcast_to(arms.model.coordinate_scale(), arms.model.coordinate_count)):
-        moved = 1e-3 * unit * np.eye(arms.model.coordinate_count)[j]
-        ends = [after(arms, start, command, way, q=moved, durations=at_once)["backbone_position"] for way in (1.0, -1.0)]
-        expected = ((ends[0] - ends[1]) * weight).sum(axis=(1, 2)) / 2.0
-        np.testing.assert_allclose(found.q @ moved, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
-    assert not found.q_dot.any()
-
-
-def test_commands_behind_a_delay_and_a_lag_act_later(build):
-    """Commands of the first of four periods, of which the tip is read after the last."""
-    arms, command = moving_rows(build, {"effects.actuators": {"delay": 0.033, "time_constant": 0.03}})
-    members, rng = np.arange(ROWS), np.random.default_rng(4)
-    start = {name: getattr(arms.rows, name).copy() for name in KEPT}
-    commands, direction = command + rng.normal(size=(4, *command.shape)), rng.normal(size=command.shape)
-
-    def height(way, tapes):
-        for name, values in start.items():
-            getattr(arms.rows, name)[:] = values
-        for own, tape in zip(commands, tapes, strict=True):
-            arms.step(own + (way * direction if own is commands[0] else 0.0), members, None, tape)
-        return arms.reading.tip_pose[:, 2, 3].copy()
-
-    commands = list(commands)
-    expected = (height(1e-3, [None] * 4) - height(-1e-3, [None] * 4)) / 2e-3
-    tapes, cotangents = [arms.make_tape() for _ in commands], arms.make_cotangents()
-    height(0.0, tapes)
-    cotangents.tip_pose[:, 3:] = arms.reading.tip_pose[:, 2, :3]
-    for tape in tapes[::-1]:
-        arms.adjoint(tape, members, cotangents)
-        cotangents.tip_pose[:] = 0.0
-    found = (cotangents.command * direction).sum(axis=(1, 2))
-    np.testing.assert_allclose(found, expected, atol=0.03 * np.abs(expected).max())
-
-
 @pytest.mark.parametrize(
     "changes, command",
     [

@@ -37,19 +37,6 @@ def test_order_of_a_soft_motion(build, columns, loads):
     assert (columns - 0.35 < slopes).all() and (slopes < columns + 0.8).all(), (errors, slopes)
 
 
-@pytest.mark.parametrize("columns", [2, 3])
-def test_tolerance_bounds_the_error(build, columns):
-    """Error control: a hundred times the accuracy asked for gives at least five times the accuracy, at more steps."""
-    tensions = smooth(10, 10.0)
-    changes = {"integrator.columns": columns, "integrator.step": 0.05}
-    model = {tolerance: build("paper", {**changes, "integrator.tolerance": tolerance}) for tolerance in (1e-4, 1e-6)}
-    exact = ste.simulate(build("paper", {"integrator.columns": 4, "integrator.step": 5e-4}), tensions, 1.0, HOLD)
-    runs = {tolerance: ste.simulate(m, tensions, 1.0, HOLD) for tolerance, m in model.items()}
-    errors = {tolerance: np.linalg.norm((run.tip_pose - exact.tip_pose)[:, :3, 3], axis=1).max() for tolerance, run in runs.items()}
-    assert errors[1e-6] < 0.2 * errors[1e-4] and errors[1e-4] < 0.01, errors
-    assert runs[1e-6].steps > 2 * runs[1e-4].steps
-
-
 def test_steps_below_the_most_columns_do_not_get_shorter():
     control = Control(step=0.02, tolerance=1e-4, adaptive=True, smallest=1e-6)
     assert next_step(control, 6, 1e-3, Attempt(OK, 5, 11, 1e-4, 5)) == pytest.approx(2e-3)

@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
+from soft_tendon_env.mechanics.motion.equilibrium import strain_is_continuous
 from soft_tendon_env.mechanics.terms.evaluate import configure
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_rest, strain_has_margin
 from soft_tendon_env.mechanics.terms.statics_newton import ANY, solve_strain, strain_tension
 from soft_tendon_env.mechanics.workspace import make_workspace
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.grid import screw_matrices
+from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import segment_index, tendon_ends, tendon_offset
 from soft_tendon_env.scene.strain import STRAINS
 
@@ -122,3 +125,14 @@ def test_strains_near_the_limit_of_a_push_are_not_firm(build):
     assert [is_firm(model, push * one) for push in (-100.0, -280.0, -315.0, -330.0, -1e4)] == [True, True, False, False, False]
     assert strain_from_rest(model.arm, -315.0 * one, TOLERANCE, make_workspace(model.arm))[0] == -1
     assert [is_firm(model, pull * one) for pull in (0.0, 100.0, 250.0, 300.0, 1e4)] == [True, True, True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "continuous"),
+    [(0.0, 60.0, True), (-100.0, -280.0, True), (-280.0, -330.0, False)],
+    ids=("a pull has one strain", "a push on its branch", "a push past the end of its branch"),
+)
+def test_a_strain_is_continuous_up_to_the_end_of_its_branch(start, end, continuous):
+    arm = build_model(load_scene("paper")).arm
+    first = np.eye(10)[0]
+    assert strain_is_continuous(arm, start * first, end * first, make_workspace(arm)) is continuous
