@@ -5,29 +5,18 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.learning import config, imitation, train
+from soft_tendon_env.learning import imitation, train
 from soft_tendon_env.learning.vec_env import unwrapped
 
 ARM = {"scene": "three_tendon", "fidelity": "fast"}
 DRAWN = {"stiffness": [0.7, 1.3], "damping": [0.7, 1.5], "tension_gain": [0.8, 1.2], "latency": [0.0, 0.05], "payload": [0.0, 0.005]}
 SMALL = {"rounds": 2, "n_epochs": 2, "batch_size": 16}
-TABLE = {
-    "task": "TipPose",
-    "algorithm": "DAgger",
-    "steps": 96,
-    "arms": 4,
-    "seconds": 0.4,
-    "learning_rate": 1e-3,
-    "hyperparameters": SMALL,
-    "options": {**ARM, "action": "increment"},
-    "evaluation": {"every": 48, "episodes": 2, "skip": 0.2},
-}
 
 
 @pytest.fixture
-def training():
-    """training(steps=..., ...): a small one with a teacher, changed."""
-    return lambda **changes: config.Training(**{**TABLE, **changes})
+def lessons(training):
+    """lessons(steps=..., ...): a small training with a teacher, changed."""
+    return lambda **changes: training(**{"algorithm": "DAgger", "learning_rate": 1e-3, "hyperparameters": SMALL, **changes})
 
 
 def taught(task, steps=120, **options):
@@ -61,22 +50,22 @@ def test_teacher_makes_up_for_the_delay_that_was_drawn(monkeypatch):
     assert taught("TipPose", 60, randomize=late)[-25:-1].max() > 3.0 * aware
 
 
-def test_teacher_needs_tensions_that_act_and_targets_that_are_known(training):
+def test_teacher_needs_tensions_that_act_and_targets_that_are_known(lessons):
     elastic = {"effects.tendon_elasticity": {"stiffness": 1e4, "displacement_limits": [0.0, 0.05]}}
     for effect in ({"effects.actuators.time_constant": 0.05}, elastic):
         scene = {"scene": "three_tendon", **effect}
-        env = train.make_training_env(training(options={**TABLE["options"], "scene": scene}))
+        env = train.make_training_env(lessons(options={**ARM, "scene": scene}))
         with pytest.raises(ValueError, match="a teacher needs commands that are tensions"):
             imitation.Teacher(unwrapped(env).env.episodes, 0.2)
-    env = train.make_training_env(training(options={**TABLE["options"], "preview": [0.04], "randomize": {"latency": 0.03}}))
+    env = train.make_training_env(lessons(options={**ARM, "preview": [0.04], "randomize": {"latency": 0.03}}))
     env.reset()
     with pytest.raises(ValueError, match="the longest preview, 2 control periods, not for 4"):
         imitation.Teacher(unwrapped(env).env.episodes, 0.2).actions()
 
 
 @pytest.mark.parametrize("task", [*(pytest.param(task, marks=pytest.mark.slow) for task in ("TipPose", "Shape")), "Reach"])
-def test_agent_comes_to_track_as_its_teacher_does(training, tmp_path, task):
-    chosen = training(
+def test_agent_comes_to_track_as_its_teacher_does(lessons, tmp_path, task):
+    chosen = lessons(
         task=task,
         steps=1200,
         arms=8,
