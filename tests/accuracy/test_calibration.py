@@ -76,12 +76,11 @@ def test_the_setting_holds_on_motions_that_it_was_not_calibrated_on():
 def test_it_is_the_same_when_made_anew(cache, monkeypatch):
     kept = calibrate(ARM, short(ARM), None)
     (file,) = cache.glob("*.json")
-    for content in (None, file.read_bytes()[:-1000], b"no JSON"):
-        file.unlink() if content is None else file.write_bytes(content)
-        again = calibrate(ARM, short(ARM), None)
-        assert again.points == kept.points
-        np.testing.assert_array_equal(again.reference.tips, kept.reference.tips)
-        assert [path.suffix for path in cache.iterdir() if path.suffix != ".lock"] == [".json"]
+    file.write_bytes(file.read_bytes()[:-1000])
+    again = calibrate(ARM, short(ARM), None)
+    assert again.points == kept.points
+    np.testing.assert_array_equal(again.reference.tips, kept.reference.tips)
+    assert [path.suffix for path in cache.iterdir() if path.suffix != ".lock"] == [".json"]
     monkeypatch.setattr(module, "reference_motions", None)  # a further call simulates nothing
     assert calibrate(ARM, short(ARM), None).points == kept.points
 

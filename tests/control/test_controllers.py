@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import ControllerInput, Reference
+from soft_tendon_env.control import CONTROLLERS, ControllerInput, Reference
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.paper_laws import PaperShape
 from soft_tendon_env.control.rigid_motions import moved_pose
 from soft_tendon_env.control.shape_tracking import ShapeFeedforward
 
 PERIOD = 0.02
+ENTRIES = [pytest.param(entry, id=f"{task}-{name}") for task, entries in CONTROLLERS.items() for name, entry in entries.items()]
 SCENES = ["four_tendon", "three_tendon", "catheter", "paper"]
 
 
@@ -36,6 +37,7 @@ def same(a, b):
 
 
 @pytest.mark.cases("scene", SCENES)
+@pytest.mark.parametrize("entry", ENTRIES)
 def test_tensions_stay_within_limits_whatever_happens(build, random_state, limits_of, entry, scene):
     """Situations that jump from one to another, with the memory of the last; every controller does something in them."""
     model = build(scene)
@@ -51,6 +53,7 @@ def test_tensions_stay_within_limits_whatever_happens(build, random_state, limit
     assert np.ptp(asked, axis=0).max() > 0.1
 
 
+@pytest.mark.parametrize("entry", ENTRIES)
 def test_memory_is_explicit(build, random_state, limits_of, entry):
     """One controller for two arms decides for each what it would alone, bit for bit."""
     model = build("three_tendon")
@@ -66,6 +69,7 @@ def test_memory_is_explicit(build, random_state, limits_of, entry):
     assert not same(*last)
 
 
+@pytest.mark.parametrize("entry", ENTRIES)
 def test_models_that_cannot_follow_hold_the_last_tensions(build, random_state, limits_of, entry):
     """Coordinates for which there is no strain. Feedforward does not look at them, (37) takes them as they are."""
     model = build("three_tendon")

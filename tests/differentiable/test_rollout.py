@@ -156,14 +156,10 @@ def test_mistakes_are_said():
 ELASTIC = {"stiffness": 2e3, "displacement_limits": [0.0, 0.01]}
 ACCURACY = [  # arm, changes, shares of the range that commands change by in a period; least cosine
     ("paper", {}, 0.05, 0.995),
-    ("two_segment_six", {}, 0.1, 0.999),
     ("four_tendon", {}, 0.1, 0.999),
-    ("catheter", {}, 0.02, 0.99),
     ("catheter", {}, 0.1, 0.99),
     ("catheter", {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}, 0.05, 0.99),
     ("underwater", {}, 0.05, 0.99),
-    ("three_tendon", {"effects.actuators": {"time_constant": 0.02, "delay": 0.05}}, 0.05, 0.99),
-    ("catheter", {"effects.actuators": {"delay": 0.05}}, 0.05, 0.99),
     ("catheter", {"effects.actuators": {"delay": 0.033, "time_constant": 0.02}}, 0.05, 0.99),
     ("three_tendon", {"effects.tendon_friction": {"coefficient": 0.2}}, 0.05, 0.99),
     ("three_tendon", {"effects.tendon_elasticity": ELASTIC}, 0.05, 0.98),
@@ -187,7 +183,6 @@ HANGING = {"scene": "paper", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
     "scene, randomize, told",
     [
         ("catheter", {}, None),
-        (HANGING, {}, None),
         (HANGING, {"payload": [0.0, 0.05]}, r"cosine of 0\.9[4-7]"),
         ({"scene": "three_tendon", "effects.tendon_elasticity": {**ELASTIC, "displacement_limits": [-0.005, 0.01]}}, {}, r"cosine of 0\.9"),
     ],

@@ -5,12 +5,8 @@ import pytest
 
 from soft_tendon_env.drawing.palette import style, styles
 from soft_tendon_env.drawing.shapes import (
-    FIELD_OF_VIEW,
     backbones,
     base_poses,
-    camera,
-    label_place,
-    side_by_side,
     surface,
     tendon_curves,
 )
@@ -79,29 +75,3 @@ def test_policies_that_are_drawn_together_differ():
     trainings = styles(["DAgger", "DAgger, loads", "DAgger, water", *(f"ppo_{number}" for number in range(9))])
     assert len({own.colour for own in trainings.values()}) == len(trainings) and {own.marker for own in trainings.values()} == {"o"}
     assert found["predictive"] == style("predictive") and found["ppo"] == style("ppo")
-
-
-GRAVITIES = [None, (9.81, 0.0, 0.0), (-9.81, 0.0, 0.0), (0.0, -9.81, 0.0), (0.0, 0.0, -9.81)]
-
-
-@pytest.fixture(params=GRAVITIES, ids=str)
-def pulled(build, request):
-    return build("three_tendon", {"effects.gravity.acceleration": request.param} if request.param else None)
-
-
-@pytest.mark.cases("arms", [1, 2, 4, 7])
-@pytest.mark.cases("aspect", [1.0, 3.0])
-def test_the_camera_sees_arms_and_their_names_whole_and_large(pulled, arms, aspect):
-    places = np.array([side_by_side(pulled, k) for k in range(arms)])
-    eye = camera([pulled] * arms, places, aspect)
-    towards = eye.position - eye.target
-    distance = np.linalg.norm(towards)
-    towards /= distance
-    right = np.cross(eye.up, towards)
-    right /= np.linalg.norm(right)
-    stretched = np.linspace(0.0, pulled.length, 5)[:, None] * [1.0, 0.0, 0.0]
-    points = (np.concatenate([stretched, label_place(pulled)[None]]) + places[:, None]).reshape(-1, 3) - eye.target
-    sight = np.stack([points @ right / aspect, points @ np.cross(towards, right)], axis=1)
-    share = np.abs(sight) / ((distance - points @ towards)[:, None] * np.tan(0.5 * FIELD_OF_VIEW))
-    assert share.max() < 1.0 + 1e-9, "within the view"
-    assert share.max() > 0.4, "and not in a corner of it, with room for what arms do"

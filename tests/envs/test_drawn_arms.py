@@ -58,7 +58,7 @@ def scene_with(env, row=0):
     return env.episodes.arms.model_of(row).scene.replace({"quadrature.intervals": env.episodes.model.grid.per_piece})
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", [pytest.param(case, marks=[pytest.mark.slow] * (case == "contact")) for case in CASES])
 def test_a_row_moves_like_the_scene_with_the_numbers_drawn(case):
     env = TipPoseEnv(**options_of(case))
     env.reset(seed=3)

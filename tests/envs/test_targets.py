@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import logm
 
 from soft_tendon_env.envs import ReachEnv, ShapeEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv
-from soft_tendon_env.envs.targets.shipped import Circle, CircleCourse, ClosedSpline
+from soft_tendon_env.envs.targets.shipped import Circle, CircleCourse
 from soft_tendon_env.envs.trajectories import BANK
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.tools.configuration import ConfigurationError
@@ -99,19 +99,6 @@ def test_a_target_is_one_function_of_time(target, arm):
     rows.reset(seed=0)
     for found, values in zip(rows.episodes.target_at(3, times[order]), together, strict=True):
         np.testing.assert_allclose(found, values[order], rtol=1e-11, atol=1e-12)
-
-
-def test_splines_are_closed_smooth_and_within_their_points():
-    points = np.random.default_rng(0).uniform(0.0, 1.0, (7, 3))
-    spline = ClosedSpline(points, 3.5)
-    times = np.linspace(-4.0, 8.0, 4001)
-    u, u_dot = spline(times)
-    assert (u >= points.min(axis=0)).all() and (u <= points.max(axis=0)).all()
-    for part in range(2):
-        np.testing.assert_allclose(spline(times + 3.5)[part], spline(times)[part], atol=1e-12)
-    np.testing.assert_allclose(np.gradient(u, times, axis=0)[1:-1], u_dot[1:-1], atol=1e-4)
-    assert np.abs(np.diff(u_dot, axis=0)).max() < 0.02  # no kinks
-    np.testing.assert_allclose(spline(0.5 * np.arange(7))[0], (points + 4 * np.roll(points, -1, 0) + np.roll(points, -2, 0)) / 6)
 
 
 @pytest.mark.cases("limits", [None, [-2.0, 4.0], [1.0, 4.0]])

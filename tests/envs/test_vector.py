@@ -84,7 +84,7 @@ MORE = {
 }
 
 
-@pytest.mark.parametrize("kind", [*(pytest.param(kind, marks=pytest.mark.slow) for kind in ("loaded", "explicit", "elastic")), "contact"])
+@pytest.mark.parametrize("kind", [*(pytest.param(kind, marks=pytest.mark.slow) for kind in ("loaded", "elastic", "contact")), "explicit"])
 def test_rows_are_single_environments_with_everything_random(kind, arms, everything, same):
     """On threads, with more rows than fill a share of them."""
     made = {"scene": {"scene": "three_tendon", **MORE[kind]}, "fidelity": "fast"} if kind in MORE else arms[kind]

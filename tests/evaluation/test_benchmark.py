@@ -130,15 +130,6 @@ def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
     assert all(float(row["position_error_rms"]) > 0 for row in rows)
 
 
-def test_policies_are_left_out_where_they_cannot_play(tmp_path):
-    missing = str(tmp_path / "none")
-    entrants = [{"policy": STILL}, {"policy": missing, "name": "gone"}, {"policy": "predictive"}]
-    entrants.append({"policy": "filtered:tracking", "regimes": ("state",)})  # which is none of the chosen ones
-    cells, (gone, misfits) = Benchmark(**SHORT, entrants=entrants, regimes=("tip",)).cells()
-    assert {label.policy for label in cells} == {STILL}
-    assert gone.startswith("gone is left out: ") and missing in gone and misfits.startswith("predictive is left out: predictive can")
-
-
 def test_the_published_comparison_can_be_played(monkeypatch):
     """Who is left out has no files, or observes too much."""
     monkeypatch.chdir(ROOT)

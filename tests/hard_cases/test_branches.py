@@ -25,7 +25,7 @@ def loaded(name, payload, acceleration=(0.0, 0.0, -9.81)):
         ("paper", 0.5, (0.0, 0.0, -9.81)),
         ("two_segment_six", 0.4, (0.0, 6.0, -8.0)),
         ("helical", 0.3, (-1.0, 9.0, 3.0)),
-        ("paper_19dof", 0.3, (-3.0, 0.0, -9.0)),
+        pytest.param("paper_19dof", 0.3, (-3.0, 0.0, -9.0), marks=pytest.mark.slow),
     ],
 )
 def test_payloads_that_fold_the_arm(measured, tip_distance, random_scenes, name, payload, acceleration):
@@ -68,6 +68,7 @@ def test_weight_that_grows_on_a_column(measured, one_segment):
     assert settled.tip_pose[0, 3] < -0.3  # at three times the load it has fallen over
 
 
+@pytest.mark.slow
 def test_follower_force_on_a_column(measured, one_segment):
     """A force that stays tangential to the tip (Beck's column): no other equilibrium exists, and the straight one begins to flutter.
     Expected: flutter is told at 20.05 EI / L^2, to 1 %."""

@@ -12,23 +12,18 @@ GREATEST = {"underwater": 0.012, "three_tendon": 0.02, "four_tendon": 0.006, "he
 """Displacements [m] of the actuators."""
 
 
-@pytest.fixture
-def tied(build):
-    """tied(scene, stiffness [N/m], changes): the scene with elastic tendons."""
-
-    def scene(name, stiffness, **changes):
-        table = {"stiffness": stiffness, "displacement_limits": [0.0, GREATEST[name]]}
-        return ste.load_scene(name).replace({"effects.tendon_elasticity": table, **changes})
-
-    return scene
+def tied(name, stiffness, **changes):
+    """The scene with elastic tendons of a stiffness [N/m], changed."""
+    table = {"stiffness": stiffness, "displacement_limits": [0.0, GREATEST[name]]}
+    return ste.load_scene(name).replace({"effects.tendon_elasticity": table, **changes})
 
 
 def commands(model, greatest, rows, seed):
     return np.random.default_rng(seed).uniform(0.0, greatest, (rows, model.tendon_count))
 
 
-@pytest.mark.parametrize("fidelity", ["scene", "fast", "standard", "fine"])
-def test_commands_of_stiff_tendons_that_jump(tied, measured, fidelity):
+@pytest.mark.parametrize("fidelity", ["scene", "fast", "standard", pytest.param("fine", marks=pytest.mark.slow)])
+def test_commands_of_stiff_tendons_that_jump(measured, fidelity):
     """Actuators jump by centimetres: a cable of 2e5 to 1e7 N/m would pull with up to 100 kN and throw the arm; tendons go slack and taut
     within a step. Expected: no divergence, in 12 jumps of 6 arms, and evaluations that do not grow with the stiffness, to a factor of
     1.5."""
@@ -43,7 +38,7 @@ def test_commands_of_stiff_tendons_that_jump(tied, measured, fidelity):
         assert counts[1] < 1.5 * counts[0], name
 
 
-def test_stiff_tendons_come_to_rest_where_the_statics_says(tied, measured):
+def test_stiff_tendons_come_to_rest_where_the_statics_says(measured):
     """At long fixed steps a tendon that is slack at a step's beginning and taut at its end is pulled with what it has at neither. Expected:
     after 40 s at rest to 1e-6 mm, with some tendons slack, within 1e-6 of the length of where `commanded_equilibrium` says."""
     slack, arms = 0, (("two_segment_six", 2e6, 0.025), ("helical", 8e5, 0.02), ("three_tendon", 1e7, 0.04), ("paper", 1e7, 0.02))
@@ -61,7 +56,7 @@ def test_stiff_tendons_come_to_rest_where_the_statics_says(tied, measured):
     assert slack > 3
 
 
-def test_motion_of_stiff_tendons_follows_the_tolerance(tied, measured):
+def test_motion_of_stiff_tendons_follows_the_tolerance(measured):
     """Slack and taut within steps: nothing is smooth enough there to be extrapolated, and an estimate that takes it to be is wrong.
     Expected: over 0.8 s with four jumps each preset's own error, against first-order steps of 0.05 ms extrapolated from two sizes, is below
     8, 3 and 1 thousandths of the length."""

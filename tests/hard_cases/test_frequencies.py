@@ -41,12 +41,15 @@ def rock(frequency):
     return {"effects.moving_base": {"axis": [0.0, 0.6, 0.8], "angular_amplitude": size, "frequency": frequency}}, frequency
 
 
+SWINGS = [*map(sine, (2.0, 9.0, 150.0, 1000.0)), *map(swing, (13.0, 400.0)), rock(200.0)]
+
+
 @pytest.mark.filterwarnings("ignore:the passive fields")
+@pytest.mark.parametrize("cases", [[sine(50.0), swing(50.0)], pytest.param(SWINGS, marks=pytest.mark.slow)], ids=["50 Hz", "others"])
 @pytest.mark.parametrize("fidelity", FIDELITIES)
-def test_periods_that_fit_into_a_step(fidelity, measured):
+def test_periods_that_fit_into_a_step(fidelity, cases, measured):
     """Forces and bases that swing and rock at 2 to 1000 Hz, 50 Hz and its multiples among them: every evaluation of steps of
     20 ms sees the same phase. Expected: the tip within 5 % of its motion of steps a hundredth of a period long."""
-    cases = [*map(sine, (2.0, 9.0, 50.0, 150.0, 1000.0)), *map(swing, (13.0, 50.0, 400.0)), rock(200.0)]
     shares = [wrong_share(case, fidelity) for case in cases]
     measured("part of the motion", max(shares))
     assert max(shares) < 0.05, shares

@@ -19,7 +19,7 @@ def pulled(which, value):
     return np.where([which == "all" or i == which for i in range(10)], value, 0.0)
 
 
-@pytest.mark.parametrize("step", [0.0005, 0.01])
+@pytest.mark.parametrize("step", [pytest.param(0.0005, marks=pytest.mark.slow), 0.01])
 @pytest.mark.parametrize("scene", SCENES)
 def test_abrupt_tension(build, measured, scene, step):
     """80, 100, 120 and 150 N all at once on one tendon (a straight one, a spiral, two that end half way) or on all ten. Expected: no step
@@ -75,7 +75,7 @@ def test_step_of_100_newton_on_two_tendons(build, measured, tip_distance, tendon
 
 
 @pytest.mark.parametrize("step, most_rejected", [(0.01, 0.01), (0.02, 0.3)])
-@pytest.mark.parametrize("columns", [2, 3])
+@pytest.mark.parametrize("columns", [2, pytest.param(3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("scene", SCENES)
 def test_random_tensions_for_a_minute(build, measured, scene, columns, step, most_rejected):
     """Ten tensions jump to new values in 0-150 N every 10 or 20 ms, for a minute: what an untrained agent does. Expected: finite
@@ -95,7 +95,7 @@ def test_random_tensions_for_a_minute(build, measured, scene, columns, step, mos
         assert np.abs(after.q[-1]).max() < 1.0
 
 
-@pytest.mark.parametrize("columns", [1, 2, 3, 4])
+@pytest.mark.parametrize("columns", [1, *(pytest.param(columns, marks=pytest.mark.slow) for columns in (2, 3, 4))])
 def test_steps_from_a_tenth_to_fifty_milliseconds(build, measured, tip_distance, columns):
     """The input of the reference trajectories, with a jump in mid-run, at steps of 0.1 to 50 ms: a factor of 500. Expected: finite, and the
     tip's error (to steps of 0.1 ms with 4 columns) falls with the step."""

@@ -45,11 +45,11 @@ def test_derivatives_are_those_of_smaller_differences(arm, holds, placed):
     assert np.abs(J - other).max() < 1e-5 * np.abs(J).max()
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "parameters, words",
     [
-        ([E, RHO, "commands.*.gain"], ["a combination of ", "commands.0.gain", "known weight"]),
-        ([E, RHO, "segments.*.damping"], ["segments.*.damping: a free decay"]),
+        pytest.param([E, RHO, "commands.*.gain"], ["a combination of ", "commands.0.gain", "known weight"], marks=pytest.mark.slow),
+        pytest.param([E, RHO, "segments.*.damping"], ["segments.*.damping: a free decay"], marks=pytest.mark.slow),
         ([E, RHO, NU], ["segments.*.poisson_ratio", "twist shows it"]),
     ],
 )
@@ -100,6 +100,7 @@ def test_the_command_writes_a_scene_numbers_and_a_page(arm, holds, folder, tmp_p
     assert numbers["error_mm"]["fit"]["each"].keys() | numbers["error_mm"]["held_out"]["each"].keys() == {f"holds{i}" for i in range(16)}
 
 
+@pytest.mark.slow
 def test_files_of_an_estimate_lead_to_it_again_and_to_an_environment(arm, record, placed, truth, tensions, tmp_path):
     R, shift = Rotation.from_rotvec([0.0, 0.0, 3.0], degrees=True).as_matrix(), np.array([0.004, 0.0, -0.003])
     turned = record("turned", {**truth, "effects.gravity.acceleration": (R.T @ [9.81, 0.0, 0.0]).tolist()}, tensions)

@@ -63,7 +63,8 @@ def test_teacher_needs_tensions_that_act_and_targets_that_are_known(lessons):
         imitation.Teacher(unwrapped(env).env.episodes, 0.2).actions()
 
 
-@pytest.mark.parametrize("task", [*(pytest.param(task, marks=pytest.mark.slow) for task in ("TipPose", "Shape")), "Reach"])
+@pytest.mark.slow
+@pytest.mark.parametrize("task", ["TipPose", "Shape", "Reach"])
 def test_agent_comes_to_track_as_its_teacher_does(lessons, tmp_path, task):
     chosen = lessons(
         task=task,

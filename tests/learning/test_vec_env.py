@@ -82,11 +82,6 @@ def test_what_the_rows_share():
     assert env.env_is_wrapped(Monitor) == [True] * 3 and env.env_is_wrapped(gym.wrappers.TimeLimit, 0) == [False]
     assert env.spec.id == REACH
     env.close()
-    shown = make_sb3_vec_env(TIP_POSE, 2, render_mode="rgb_array", **FAST)
-    shown.reset()
-    frames = shown.get_images()
-    assert len(frames) == 2 and frames[0].dtype == np.uint8
-    assert shown.render().shape == (2 * frames[0].shape[0], *frames[0].shape[1:])
 
 
 def test_other_environments_are_refused():

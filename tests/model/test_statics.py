@@ -1,8 +1,5 @@
 """Equilibria: balance, reference numbers of a shooting solver, every shipped scene, the limits of the strain, honest failure."""
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -10,8 +7,6 @@ from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.load_continuation import RESIDUAL
 from soft_tendon_env.model.statics import ChordSolver, static_equilibrium
 from soft_tendon_env.scene.file import load_scene, scene_names
-
-REFERENCE = Path(__file__).parents[1] / "data" / "statics.json"
 
 
 def model_of(name, **changes):
@@ -41,9 +36,9 @@ def test_pushes_past_the_stiffness_of_an_explicit_strain_end_the_path():
     assert found.load * 1.01 == pytest.approx(1.0, abs=2e-3)
 
 
-def test_the_paper_arm_agrees_with_shooting():
+def test_the_paper_arm_agrees_with_shooting(reference):
     model = model_of("paper", quadrature__intervals=48)
-    cases = [case for case in json.loads(REFERENCE.read_text()) if not any(case["gravity"]) and not any(case["tip_wrench_world"])]
+    cases = [case for case in reference("statics") if not any(case["gravity"]) and not any(case["tip_wrench_world"])]
     assert len(cases) >= 10
     for case in cases:
         tip = static_equilibrium(model, case["tension"]).tip_pose

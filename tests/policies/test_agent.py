@@ -1,6 +1,7 @@
 """Trained agents as policies: what is found in their files, and what is refused."""
 
 import json
+import os
 import pickle
 import warnings
 
@@ -68,11 +69,21 @@ def trained():
     return model.policy, normalization_of(statistics)
 
 
+class Malice:
+    """An object that makes a folder where it is unpickled."""
+
+    def __init__(self, folder):
+        self.folder = str(folder)
+
+    def __reduce__(self):
+        return os.mkdir, (self.folder,)
+
+
 @pytest.mark.parametrize("name", ["weights.pt", "statistics.npz", "config.json"])
-def test_what_is_pickled_in_an_agents_files_does_not_run(tmp_path, trained, malice, name):
+def test_what_is_pickled_in_an_agents_files_does_not_run(tmp_path, trained, name):
     folder, ran = write_agent(tmp_path / "agent", *trained), tmp_path / "it_ran"
     agent.load_agent(str(folder), make())
-    (folder / name).write_bytes(pickle.dumps(malice(ran)))
+    (folder / name).write_bytes(pickle.dumps(Malice(ran)))
     with pytest.raises(ValueError, match=f"{folder / name}") as error:
         agent.load_agent(str(folder), make())
     assert not ran.exists() and len(str(error.value).splitlines()) == 1

@@ -109,7 +109,9 @@ def test_a_run_is_not_cut_short_without_a_word(arm_of_test, drawing, pulling):
 
 
 @pytest.mark.parametrize("what", ["read", "write", "policy"])
-def test_the_watchdog_lets_go_where_something_hangs(what, arm_of_test, drawing, pulling, gate):
+def test_the_watchdog_lets_go_where_something_hangs(what, arm_of_test, drawing, pulling):
+    gate = threading.Event()
+
     def hang(count):
         if count == 10:
             gate.wait(20.0)

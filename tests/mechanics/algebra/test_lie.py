@@ -70,7 +70,9 @@ def exact_tangent(Omega, Omega_dot, x):
     """T x = sum ad^n x / (n + 1)! and its derivative along Omega_dot, term by term."""
     term, rate = list(x), [mpf(0)] * 6
     total, total_rate = list(term), list(rate)
-    for n in range(1, 160):
+    n = 0
+    while max(map(abs, term + rate)) > mpf(10) ** -DIGITS:
+        n += 1
         rate = [(s + t) / (n + 1) for s, t in zip(mp_ad(Omega, rate), mp_ad(Omega_dot, term), strict=True)]
         term = [t / (n + 1) for t in mp_ad(Omega, term)]
         total, total_rate = [s + t for s, t in zip(total, term, strict=True)], [s + t for s, t in zip(total_rate, rate, strict=True)]

@@ -27,7 +27,7 @@ def smooth(count, greatest):
     return 0.5 * greatest * np.sin(np.pi * t) ** 2 * (1 + np.cos(np.arange(count)))
 
 
-@pytest.mark.parametrize("loads", [{}, LOADS_INSIDE], ids=["unloaded", "loads inside"])
+@pytest.mark.parametrize("loads", [pytest.param({}, id="unloaded"), pytest.param(LOADS_INSIDE, id="loads inside", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("columns", [1, 2, 3, 4])
 def test_order_of_a_soft_motion(build, columns, loads):
     tensions, changes = smooth(3, 2.0), {**BENDING_ONLY, **loads}
