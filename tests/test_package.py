@@ -52,9 +52,13 @@ OPEN = {"numba"}
 
 def test_every_dependency_has_bounds_and_the_lower_ones_are_those_of_the_lowest_environment():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    extras = [own for extra, listed in project["optional-dependencies"].items() if extra not in APART for own in listed]
+    extras = [requirement for extra, listed in project["optional-dependencies"].items() if extra not in APART for requirement in listed]
     listed = [*project["dependencies"], *extras]
-    bounds = [re.fullmatch(r"([\w-]+)>=([\d.]+)(,<[\d.]+)?", own) for own in listed if not own.startswith("soft_tendon_env[")]
+    bounds = [
+        re.fullmatch(r"([\w-]+)>=([\d.]+)(,<[\d.]+)?", requirement)
+        for requirement in listed
+        if not requirement.startswith("soft_tendon_env[")
+    ]
     assert all(bounds), listed
     assert {found[1] for found in bounds if not found[3]} == OPEN
     lowest = dict(line.split("==") for line in (ROOT / "constraints-lowest.txt").read_text().splitlines() if not line.startswith("#"))

@@ -61,7 +61,7 @@ def test_the_cheapest_within_the_tolerance_is_chosen():
     found = example(dear, cheap, good)
     for tolerance, best in ((1e-3, good), (MARGIN * 5.01e-4, good), (MARGIN * 4.99e-4, dear)):
         assert recommended(ARM, found, tolerance) is best
-    assert [own.setting.name for own in found.front] == ["cheap", "good", "dear"]
+    assert [point.setting.name for point in found.front] == ["cheap", "good", "dear"]
     assert example(good, bars=(0.0, 1e-4)).within(good) == pytest.approx(MARGIN * 6e-4)
     with pytest.raises(ConfigurationError, match="no setting keeps the tip of 'three_tendon' within 0.01mm .* keeps within 0.2mm"):
         recommended(ARM, found, 1e-5)

@@ -43,12 +43,12 @@ def test_more_cost_buys_less_error_and_every_setting_is_a_scene(points):
 def test_errors_are_distances_from_the_reference(inputs):
     """A motion that the model has not counts as infinitely far, one that full physics has not does not count."""
     model, setting = full_physics(ARM, LEVELS[0]), Setting("", {}, 12, 1e-5)
-    own = tips(model, inputs[0])
-    found = measure(model, setting, [inputs[0]] * 2, Reference((own, own + [0.0, 0.0018, 0.0024]), (0.0, 0.0), LEVELS[0]))
+    path = tips(model, inputs[0])
+    found = measure(model, setting, [inputs[0]] * 2, Reference((path, path + [0.0, 0.0018, 0.0024]), (0.0, 0.0), LEVELS[0]))
     assert found.tip_errors == (0.0, pytest.approx(0.003))
     assert found.evaluations == 700.0, "4 columns take 7 evaluations every 10 ms"
     stuck, beyond = model_on(ARM.replace({"integrator.max_halvings": 0}), 8), np.full_like(inputs[0], 1e5)
-    found = measure(stuck, setting, [beyond, beyond], Reference((own, None), (0.0, 0.0), LEVELS[0]))
+    found = measure(stuck, setting, [beyond, beyond], Reference((path, None), (0.0, 0.0), LEVELS[0]))
     assert found.tip_errors[0] == np.inf and np.isnan(found.tip_errors[1]) and found.tip_error == np.inf
 
 

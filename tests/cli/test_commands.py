@@ -103,7 +103,7 @@ def test_help_has_every_option_with_a_text(command, capsys, monkeypatch, name):
         command(name, "--help")
     printed, texts = " ".join(capsys.readouterr().out.split()), options.descriptions(kind)
     assert printed.startswith(f"usage: soft-tendon {name} ")
-    for field in (own for own, field in kind.model_fields.items() if not options.is_table(field)):
+    for field in (key for key, field in kind.model_fields.items() if not options.is_table(field)):
         assert texts[field].split()[0] in printed and options.flag(kind, field).removeprefix("--").lower() in printed.lower(), field
 
 

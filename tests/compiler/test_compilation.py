@@ -25,7 +25,7 @@ PUBLIC = {"numba", "numba.extending", "numba.core.cgutils", "numba.core.event", 
 """What the package may import of numba: what its manual describes."""
 
 
-def own(function: Callable, **options) -> Callable:
+def fresh_kernel(function: Callable, **options) -> Callable:
     """A kernel such as those of the package."""
     return Kernel(function, {**OPTIONS, **options}).call
 
@@ -47,7 +47,7 @@ def fail(out):
     out[0] = "text"
 
 
-scale, add, fail = own(scale), own(add), Kernel(fail, OPTIONS, is_phase=True).call
+scale, add, fail = fresh_kernel(scale), fresh_kernel(add), Kernel(fail, OPTIONS, is_phase=True).call
 
 
 @pytest.mark.no_jit
@@ -65,7 +65,7 @@ def test_a_phase_is_compiled_when_it_is_first_called():
         out[0] += 1.0
 
     out = np.zeros(1)
-    causes = (own(caller), numba.TypingError, "str"), (kernel(caller), NotCompiledError, "fail cannot be compiled")
+    causes = (fresh_kernel(caller), numba.TypingError, "str"), (kernel(caller), NotCompiledError, "fail cannot be compiled")
     for called, error, reason in causes:
         called(False, out)
         with pytest.raises(error, match=reason):
@@ -108,11 +108,11 @@ def test_a_second_process_compiles_nothing_until_a_kernel_in_another_file_change
 def test_machine_code_for_other_arguments_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(compilation, "cache_folder", lambda: tmp_path)
     for x in (1.0, 1):
-        own(inspect.unwrap(scale))(x, 2.0)
+        fresh_kernel(inspect.unwrap(scale))(x, 2.0)
     one, other = sorted(tmp_path.rglob("*.nbc"))
     other.write_bytes(one.read_bytes())
     with pytest.raises(RuntimeError, match="not what its name says: delete that folder"):
-        own(inspect.unwrap(scale))(1, 2.0)
+        fresh_kernel(inspect.unwrap(scale))(1, 2.0)
 
 
 @jitted
@@ -122,7 +122,7 @@ def test_machine_code_for_a_users_own_class_is_not_kept(tmp_path, monkeypatch):
     caller = kernel(lambda pair: add(pair))
     assert add(Pair(1.0, 2.0)) == caller(Pair(1.0, 2.0)) == 3.0
     assert not list(tmp_path.rglob("*.nb?"))
-    assert own(inspect.unwrap(scale))(1.0, 2.0) == 2.0 and list(tmp_path.rglob("*.nb?"))
+    assert fresh_kernel(inspect.unwrap(scale))(1.0, 2.0) == 2.0 and list(tmp_path.rglob("*.nb?"))
 
 
 def test_the_first_folder_that_can_be_written_is_taken_with_what_is_in_a_read_only_one(tmp_path, monkeypatch, capsys):
@@ -147,7 +147,7 @@ def test_the_first_folder_that_can_be_written_is_taken_with_what_is_in_a_read_on
 @pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
 def test_a_process_is_forked_between_compilations(monkeypatch, tmp_path):
     """Its child would wait forever for a thread that it does not have."""
-    begun, twice = threading.Event(), own(inspect.unwrap(scale))
+    begun, twice = threading.Event(), fresh_kernel(inspect.unwrap(scale))
     monkeypatch.setattr(compilation, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(compilation, "say_once", lambda line: begun.set())
     monkeypatch.setattr(compilation, "QUIET", False)

@@ -63,9 +63,9 @@ def test_memory_is_explicit(build, random_state, limits_of, entry):
     for step in range(4):
         for arm in range(2):
             now = situation(model, random_state, 10 * arm + step)
-            last[arm], own = shared.act(now, memories[arm][0]), alone[arm].act(now, memories[arm][1])
-            assert same(last[arm], own)
-            memories[arm] = last[arm].memory, own.memory
+            last[arm], decision = shared.act(now, memories[arm][0]), alone[arm].act(now, memories[arm][1])
+            assert same(last[arm], decision)
+            memories[arm] = last[arm].memory, decision.memory
     assert not same(*last)
 
 

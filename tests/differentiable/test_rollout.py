@@ -37,8 +37,8 @@ def test_a_rollout_is_the_environments_own_episode(task, action, everything, sam
         "preview": [0.02, 0.1],
         "history": 2,
     }
-    own, other = rows_of(task, **options), rows_of(task, **options)
-    own.reset(seed=3)
+    envs, other = rows_of(task, **options), rows_of(task, **options)
+    envs.reset(seed=3)
     actions, seen = torch.tensor(np.random.default_rng(0).uniform(-1.2, 1.2, (5, 3, 3))), []
 
     def policy(observation):
@@ -46,11 +46,11 @@ def test_a_rollout_is_the_environments_own_episode(task, action, everything, sam
         return actions[len(seen) - 1]
 
     expected = [other.reset(seed=3)[0]]
-    found = rollout(own, policy, len(actions))
+    found = rollout(envs, policy, len(actions))
     expected += [other.step(action.numpy())[0] for action in found.action]
     for observation, wanted in zip([*seen, found.observation], expected, strict=True):
-        assert_observations_equal(observation, wanted, episodes_of(own).layout.slices)
-    mine, its = episodes_of(own), episodes_of(other)
+        assert_observations_equal(observation, wanted, episodes_of(envs).layout.slices)
+    mine, its = episodes_of(envs), episodes_of(other)
     assert all(same(getattr(mine.arms.rows, name), getattr(its.arms.rows, name)) for name in ("q", "q_dot", "xi"))
     assert same(found.q[-1].numpy(), its.arms.rows.q) and same(mine.observation(), its.observation())
     errors = [pose_error(pose, wanted) for pose, wanted in zip(its.arms.reading.tip_pose, its.target_pose, strict=True)]

@@ -33,23 +33,23 @@ def listed(tmp_path, monkeypatch):
 
 
 def test_every_generated_block_is_listed_once_and_is_there():
-    made = [(own.page, block) for own in generated.listed() if own.page for block in own.blocks]
+    made = [(entry.page, block) for entry in generated.listed() if entry.page for block in entry.blocks]
     blocks = [
         (page.relative_to(ROOT).as_posix(), block)
         for page in PAGES
         for block in re.findall(r"^<!-- /(.+) -->$", page.read_text(encoding="utf-8"), re.MULTILINE)
     ]
     assert sorted(made) == sorted(blocks)
-    whole = {own.page for own in generated.listed() if own.page and not own.blocks}
+    whole = {entry.page for entry in generated.listed() if entry.page and not entry.blocks}
     stamped = {page.relative_to(ROOT).as_posix() for page in PAGES if MADE.search(page.read_text(encoding="utf-8"))}
     assert stamped <= whole | {page for page, _ in made}
-    for own in generated.listed():
-        own.stale()  # reads pages and stamps, and raises for what is not there
+    for entry in generated.listed():
+        entry.stale()  # reads pages and stamps, and raises for what is not there
 
 
 def test_pictures_are_shown():
     shown = "".join(page.read_text(encoding="utf-8") for page in PAGES)
-    pictures = {name for own in generated.listed() for name in own.pictures}
+    pictures = {name for entry in generated.listed() for name in entry.pictures}
     assert all(Path(name).name in shown and (ROOT / name).is_file() for name in pictures)
 
 

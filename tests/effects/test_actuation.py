@@ -177,7 +177,7 @@ def test_hysteresis_of_a_slow_cycle(uniform):
 
     def theory(direction, tensions):
         """Where the tendon slides, and before that where it sticks."""
-        return np.clip([bent(model, own, direction) for own in tensions], least, most)
+        return np.clip([bent(model, tension, direction) for tension in tensions], least, most)
 
     for direction, part in ((1.0, slice(per, per + per // 2)), (-1.0, slice(per + per // 2, 2 * per))):
         np.testing.assert_allclose(q[part], theory(direction, pull[part]), rtol=1e-2)

@@ -55,6 +55,6 @@ def test_the_scenes_that_ship_are_lived_in(id, scene):
     episodes = envs.unwrapped.episodes
     if scene == "paper_among_obstacles":
         contact, found = episodes.model.scene.effects.contact, [contact_forces(episodes.model, episodes.state(row)) for row in range(16)]
-        assert any(own.sample_force.any() for own in found) and max(own.penetration.max() for own in found) < 0.01
+        assert any(forces.sample_force.any() for forces in found) and max(forces.penetration.max() for forces in found) < 0.01
         assert contact.distances(np.ascontiguousarray(episodes.target_pose[:, :3, 3])).min() > 0.9 * 0.02
     envs.close()

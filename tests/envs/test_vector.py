@@ -20,8 +20,8 @@ def row_of(values, row):
 
 def info_of(info, row):
     """The entries of a vector environment's info that belong to a row, as plain values."""
-    own = {key: value for key, value in info.items() if not key.startswith("_") and isinstance(value, np.ndarray)}
-    return {key: getattr(value[row], "tolist", lambda v=value[row]: v)() for key, value in own.items() if info[f"_{key}"][row]}
+    entries = {key: value for key, value in info.items() if not key.startswith("_") and isinstance(value, np.ndarray)}
+    return {key: getattr(value[row], "tolist", lambda v=value[row]: v)() for key, value in entries.items() if info[f"_{key}"][row]}
 
 
 def single_steps(env, seed, actions, mode):

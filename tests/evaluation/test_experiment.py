@@ -48,17 +48,17 @@ def test_other_code_is_another_result(tmp_path, monkeypatch):
 
 
 def test_a_key_is_of_all_that_a_result_depends_on(tmp_path):
-    own = tmp_path / "arm.toml"
-    options = {**ARM, "scene": str(own)}
+    file = tmp_path / "arm.toml"
+    options = {**ARM, "scene": str(file)}
 
     def key(text=None, **changes):
         if text is not None:
-            own.write_text(text)
+            file.write_text(text)
         return CELL._replace(**{"options": options, **changes}).key("code")
 
-    save_scene(load_scene("three_tendon"), own)
+    save_scene(load_scene("three_tendon"), file)
     first = key()
-    assert key() == first and [*experiment._files_in({"passive": [{"file": str(own)}, "paper", ""], "order": 1})] == [str(own)]
+    assert key() == first and [*experiment._files_in({"passive": [{"file": str(file)}, "paper", ""], "order": 1})] == [str(file)]
     different = [
         key(policy="tracking"),
         key(task="Shape"),
@@ -69,6 +69,6 @@ def test_a_key_is_of_all_that_a_result_depends_on(tmp_path):
         key(options={**options, "randomize": {"payload": 0.1}}),
         key(told={"scene": "three_tendon"}),
         CELL._replace(options=options).key("other code"),
-        key(own.read_text() + "\n[effects.gravity]\nacceleration = [0.0, 0.0, -9.8]\n"),
+        key(file.read_text() + "\n[effects.gravity]\nacceleration = [0.0, 0.0, -9.8]\n"),
     ]
     assert len({first, *different}) == 1 + len(different)

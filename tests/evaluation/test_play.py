@@ -91,9 +91,9 @@ def test_environments_that_cannot_be_evaluated_are_refused(play_on, make_env, se
 @pytest.mark.cases("error", MODEL_ERRORS)
 def test_a_seed_has_the_same_target_whatever_the_arm_has(error):
     env, nominal = make(randomize=MODEL_ERRORS[error].randomize, preview=[0.02], action="increment"), make()
-    for own in (env, nominal):
-        own.reset(seed=EVALUATION_SEEDS[0])
-    np.testing.assert_array_equal(*(own.unwrapped.target_at([0.0, 0.7, 3.0]).tip_pose for own in (env, nominal)))
+    for each in (env, nominal):
+        each.reset(seed=EVALUATION_SEEDS[0])
+    np.testing.assert_array_equal(*(each.unwrapped.target_at([0.0, 0.7, 3.0]).tip_pose for each in (env, nominal)))
 
 
 def test_an_arm_has_several_model_errors_at_once():

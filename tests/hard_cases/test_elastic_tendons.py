@@ -71,7 +71,7 @@ def test_motion_of_stiff_tendons_follows_the_tolerance(measured):
     coarse, exact = (tips({"step": step, "columns": 1}) for step in (1e-4, 5e-5))
     exact = 2.0 * exact - coarse
     for name, bound in allowed.items():
-        own = at_fidelity(tied("three_tendon", 6e5), name).integrator
-        error = np.linalg.norm(tips({"step": own.step, "tolerance": own.tolerance}) - exact, axis=1).max() / 0.3
+        preset = at_fidelity(tied("three_tendon", 6e5), name).integrator
+        error = np.linalg.norm(tips({"step": preset.step, "tolerance": preset.tolerance}) - exact, axis=1).max() / 0.3
         measured(f"{name}, part of the length", error)
         assert error < bound

@@ -70,11 +70,11 @@ SIZES = (5e-324, 1e-200, 1e-30, 1e30, 1e200, 1e308, -1e-200, -1e200, -1e308, 10*
 def numbers_in(table, key=""):
     """Dotted keys of all numbers in nested tables and lists."""
     for name, value in table.items() if isinstance(table, dict) else enumerate(table):
-        own = f"{key}.{name}".lstrip(".")
+        path = f"{key}.{name}".lstrip(".")
         if isinstance(value, dict | list | tuple):
-            yield from numbers_in(value, own)
+            yield from numbers_in(value, path)
         elif isinstance(value, float):
-            yield own
+            yield path
 
 
 def test_numbers_that_no_arm_has(measured):

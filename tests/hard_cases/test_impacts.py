@@ -32,7 +32,7 @@ class Case:
         self.radius = bare.discretisation.radius(np.array([self.length]))[0]
         self.towards = np.array([0.0, np.cos(angle), np.sin(angle)])  # the obstacle
         across = np.cross(self.towards, [1.0, 0.0, 0.0])
-        own = {
+        table = {
             "floor": {"type": "plane", "axis": (-self.towards).tolist()},
             "wire": {"type": "capsule", "axis": (across + 0.3 * self.towards).tolist(), "radius": size, "length": 4.0 * self.length},
             "plate": {"type": "box", "size": [self.length, size, 3.0 * self.length], "rotation": [np.degrees(angle), 0.0, 0.0]},
@@ -41,7 +41,7 @@ class Case:
         }[kind]
         place = np.array([(at + 0.25 * (kind == "plate")) * self.length, 0.0, 0.0])
         for _ in range(40):
-            self.obstacle = {**own, "position": place.tolist(), "velocity": (-speed * self.towards * shot).tolist()}
+            self.obstacle = {**table, "position": place.tolist(), "velocity": (-speed * self.towards * shot).tolist()}
             clearance = Contact(obstacles=[self.obstacle]).distances(axis)[0].min() - 1.2 * self.radius
             place = place + (ahead - clearance) * self.towards
         self.core = 0.25 * size if kind == "plate" else 0.5 * size if kind != "floor" else 0.0

@@ -24,9 +24,9 @@ def changed(holds, tmp_path):
 
 def test_holds_are_read_in_the_scenes_frame(arm, holds, placed, tensions):
     found = read_recordings([holds], arm, placed)
-    assert [own.name for own in found[:2]] == ["holds0", "holds1"] and not any(own.period for own in found)
-    assert np.allclose([own.command[0] for own in found], tensions)
-    assert all(np.linalg.norm(own.positions[0], axis=1) @ [1, 0, 0] < 0.12 < own.positions[0, 2, 0] for own in found)
+    assert [recording.name for recording in found[:2]] == ["holds0", "holds1"] and not any(recording.period for recording in found)
+    assert np.allclose([recording.command[0] for recording in found], tensions)
+    assert all(np.linalg.norm(recording.positions[0], axis=1) @ [1, 0, 0] < 0.12 < recording.positions[0, 2, 0] for recording in found)
 
 
 @pytest.mark.cases(
@@ -79,7 +79,7 @@ def test_bad_shares_are_told(arm, holds, placed, held_out, message):
 
 def held(*commands, period=0.0):
     """Recordings of commands, a motion for each list of them."""
-    return [Recording(f"{i}", "simulated", np.atleast_2d(own), np.full((1, 1, 3), i), period, {}) for i, own in enumerate(commands)]
+    return [Recording(f"{i}", "simulated", np.atleast_2d(command), np.full((1, 1, 3), i), period, {}) for i, command in enumerate(commands)]
 
 
 @pytest.mark.cases(

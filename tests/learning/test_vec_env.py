@@ -29,7 +29,7 @@ def reference(id, rows, **options):
 def timeless(value):
     """Nested values without times."""
     if isinstance(value, dict):
-        return {key: timeless(own) for key, own in value.items() if key != "t"}
+        return {key: timeless(entry) for key, entry in value.items() if key != "t"}
     return type(value)(map(timeless, value)) if isinstance(value, list | tuple) else value
 
 

@@ -31,7 +31,7 @@ def built(changes, name="three_tendon"):
 
 def in_motion(model):
     """A simulation after four periods of random commands, and one more command."""
-    least, greatest = np.array([own.tension_limits for own in model.scene.tendons]).T
+    least, greatest = np.array([tendon.tension_limits for tendon in model.scene.tendons]).T
     table = least + np.random.default_rng(0).uniform(0.05, 0.4, (5, least.size)) * (greatest - least)
     simulation = Simulation(model)
     for command in table[:4]:
@@ -56,7 +56,7 @@ def end(model, start, *inputs):
 def differences(evaluate, step):
     """Derivatives of all that is evaluated so many steps off, that of the tip pose as a body twist."""
     values, pose = [(weight / step, evaluate(k * step)) for k, weight in FOURTH_ORDER.items()], evaluate(0.0)[1]
-    found = [sum(weight * own[i] for weight, own in values) for i in range(len(values[0][1]))]
+    found = [sum(weight * reached[i] for weight, reached in values) for i in range(len(values[0][1]))]
     moved = np.linalg.inv(pose) @ found[1]
     return [found[0], np.array([moved[2, 1], moved[0, 2], moved[1, 0], *moved[:3, 3]]), *found[2:]]
 
@@ -82,13 +82,13 @@ def test_linearization_is_as_differences_of_plain_steps(name, changes):
     start, found = simulation.state, simulation.linearize(command, PERIOD)
     here, scale = [start.q, start.q_dot, start.effects, command], model.coordinate_scale()
     unit = np.concatenate([scale, 10.0 * scale, np.maximum(np.abs(start.effects), 1e-3), np.full(command.size, 10.0)])
-    inputs, borders, slopes = np.concatenate(here), np.cumsum([own.size for own in here]), []
-    for i, own in enumerate(unit):
+    inputs, borders, slopes = np.concatenate(here), np.cumsum([part.size for part in here]), []
+    for i, size in enumerate(unit):
 
         def evaluate(change, i=i):
             return end(model, start, *np.split(inputs + change * np.eye(inputs.size)[i], borders[:-1]))
 
-        slopes.append([own * slope for slope in differences(evaluate, 3e-4 * own)])
+        slopes.append([size * slope for slope in differences(evaluate, 3e-4 * size)])
     states, tips, lengths = (np.stack(parts, axis=-1) for parts in zip(*slopes, strict=True))
     by = np.hstack([found.state, found.command]) * unit
     for rows in np.split(np.arange(borders[2]), borders[:2]):
@@ -132,8 +132,8 @@ def test_numbers_move_equilibria(changes, keys):
             rest = static_equilibrium(other, TENSION, q)
             return rest.q, rest.tip_pose, other.tendon_lengths(rest.q)
 
-        for own, expected in zip(found, differences(beside, 2e-3 * (parameter.size or 0.05)), strict=True):
-            assert_close(own[:, i], expected)
+        for slopes, expected in zip(found, differences(beside, 2e-3 * (parameter.size or 0.05)), strict=True):
+            assert_close(slopes[:, i], expected)
 
 
 @pytest.mark.cases(

@@ -65,7 +65,7 @@ def test_bad_input_is_named_and_changes_nothing(moving, call, message):
 
 MEMORY = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.05}]}
 SLOWER = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.5}]}
-BEND_Y, BEND_Z = ({"type": "explicit", "modes": [{"strains": [own], "order": 1, "span": "rod"}]} for own in ("bend_y", "bend_z"))
+BEND_Y, BEND_Z = ({"type": "explicit", "modes": [{"strains": [bend], "order": 1, "span": "rod"}]} for bend in ("bend_y", "bend_z"))
 
 
 @pytest.mark.cases(
@@ -79,9 +79,9 @@ BEND_Y, BEND_Z = ({"type": "explicit", "modes": [{"strains": [own], "order": 1, 
         (MEMORY, SLOWER, "relaxation times [0.5] s; this state is of viscoelastic_memory:96 + relaxation times [0.05] s"),
     ],
 )
-def test_states_of_another_arm_are_refused(build, tmp_path, theirs, own, message):
+def test_states_of_another_arm_are_refused(build, tmp_path, theirs, ours, message):
     """As many numbers of another meaning would be read as this arm's; from a file too."""
-    stranger, arm = (ste.Simulation(build("four_tendon", changes)) for changes in (theirs, own))
+    stranger, arm = (ste.Simulation(build("four_tendon", changes)) for changes in (theirs, ours))
     stranger.reset(np.full(stranger.model.coordinate_count, 0.1))
     before = numbers(arm)
     stranger.state.save(tmp_path / "state.npz")
@@ -120,7 +120,7 @@ def said(way, model, command):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         way(model, command)
-    return [str(own.message) for own in caught if own.category is TensionLimitWarning]
+    return [str(warning.message) for warning in caught if warning.category is TensionLimitWarning]
 
 
 @pytest.mark.parametrize("name", WAYS)

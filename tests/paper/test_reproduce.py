@@ -49,11 +49,11 @@ def test_tip_converges_to_the_circle(reproduced, tmp_path):
     numbers, printed = reproduced("--figures", "5", "--seconds", "2")
     holds = {(claim["figure"], claim["paper"]): claim["holds"] for claim in numbers["claims"]}
     for name in ("fully actuated", "underactuated", "underactuated, as printed", *(f"{of}, sampled" for of in ACTUATED)):
-        own, figure = numbers["tip_error"][name], "5(c)" if name.startswith("fully") else "6(c)"
-        assert own["start_mm"] == pytest.approx(255.0, abs=0.1), "mm from the straight arm to the circle"
-        assert own["small_from_s"] < (0.7 if "sampled" in name else 0.6)
+        error, figure = numbers["tip_error"][name], "5(c)" if name.startswith("fully") else "6(c)"
+        assert error["start_mm"] == pytest.approx(255.0, abs=0.1), "mm from the straight arm to the circle"
+        assert error["small_from_s"] < (0.7 if "sampled" in name else 0.6)
         assert holds[figure, f"our threshold in addition: below 2.5 mm within 1 s, {name}"]
-        lasting = own["below_1_mm_from_s"] is not None
+        lasting = error["below_1_mm_from_s"] is not None
         assert holds[figure, f"tip error falls below 1 mm and stays there, {name}"] == lasting
         assert lasting == (not name.startswith("underactuated") or "sampled" in name), "(39) asks for forces that tensions cannot make"
     assert all(max(parts) < 0.0 for name, parts in numbers["largest_real_parts_1_per_s"].items() if name in ACTUATED)

@@ -37,8 +37,8 @@ def write_agent(folder, network, normalization=None, **config):
 
 @pytest.mark.parametrize("name", ["PPO", "SAC", "TQC", "RecurrentPPO"])
 def test_an_agent_of_any_algorithm_acts_as_its_model(tmp_path, name):
-    own = getattr(stable_baselines3, name, None) or getattr(sb3_contrib, name)
-    trained = own("MlpLstmPolicy" if name == "RecurrentPPO" else "MlpPolicy", make(), device="cpu", seed=0)
+    algorithm = getattr(stable_baselines3, name, None) or getattr(sb3_contrib, name)
+    trained = algorithm("MlpLstmPolicy" if name == "RecurrentPPO" else "MlpPolicy", make(), device="cpu", seed=0)
     env = make()
     observation, _ = env.reset(seed=0)
     loaded = agent.load_agent(str(write_agent(tmp_path / "own", trained.policy, algorithm=name)), env)
@@ -53,12 +53,12 @@ def test_an_agent_sees_through_its_statistics(tmp_path, task):
     env = make(task)
     observation, _ = env.reset(seed=0)
     config = {"algorithm": "SAC", "normalise": {"observations": True}}
-    own = write_agent(tmp_path / "own", trained.policy, normalization_of(statistics), **config)
-    action, _ = agent.load_agent(str(own), env).predict(observation)
+    folder = write_agent(tmp_path / "own", trained.policy, normalization_of(statistics), **config)
+    action, _ = agent.load_agent(str(folder), env).predict(observation)
     np.testing.assert_array_equal(action, trained.predict(statistics.normalize_obs(observation), deterministic=True)[0])
-    (own / "statistics.npz").unlink()
+    (folder / "statistics.npz").unlink()
     with pytest.raises(FileNotFoundError, match="should have statistics.npz: the agent sees observations through it"):
-        agent.load_agent(str(own), env)
+        agent.load_agent(str(folder), env)
 
 
 @pytest.fixture(scope="module")

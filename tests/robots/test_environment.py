@@ -40,10 +40,10 @@ def test_a_simulated_robot_moves_as_the_arm_of_an_environment(scene, drawn, task
     robot = SimulatedRobot(scene=scene, fidelity="fast", sensors=3, randomize=drawn, real_time=False)
     real = RobotEnv(gym.make(f"TendonRod-{task}-v0", **options), robot, settle=0.0)
     assert real.observation_space == alike.observation_space and real.action_space == alike.action_space
-    for (expected, error), (found, own) in zip(moved(alike), moved(real), strict=True):
+    for (expected, error), (found, distance) in zip(moved(alike), moved(real), strict=True):
         expected, found = (flat["observation"] if isinstance(flat, dict) else flat for flat in (expected, found))
         np.testing.assert_allclose(found, expected, atol=1e-6)
-        assert own == pytest.approx(error, abs=1e-9)
+        assert distance == pytest.approx(error, abs=1e-9)
     assert real.stopped.slack and not real.stopped.failures
 
 

@@ -54,8 +54,8 @@ def drawn(arms, names, parts=1):
     """Random cotangents of some names, in the units of the arm."""
     rng, cotangents, unit = np.random.default_rng(1), arms.make_cotangents(parts), arms.model.coordinate_scale()
     for name in names:
-        own = getattr(cotangents, name)
-        own[:] = rng.normal(size=own.shape) / {"q": unit, "q_dot": 30.0 * unit}.get(name, 1.0)
+        values = getattr(cotangents, name)
+        values[:] = rng.normal(size=values.shape) / {"q": unit, "q_dot": 30.0 * unit}.get(name, 1.0)
     return cotangents
 
 
@@ -92,8 +92,8 @@ def test_adjoint_is_near_differences(build, scene):
         changes = {key: (ends[0][key] - ends[1][key]) / 2e-4 for key in ends[0]}
         changes["tip_pose"] = as_twists(changes["tip_pose"], pose)
         expected = sum((getattr(given, key) * change).reshape(ROWS, -1).sum(axis=1) for key, change in changes.items())
-        own = (getattr(found, name) * direction).reshape(ROWS, -1).sum(axis=1)
-        assert np.linalg.norm(own - expected) < ERRORS.get((scene, name), 0.03) * np.linalg.norm(expected), name
+        slope = (getattr(found, name) * direction).reshape(ROWS, -1).sum(axis=1)
+        assert np.linalg.norm(slope - expected) < ERRORS.get((scene, name), 0.03) * np.linalg.norm(expected), name
 
 
 @pytest.mark.parametrize(

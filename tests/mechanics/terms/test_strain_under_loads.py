@@ -24,6 +24,7 @@ GRAVITY = {"effects.gravity.acceleration": [3.0, -6.0, -5.0]}
 FORCE = {"effects.tip_load.force": [0.002, 0.005, -0.01], "effects.tip_load.mass": 0.005}
 MOMENT = {"effects.tip_load.moment": [0.002, 0.003, -0.005]}
 RAW = {"strain.passive_coordinates": "raw"}
+KIRCHHOFF = ["torsion", "bend_y", "bend_z"]
 SMALL = pytest.param("paper", {**INSIDE, **GRAVITY, "quadrature.intervals": 1}, marks=pytest.mark.no_jit, id="small")
 FORCES = [
     SMALL,
@@ -31,9 +32,7 @@ FORCES = [
     pytest.param("paper_16dof", {**INSIDE, **RAW, **GRAVITY, **FORCE}, id="passive, payload and force"),
     pytest.param("four_tendon", {**INSIDE, **GRAVITY, **FORCE}, id="redundant"),
     pytest.param("helical", {**INSIDE, **GRAVITY, **FORCE}, id="pre-curved"),
-    pytest.param(
-        "catheter", {**INSIDE, **GRAVITY, **FORCE, "strain.strains": ["torsion", "bend_y", "bend_z"]}, id="Kirchhoff",
-    ),
+    pytest.param("catheter", {**INSIDE, **GRAVITY, **FORCE, "strain.strains": KIRCHHOFF}, id="Kirchhoff", marks=pytest.mark.slow),
     pytest.param("three_tendon", {**INSIDE, **GRAVITY, **FORCE, "strain.strains": ["bend_y", "stretch", "shear_z"]}, id="planar"),
 ]  # fmt: skip
 MOMENTS = [
@@ -104,7 +103,7 @@ def test_terms_agree_with_an_independent_model(dof, case, reference, check_terms
     check_terms(found, expected, MOST)
 
 
-UPRIGHT = {**INSIDE, "strain.strains": ["torsion", "bend_y", "bend_z"], "quadrature.intervals": 8}
+UPRIGHT = {**INSIDE, "strain.strains": KIRCHHOFF, "quadrature.intervals": 8}
 
 
 LENGTH, BENDING, WEIGHT = 0.3, 5e5 * np.pi * 0.01**4 / 4, 1070.0 * np.pi * 0.01**2  # [m], EI [N m^2], mass per length [kg/m]
@@ -112,6 +111,7 @@ EULER = "effects.tip_load.force", np.pi**2 * BENDING / (4 * LENGTH**2)
 GREENHILL = "effects.gravity.acceleration", 7.8373 * BENDING / (WEIGHT * LENGTH**3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("load", "critical"), [pytest.param(*EULER, id="Euler"), pytest.param(*GREENHILL, id="own weight")])
 def test_a_column_holds_up_to_its_critical_load(load, critical, build):
     """Of Euler, pi^2 EI / 4 L^2, and under its own weight, 7.8373 EI / L^3 (Greenhill): beyond, it says that the arm buckles."""
@@ -124,6 +124,7 @@ def test_a_column_holds_up_to_its_critical_load(load, critical, build):
         build("three_tendon", {**UPRIGHT, load: [-1.001 * critical, 0.0, 0.0]})
 
 
+@pytest.mark.slow
 def test_firm_coordinates_keep_clear_of_buckling():
     """Just below the critical load there is a strain, and too little stiffness left."""
     for part, firm in ((0.5, True), (0.99, False)):
