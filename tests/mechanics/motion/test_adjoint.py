@@ -17,7 +17,7 @@ SCENES = {
     "lagging actuators": {"effects.actuators": {"time_constant": 0.03, "rate_limit": 500.0}},
     "tendons that rub": {"effects.tendon_friction": {"coefficient": 0.2}},
     "elastic tendons": {"effects.tendon_elasticity": {"stiffness": 500.0, "displacement_limits": [0.0, 0.01]}},
-    "explicit": {"strain": {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z"], "order": 1, "span": "rod"}]}},
+    "explicit": {"strain": {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z"], "order": 2, "span": "rod"}]}},
 }
 ERRORS = {
     ("loads inside", "q_dot"): 0.1,
