@@ -84,6 +84,7 @@ def test_rows_of_an_environment_have_the_frames_of_single_ones():
     rows.reset(seed=0)
     env.reset(seed=1)
     np.testing.assert_array_equal(rows.render()[1], env.render())
+    assert env.metadata["render_fps"] == 50, "of its videos"
 
 
 def test_without_matplotlib_the_error_says_what_to_install(build, monkeypatch):
