@@ -41,7 +41,7 @@ def position_law(terms, q_dot, pose, twist):
 
 
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("own", [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)], ids=["still", "as the tip", "otherwise"])
+@pytest.mark.parametrize("moves", [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)], ids=["still", "as the tip", "otherwise"])
 @pytest.mark.parametrize("objective, law", [(TipPose(0.1), pose_law), (TipPosition(), position_law)], ids=["pose", "position"])
 def test_short_periods_give_the_paper_s_law(model, random_state, monkeypatch, objective, law, moves, seed):
     """(39) in the limit, when nothing but the task counts, for targets that stand still, move as the tip does or with a twist of their

@@ -69,7 +69,7 @@ BEND_Y, BEND_Z = ({"type": "explicit", "modes": [{"strains": [bend], "order": 1,
 
 
 @pytest.mark.cases(
-    "theirs, own, message",
+    "theirs, ours, message",
     [
         ({"quadrature.intervals": 4}, {"quadrature.intervals": 6}, "state.strain"),
         ({"strain.passive": [{"strains": ["bend_y"], "order": 3, "span": "rod"}]}, {}, "state.q "),
