@@ -137,20 +137,20 @@ def test_effects_whose_states_follow_the_motion_are_refused_backward():
         rollout(env, lambda observation: action, 1).error.sum().backward()
 
 
-def refused(env, match, kind, policy=lambda observation: torch.zeros(3, 3), **arguments):
+def assert_refused(env, match, kind, policy=lambda observation: torch.zeros(3, 3), **arguments):
     with pytest.raises(kind, match=match):
         rollout(env, policy, **{"periods": 2, **arguments})
 
 
 def test_mistakes_are_said():
     env = rows_of("TipPose")
-    refused(env, "before reset", ResetNeeded)
+    assert_refused(env, "before reset", ResetNeeded)
     env.reset(seed=0)
-    refused(env, "periods should be a whole number of at least 1, not 0", ValueError, periods=0)
-    refused(env, r"the policy's action should have shape \(3, 3\), not \(3, 2\)", ValueError, lambda observation: torch.zeros(3, 2))
-    refused(env, r"the policy's action should be finite", ValueError, lambda observation: torch.full((3, 3), torch.nan))
-    refused(env, "policy should return a tensor of actions, not ndarray", TypeError, lambda observation: np.zeros((3, 3)))
-    refused(gym.make("CartPole-v1"), "an environment of soft_tendon_env", TypeError)
+    assert_refused(env, "periods should be a whole number of at least 1, not 0", ValueError, periods=0)
+    assert_refused(env, r"the policy's action should have shape \(3, 3\), not \(3, 2\)", ValueError, lambda observation: torch.zeros(3, 2))
+    assert_refused(env, r"the policy's action should be finite", ValueError, lambda observation: torch.full((3, 3), torch.nan))
+    assert_refused(env, "policy should return a tensor of actions, not ndarray", TypeError, lambda observation: np.zeros((3, 3)))
+    assert_refused(gym.make("CartPole-v1"), "an environment of soft_tendon_env", TypeError)
 
 
 ELASTIC = {"stiffness": 2e3, "displacement_limits": [0.0, 0.01]}

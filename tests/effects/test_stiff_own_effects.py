@@ -57,7 +57,7 @@ def stiff(monkeypatch):
     return make
 
 
-def played(model, seconds):
+def simulate_pull(model, seconds):
     """Simulation after so long under a pull of 3 N, in steps of 20 ms, and how many steps were rejected."""
     simulation = ste.Simulation(model)
     return simulation, sum(simulation.step([3.0, 0.0, 0.0], 0.02).rejected for _ in range(round(50 * seconds)))
@@ -66,7 +66,7 @@ def played(model, seconds):
 def test_a_stiff_drag_creeps_as_it_should(stiff):
     """(D + D_drag) q_dot = B u - K to the small inertia; hardly a step is tried again, where it would be thousands otherwise."""
     model = stiff(Drag(RATE))
-    simulation, rejected = played(model, 2.0)
+    simulation, rejected = simulate_pull(model, 2.0)
     terms = model.terms(simulation.state.q, simulation.state.q_dot, time=simulation.state.time)
     drive = terms.actuation @ [3.0, 0.0, 0.0] - terms.elastic_force
     creep = np.linalg.solve(terms.damping + terms.external_damping, drive)
@@ -76,7 +76,7 @@ def test_a_stiff_drag_creeps_as_it_should(stiff):
 
 def test_a_stiff_spring_comes_to_rest(stiff):
     model = stiff(Spring(3 * (STIFFNESS,), ANCHOR))
-    simulation, rejected = played(model, 2.0)
+    simulation, rejected = simulate_pull(model, 2.0)
     rest = ste.static_equilibrium(model, [3.0, 0.0, 0.0])
     away = np.linalg.norm(model.tip_pose(simulation.state.q)[:3, 3] - rest.tip_pose[:3, 3])
     assert rest.converged and away < 1e-9 * model.length

@@ -46,7 +46,7 @@ def benchmark(*policies, **more):
     return Benchmark(**{"entrants": tuple({"policy": policy} for policy in policies), **SHORT, **more})
 
 
-def named(policy):
+def parse_policy(policy):
     return PolicyName.parse(policy, "TipPose")
 
 
@@ -68,7 +68,7 @@ def test_everybody_plays_all_settings_on_the_same_episodes():
 )
 def test_policies_observe_what_a_regime_has(observed, regime, reason):
     """Coordinates are in none: they mean other shapes on a finer arm."""
-    assert misfit(named(STILL), {"scene": "three_tendon", **observed}, regime) == reason
+    assert misfit(parse_policy(STILL), {"scene": "three_tendon", **observed}, regime) == reason
 
 
 @pytest.mark.cases(

@@ -12,7 +12,7 @@ GREATEST = {"underwater": 0.012, "three_tendon": 0.02, "four_tendon": 0.006, "he
 """Displacements [m] of the actuators."""
 
 
-def tied(name, stiffness, **changes):
+def with_elastic_tendons(name, stiffness, **changes):
     """The scene with elastic tendons of a stiffness [N/m], changed."""
     table = {"stiffness": stiffness, "displacement_limits": [0.0, GREATEST[name]]}
     return ste.load_scene(name).replace({"effects.tendon_elasticity": table, **changes})
@@ -30,7 +30,7 @@ def test_commands_of_stiff_tendons_that_jump(measured, fidelity):
     for name in GREATEST:
         counts = []
         for stiffness in (2e5, 1e7):
-            model = ste.build_model(at_fidelity(tied(name, stiffness), fidelity))
+            model = ste.build_model(at_fidelity(with_elastic_tendons(name, stiffness), fidelity))
             simulation = Simulation(model)
             counts.append(sum(simulation.step(row, 0.15).evaluations for row in commands(model, GREATEST[name], 12, 5)))
             assert np.isfinite(simulation.tip_pose).all()
@@ -43,7 +43,7 @@ def test_stiff_tendons_come_to_rest_where_the_statics_says(measured):
     after 40 s at rest to 1e-6 mm, with some tendons slack, within 1e-6 of the length of where `commanded_equilibrium` says."""
     slack, arms = 0, (("two_segment_six", 2e6, 0.025), ("helical", 8e5, 0.02), ("three_tendon", 1e7, 0.04), ("paper", 1e7, 0.02))
     for name, stiffness, step in arms:
-        model = ste.build_model(tied(name, stiffness, **{"integrator.step": step}))
+        model = ste.build_model(with_elastic_tendons(name, stiffness, **{"integrator.step": step}))
         for command in commands(model, 0.4 * GREATEST[name], 3, 11):
             found, tension = commanded_equilibrium(model, command)
             motion = simulate(model, command, 40.0, 1.0)
@@ -61,7 +61,7 @@ def test_motion_of_stiff_tendons_follows_the_tolerance(measured):
     Expected: over 0.8 s with four jumps each preset's own error, against first-order steps of 0.05 ms extrapolated from two sizes, is below
     8, 3 and 1 thousandths of the length."""
     allowed = {"fast": 8e-3, "standard": 3e-3, "fine": 1e-3}
-    scene = at_fidelity(tied("three_tendon", 6e5), "standard")
+    scene = at_fidelity(with_elastic_tendons("three_tendon", 6e5), "standard")
 
     def tips(integrator):
         model = ste.build_model(scene.replace({"integrator": integrator}))
@@ -71,7 +71,7 @@ def test_motion_of_stiff_tendons_follows_the_tolerance(measured):
     coarse, exact = (tips({"step": step, "columns": 1}) for step in (1e-4, 5e-5))
     exact = 2.0 * exact - coarse
     for name, bound in allowed.items():
-        preset = at_fidelity(tied("three_tendon", 6e5), name).integrator
+        preset = at_fidelity(with_elastic_tendons("three_tendon", 6e5), name).integrator
         error = np.linalg.norm(tips({"step": preset.step, "tolerance": preset.tolerance}) - exact, axis=1).max() / 0.3
         measured(f"{name}, part of the length", error)
         assert error < bound

@@ -92,7 +92,7 @@ def motion():
     return scene, np.column_stack([ran.time, tensions, ran.tip_pose[:, :3, 3]])
 
 
-def moved(folder, scene, rows, columns=None):
+def identify_damping(folder, scene, rows, columns=None):
     path = folder / "steps.csv"
     header = ["time", *(f"tension_{i}" for i in range(3)), "m_x", "m_y", "m_z"]
     path.write_text("\n".join(",".join(map(str, row)) for row in [header, *rows.tolist()]))
@@ -102,7 +102,7 @@ def moved(folder, scene, rows, columns=None):
 
 def test_damping_is_found_from_a_motion(motion, tmp_path):
     scene, rows = motion
-    found = moved(tmp_path, scene, rows)
+    found = identify_damping(tmp_path, scene, rows)
     assert found.value[0] == pytest.approx(9e3, rel=0.01) and not any(
         "Motion 'steps'" in text or "better" in text for text in found.findings
     )
@@ -110,7 +110,7 @@ def test_damping_is_found_from_a_motion(motion, tmp_path):
 
 def test_motions_that_do_not_begin_at_rest_are_told(motion, tmp_path):
     scene, rows = motion
-    found = moved(tmp_path, scene, rows[3:])
+    found = identify_damping(tmp_path, scene, rows[3:])
     (text,) = (finding for finding in found.findings if "does not begin at rest" in finding)
     assert "in the first period, at rest up to 1.5 mm" in text
 
@@ -118,7 +118,9 @@ def test_motions_that_do_not_begin_at_rest_are_told(motion, tmp_path):
 def test_a_motion_that_cannot_be_simulated_says_what_to_look_at(motion, tmp_path):
     scene, rows = motion
     with pytest.raises(NoHoldError) as raised:
-        moved(tmp_path, scene.replace({"segments.0.young_modulus": 2e3, "effects.gravity.acceleration": [-300.0, 900.0, 0.0]}), rows)
+        identify_damping(
+            tmp_path, scene.replace({"segments.0.young_modulus": 2e3, "effects.gravity.acceleration": [-300.0, 900.0, 0.0]}), rows
+        )
     text = str(raised.value)
     assert "line 2: motion 'steps' cannot be simulated" in text
     assert "Its samples are 0.02 s apart, if their unit is right. Look at units and signs of the commands" in text

@@ -19,7 +19,7 @@ def lessons(training):
     return lambda **changes: training(**{"algorithm": "DAgger", "learning_rate": 1e-3, "hyperparameters": SMALL, **changes})
 
 
-def taught(task, steps=120, **options):
+def errors_of_the_teacher(task, steps=120, **options):
     """Errors (steps, rows) where the teacher itself acts on arms that all differ."""
     envs = gym.make_vec(IDS[task], num_envs=4, max_episode_steps=60, autoreset_mode="same_step", **{**ARM, **options})
     envs.reset(seed=0)
@@ -37,17 +37,17 @@ def taught(task, steps=120, **options):
 @pytest.mark.parametrize("action", [{"action": "tension"}, {"action": "increment", "tension_rate": 50.0}], ids=["tension", "increment"])
 def test_teacher_tracks_on_every_arm_as_drawn(task, action):
     slow = {} if task == "Reach" else {"target": {"type": "random", "knot_period": 2.0}}  # the law for shapes lags behind
-    errors = taught(task, **action, **slow, randomize=DRAWN)
+    errors = errors_of_the_teacher(task, **action, **slow, randomize=DRAWN)
     rms = np.sqrt(np.mean(errors[-25:-1] ** 2, axis=0))
     assert (rms < 0.02).all(), "in the second episode too, on other arms"
 
 
 def test_teacher_makes_up_for_the_delay_that_was_drawn(monkeypatch):
     late = {"latency": 0.06}
-    aware = taught("TipPose", 60, randomize=late)[-25:-1].max()
+    aware = errors_of_the_teacher("TipPose", 60, randomize=late)[-25:-1].max()
     arriving = imitation.Teacher._arriving
     monkeypatch.setattr(imitation.Teacher, "_arriving", lambda self, sent, late: arriving(self, sent, 0.0 * late))
-    assert taught("TipPose", 60, randomize=late)[-25:-1].max() > 3.0 * aware
+    assert errors_of_the_teacher("TipPose", 60, randomize=late)[-25:-1].max() > 3.0 * aware
 
 
 def test_teacher_needs_tensions_that_act_and_targets_that_are_known(lessons):

@@ -23,7 +23,7 @@ PUSH = {"force": [0.0, 0.2, 0.0], "at": 0.3, "signal": {"type": "sine", "frequen
 MEMORY = {"effects.viscoelastic_memory.branches": [{"modulus": 0.3, "relaxation_time": 0.1}]}
 
 
-def built(changes, name="three_tendon"):
+def build_quietly(changes, name="three_tendon"):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # passive fields that were made for other loads
         return build_model(load_scene(name).replace(changes), "scene" if "strain" in changes else "fast")
@@ -77,7 +77,7 @@ def assert_close(found, expected, tolerance=1e-5):
     ],
 )
 def test_linearization_is_as_differences_of_plain_steps(name, changes):
-    model = built(changes, name)
+    model = build_quietly(changes, name)
     simulation, command = in_motion(model)
     start, found = simulation.state, simulation.linearize(command, PERIOD)
     here, scale = [start.q, start.q_dot, start.effects, command], model.coordinate_scale()
@@ -123,7 +123,7 @@ def test_leaves_the_simulation_where_it_was_and_knows_its_next_state():
     ],
 )
 def test_numbers_move_equilibria(changes, keys):
-    model = built({"segments.0.poisson_ratio": 0.45, **changes})
+    model = build_quietly({"segments.0.poisson_ratio": 0.45, **changes})
     found, q = static_derivatives(model, keys, TENSION), static_equilibrium(model, TENSION).q
     for i, parameter in enumerate(scene_parameters(model.scene, keys)):
 
@@ -146,4 +146,4 @@ def test_numbers_move_equilibria(changes, keys):
 )
 def test_numbers_that_cannot_be_are_refused(changes, key, message):
     with pytest.raises(ConfigurationError, match=message):
-        built(changes).with_numbers({key: 0.9})
+        build_quietly(changes).with_numbers({key: 0.9})

@@ -147,7 +147,7 @@ def test_keys_of_the_training_alone_are_left_out(tmp_path, trained):
     assert read_config(folder) == AgentConfig(algorithm="PPO", options=SMALL)
 
 
-def untrained(folder, **config):
+def untrained_agent(folder, **config):
     """The folder of an agent of PPO that has learned nothing."""
     network = PPO("MlpPolicy", make(**config["options"]), n_steps=8, batch_size=4, seed=0, device="cpu").policy
     return str(write_agent(folder, network, **{**config, "options": {**SMALL, **config["options"]}}))
@@ -156,7 +156,7 @@ def untrained(folder, **config):
 @pytest.fixture
 def ppo(tmp_path):
     options = {"action": "increment"}
-    return untrained(tmp_path / "ppo", options=options, layout=agent.layout_of(make(**options).unwrapped.episodes))
+    return untrained_agent(tmp_path / "ppo", options=options, layout=agent.layout_of(make(**options).unwrapped.episodes))
 
 
 @pytest.mark.cases(
@@ -193,7 +193,7 @@ LOOKS = {"observation": ["target_error"]}
 )
 def test_an_agent_says_once_it_is_loaded_that_it_was_trained_otherwise(tmp_path, task, trained, judged, said):
     usual = {"action": "increment", "preview": [0.1, 0.2]}
-    folder = untrained(tmp_path / "own", task=task, options={**usual, **trained})
+    folder = untrained_agent(tmp_path / "own", task=task, options={**usual, **trained})
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always", agent.TrainingWarning)
         load_policy(folder, make(**usual, **judged))

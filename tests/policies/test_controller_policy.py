@@ -53,7 +53,7 @@ def begun(env):
 
 
 def assert_told(now, env, row, seconds):
-    """A situation of a row is its episodes'."""
+    """What a controller is told of a row is what its episode has."""
     episodes = env.unwrapped.episodes
     state, pose = episodes.state(row), episodes.arms.reading.tip_pose[row]
     np.testing.assert_allclose(now.q, state.q, **SINGLE_PRECISION)

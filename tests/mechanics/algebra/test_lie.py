@@ -50,7 +50,7 @@ def on_packs(Omegas, rates, xs, out):
         store6(out, out_at + 6 * LANES, dexp_dot_apply(Omega, load6(rates, at), c, x))
 
 
-def evaluated(Omegas, rates, xs):
+def evaluate_on_packs(Omegas, rates, xs):
     lanes_last = [np.ascontiguousarray(v.reshape(-1, LANES, 6).swapaxes(1, 2)).ravel() for v in (Omegas, rates, xs)]
     out = np.empty(len(Omegas) * 12)
     on_packs(*lanes_last, out)
@@ -111,7 +111,7 @@ def relative_errors(found, expected):
 
 def test_T_and_T_dot_are_accurate_at_every_angle(samples):
     arguments, expected = samples
-    errors = relative_errors(evaluated(*arguments), expected)
+    errors = relative_errors(evaluate_on_packs(*arguments), expected)
     for name, column in zip(("T k", "T p", "T_dot k", "T_dot p"), errors.T, strict=True):
         worst = int(np.argmax(column))
         assert column[worst] < ACCURACY, f"{name} is off by {column[worst]:.1e} at Omega = {arguments[0][worst]}"

@@ -50,7 +50,7 @@ def moving_rows(build, changes, threads=1, rows=ROWS):
     return arms, unit * rng.uniform(1.0, 4.0, (rows, 1, 3))
 
 
-def drawn(arms, names, parts=1):
+def random_cotangents(arms, names, parts=1):
     """Random cotangents of some names, in the units of the arm."""
     rng, cotangents, unit = np.random.default_rng(1), arms.make_cotangents(parts), arms.model.coordinate_scale()
     for name in names:
@@ -83,7 +83,7 @@ def test_adjoint_is_near_differences(build, scene):
     tape, members, rng, unit = arms.make_tape(), np.arange(ROWS), np.random.default_rng(2), arms.model.coordinate_scale()
     arms.step(command, members, None, tape)
     pose = arms.reading.tip_pose.copy()
-    given, found = drawn(arms, (*STATE, *READ)), drawn(arms, (*STATE, *READ))
+    given, found = random_cotangents(arms, (*STATE, *READ)), random_cotangents(arms, (*STATE, *READ))
     arms.adjoint(tape, members, found)
     for name, scale in (("q", unit), ("q_dot", 30.0 * unit), ("command", 0.3 * command)):
         direction = scale * rng.normal(size=getattr(found, name).shape)
@@ -107,7 +107,7 @@ def test_adjoint_is_near_differences(build, scene):
 )
 def test_adjoint_is_finite_where_motion_is_not_smooth(build, changes, command):
     arms, _ = moving_rows(build, changes)
-    members, tape, cotangents = np.arange(ROWS), arms.make_tape(), drawn(arms, (*STATE, *READ))
+    members, tape, cotangents = np.arange(ROWS), arms.make_tape(), random_cotangents(arms, (*STATE, *READ))
     held = np.full((ROWS, 1, 3), command)
     for _ in range(20):
         arms.step(held, members, None, tape)
@@ -118,7 +118,7 @@ def test_adjoint_is_finite_where_motion_is_not_smooth(build, changes, command):
 
 def test_what_has_no_adjoint_is_named(build):
     arms, command = moving_rows(build, {})
-    tape, members, cotangents = arms.make_tape(), np.arange(ROWS), drawn(arms, STATE)
+    tape, members, cotangents = arms.make_tape(), np.arange(ROWS), random_cotangents(arms, STATE)
     arms.step(command, members, None, tape)
     arms.set_model(2, arms.model.with_numbers({"segments.*.young_modulus": 1.1e6}))
     with pytest.raises(ValueError, match="row 2 has got another arm"):

@@ -92,7 +92,7 @@ def test_rigid_strains_stay_exactly_zero(strains, build, random_state, workspace
         assert not values[..., rigid].any() and values[..., ~rigid].any()
 
 
-def guessed(model, q, guess):
+def solve_from_guess(model, q, guess):
     """solve_strain from a guess: what it returns, and the strain."""
     work = make_workspace(model.arm)
     strain_tension(model.arm.strain, q, work.tau)
@@ -111,20 +111,20 @@ def test_strong_pulls_and_pushes(tension, reaches, build):
     block, reached = configure(model.arm, q, TOLERANCE, work)
     assert (block == -1 and reached == 1.0) if reaches else (0 <= block < 2 * model.arm.rod.packs and 0 < reached < 1)
     if not reaches:  # what is left in work.xi is the strain at the part that was reached
-        np.testing.assert_array_equal(guessed(model, reached * q, work.xi)[0], -1)
+        np.testing.assert_array_equal(solve_from_guess(model, reached * q, work.xi)[0], -1)
 
 
-def is_firm(model, tension):
+def has_margin(model, tension):
     return bool(strain_has_margin(model.arm, model.rest_coordinates(tension), 1e-6, make_workspace(model.arm)))
 
 
-def test_strains_near_the_limit_of_a_push_are_not_firm(build):
-    """A single straight tendon pushes its section over at 320 N; pulls are firm as far as they have a strain."""
+def test_strains_near_the_limit_of_a_push_have_no_margin(build):
+    """A single straight tendon pushes its section over at 320 N; pulls have a margin as far as they have a strain."""
     model = build("paper", COARSE)
     one = np.eye(10)[0]
-    assert [is_firm(model, push * one) for push in (-100.0, -280.0, -315.0, -330.0, -1e4)] == [True, True, False, False, False]
+    assert [has_margin(model, push * one) for push in (-100.0, -280.0, -315.0, -330.0, -1e4)] == [True, True, False, False, False]
     assert strain_from_rest(model.arm, -315.0 * one, TOLERANCE, make_workspace(model.arm))[0] == -1
-    assert [is_firm(model, pull * one) for pull in (0.0, 100.0, 250.0, 300.0, 1e4)] == [True, True, True, False, False]
+    assert [has_margin(model, pull * one) for pull in (0.0, 100.0, 250.0, 300.0, 1e4)] == [True, True, True, False, False]
 
 
 @pytest.mark.parametrize(

@@ -125,10 +125,10 @@ def test_a_column_holds_up_to_its_critical_load(load, critical, build):
 
 
 @pytest.mark.slow
-def test_firm_coordinates_keep_clear_of_buckling():
+def test_coordinates_near_buckling_have_no_margin():
     """Just below the critical load there is a strain, and too little stiffness left."""
-    for part, firm in ((0.5, True), (0.99, False)):
+    for part, has_margin in ((0.5, True), (0.99, False)):
         model = on_few_intervals("three_tendon", {**UPRIGHT, EULER[0]: [-part * EULER[1], 0.0, 0.0]})
         work, q = make_workspace(model.arm), np.zeros(model.coordinate_count)
         assert configure(model.arm, q, TOLERANCE, work)[0] == -1
-        assert strain_has_margin(model.arm, q, TOLERANCE, work) == firm
+        assert strain_has_margin(model.arm, q, TOLERANCE, work) == has_margin
