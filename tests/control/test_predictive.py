@@ -1,6 +1,6 @@
-"""Model-predictive control: its plan improves what the simulation does, within bounds; disturbances are found.
+"""Model-predictive control: its plan improves what the simulation does, within bounds, and disturbances are found.
 
-Controllers that are told of the errors of the inputs that an estimator has found act as if the arm were as the model says.
+Controllers whose models have effects predict what happens, and turn tensions into the commands of elastic tendons.
 """
 
 import gymnasium as gym

@@ -1,4 +1,4 @@
-"""Rollouts in PyTorch: the environment's own episode, its observation by the groups' own definitions, and gradients against differences."""
+"""Rollouts in PyTorch: the environment's own episode and observation, and gradients, of logarithms and clips too, against differences."""
 
 from contextlib import nullcontext
 

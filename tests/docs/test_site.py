@@ -1,4 +1,4 @@
-"""The documentation site: its hooks, and what a search in the built site finds."""
+"""The hooks of the documentation site: equations, links to sources, and tables that the package fills."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The arm as curves in space, surfaces of solids, the camera and the styles of policies."""
+"""The arm as curves in space, surfaces of solids, and the styles of policies."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Disturbances: virtual work of loads at points and along parts of the rod, and their functions of time."""
+"""Disturbances and moving bases: virtual work of loads, their functions of time, inertia forces, and the pose of what moves along."""
 
 import numpy as np
 import pytest

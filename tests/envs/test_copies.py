@@ -1,4 +1,4 @@
-"""Copies and pickles of environments go on from where these are, bit for bit, with everything hidden, and by themselves."""
+"""Copies, pickles and forks of environments go on from where these are, bit for bit, with everything hidden, and by themselves."""
 
 import copy
 import pickle

@@ -1,4 +1,4 @@
-"""The observation's layout: groups side by side in the order of the table, each the thing it names over its unit."""
+"""The observation's layout: groups side by side in the order of the table, each the thing it names over its unit, clipped and cast."""
 
 import numpy as np
 import pytest

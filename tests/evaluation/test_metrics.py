@@ -1,4 +1,4 @@
-"""Scores against episodes whose numbers are known by hand."""
+"""Scores, interquartile means, intervals and differences of pairs: against episodes and cases that are worked out by hand."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The adapter to Stable-Baselines3 against what that does itself with single environments, and its algorithms on it."""
+"""The adapter to Stable-Baselines3 against what that does itself with single environments."""
 
 import gymnasium as gym
 import numpy as np

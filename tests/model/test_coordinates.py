@@ -1,4 +1,4 @@
-"""Which coordinates a scene gets: independent tensions, orthogonal or raw passive fields, Legendre fields."""
+"""Which coordinates a scene gets: orthogonal or raw passive fields, Legendre fields."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Model: what its methods refuse and what they say, what a limit of the strain is called; nothing it is given is changed."""
+"""Model: what its methods refuse, where the strain ends, strains at any place, and a mass matrix that is singular."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Bad input of models, simulations and states: the error names the argument, and whoever catches it finds everything as it was."""
+"""Bad input of models, simulations and states is named and changes nothing; commands beyond their limits get a word."""
 
 import dataclasses
 import warnings

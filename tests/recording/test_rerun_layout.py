@@ -1,4 +1,4 @@
-"""What the viewer opens with: every quantity in a plot of its own, in plain units and one range for all arms."""
+"""The viewer opens with every quantity in a plot of its own, in plain units and one range for all arms."""
 
 import numpy as np
 import pytest

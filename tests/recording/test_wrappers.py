@@ -1,4 +1,4 @@
-"""The wrappers hand the right samples to the file; the files of these tests only remember what they were given."""
+"""Wrappers hand the right samples to the file, which only remembers them here, and episodes are collected as they happened."""
 
 import gymnasium as gym
 import numpy as np
