@@ -99,7 +99,7 @@ def test_a_second_process_compiles_nothing_until_a_kernel_in_another_file_change
         inner, text = mechanics / "inner.py", INNER.format(*options)
         if not inner.exists() or inner.read_text() != text:  # numba looks at the time of writing
             inner.write_text(text)
-        process = subprocess.run([sys.executable, "-c", MAIN], env=environment, capture_output=True, text=True, check=True)
+        process = subprocess.run([sys.executable, "-c", MAIN], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
         results.append((float(process.stdout), process.stderr.count("compiling for first use (cached in")))
     assert results == [(6.0, 1), (6.0, 0), (9.0, 1), (15.0, 1)]
 
