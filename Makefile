@@ -64,7 +64,7 @@ dist: .venv/.installed-dist ## build the wheel and the source distribution into 
 	@echo "to install: pip install dist/soft_tendon_env-*.whl"
 
 clean: ## remove .venv and what the tools left behind
-	rm -rf .venv .venv-lowest .venv-newest .venv-peers .venv-rllib dist site .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf .venv .venv-lowest .venv-newest .venv-peers .venv-rllib dist site .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamp says that the package and one of its extras are installed as pyproject.toml and constraints.txt have them now.
@@ -98,7 +98,7 @@ clean: ## remove .venv and what the tools left behind
 	@echo "Installing soft_tendon_env[rllib] into .venv-rllib; this takes a while the first time."
 	@$(PYTHON) -m venv .venv-rllib
 	@.venv-rllib/bin/python -m pip install --quiet --disable-pip-version-check --no-input -c constraints.txt \
-		--editable '.[rllib]' pytest pytest-timeout hypothesis
+		--editable '.[rllib]' pytest pytest-timeout
 	@touch $@
 
 $(PYTHON):

@@ -7,7 +7,6 @@ import os
 import sys
 import threading
 import time
-from pathlib import Path
 
 import pytest
 
@@ -19,12 +18,9 @@ import numba  # noqa: E402
 
 from soft_tendon_env.compiler import compilation  # noqa: E402
 
-TESTS = Path(__file__).parent / "tests"
 BUDGET = 1.0
 """CPU time [s] of its process that a test may take which is not marked slow, less that for kernels that are loaded or compiled in it."""
 BUSY = 2.0  # times as long that it may take beside other processes on the same cores, and on slower ones
-OVER_BUDGET = (TESTS / "over_budget.txt").read_text().splitlines()
-"""Tests that take longer until they are mended, by file and name."""
 MANY = 50  # modules; a test that imports so many for the first time is not judged
 FIRST = ("hard_cases", "effects", "model", "envs", "control", "mechanics")
 """Folders of whole mechanisms: what fails there matters most."""
@@ -58,7 +54,7 @@ def pytest_runtest_call(item):
     modules, kernels, started = len(sys.modules), KERNELS.seconds, time.process_time()
     result = yield
     spent = time.process_time() - started - (KERNELS.seconds - kernels)
-    is_slow = item.get_closest_marker("slow") or item.nodeid.removeprefix("tests/") in OVER_BUDGET
+    is_slow = item.get_closest_marker("slow") is not None
     if log := os.environ.get("TEST_TIMES"):
         with open(log, "a") as file:
             file.write(f"{spent:.2f} {len(sys.modules) - modules} {item.nodeid}\n")

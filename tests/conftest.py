@@ -2,16 +2,13 @@
 
 import functools
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import CONTROLLERS, ControllerOutput
+from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.envs import IDS, TARGETS, TASKS
 from soft_tendon_env.envs.tracking import OWN_TERMS
@@ -20,9 +17,7 @@ from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.policies.controller_policy import ControllerPolicy
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.tools.files import PACKAGE
 
 DATA = Path(__file__).parent / "data"
 STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
@@ -85,7 +80,9 @@ def random_state():
         u = least + 0.2 * rng.random(model.tendon_count) * (greatest - least)
         rest = model.terms(np.zeros(model.coordinate_count), np.zeros(model.coordinate_count))
         stiffness, strain = rest.stiffness, model.arm.strain
-        size = np.sqrt(0.1 * _energy(rest, u) / np.diag(stiffness))
+        load = rest.actuation @ u
+        energy = 0.5 * load @ np.linalg.lstsq(stiffness, load)[0]  # elastic, of the linear answer to the tensions
+        size = np.sqrt(0.1 * energy / np.diag(stiffness))
         if not isinstance(strain, Explicit):
             q = model.rest_coordinates(u)
             q[strain.law.active :] += (size * rng.normal(size=size.size))[strain.law.active :]
@@ -94,12 +91,6 @@ def random_state():
         return q, 10.0 * size * rng.normal(size=size.size)
 
     return state
-
-
-def _energy(rest, u):
-    """Elastic energy of the linear answer to the tensions u."""
-    load = rest.actuation @ u
-    return 0.5 * load @ np.linalg.lstsq(rest.stiffness, load)[0]
 
 
 @pytest.fixture(scope="session")
@@ -116,38 +107,6 @@ def workspace_at():
         return work
 
     return at
-
-
-class Malice:
-    """What makes a folder where it is unpickled."""
-
-    def __init__(self, folder):
-        self.folder = str(folder)
-
-    def __reduce__(self):
-        return os.mkdir, (self.folder,)
-
-
-@pytest.fixture(scope="session")
-def malice():
-    """malice(folder): what makes that folder where it is unpickled."""
-    return Malice
-
-
-@pytest.fixture
-def run(tmp_path):
-    """run(script, NAME="value"): a Python script in a process of its own, with a kernel cache of its own in `tmp_path / "cache"`."""
-
-    def run(script: str, **variables: str) -> subprocess.CompletedProcess[str]:
-        (tmp_path / "script.py").write_text(script)
-        inherited = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "SOFT_TENDON_ENV_", "XDG_"))}
-        environment = {**inherited, "PYTHONPATH": str(PACKAGE.parent), "XDG_CACHE_HOME": str(tmp_path / "cache"), **variables}
-        command = [sys.executable, tmp_path / "script.py"]
-        process = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
-        assert process.returncode == 0, process.stderr
-        return process
-
-    return run
 
 
 @pytest.fixture(scope="session")
@@ -204,60 +163,6 @@ def live():
         return history
 
     return lived
-
-
-class Probe:
-    """A controller that keeps the situations and memories it is given, asks for tensions that depend on all of them, and counts."""
-
-    def __init__(self, tendons, least, span):
-        self.weights, self.least, self.span, self.seen = np.arange(1.0, tendons + 1), least, span, []
-
-    def act(self, now, memory=None):
-        self.seen.append((now, memory))
-        told = (now.q, now.q_dot, now.tip_pose, now.tension, now.reference.tip_pose, now.reference.tip_position, now.reference.q)
-        phase = (memory or 0) + sum(values.sum() for values in told if values is not None)
-        return ControllerOutput(self.least + 0.5 * self.span * (1.0 + np.sin(self.weights * phase)), (memory or 0) + 1)
-
-
-@pytest.fixture(scope="session")
-def probed():
-    """probed(env): a policy for three tendons and the probe it asks, for tensions from `least` [N] over `span` [N]."""
-
-    def make(env, least=0.5, span=3.0):
-        probe = Probe(3, least, span)
-        return ControllerPolicy(probe, env), probe
-
-    return make
-
-
-@pytest.fixture(scope="session")
-def short():
-    """short(kind, id, **options): episodes of six steps, in a "single" environment or three rows of Gymnasium ("vector") or "sb3"."""
-
-    def make(kind, id, **options):
-        options = {"max_episode_steps": 6, "scene": "three_tendon", "fidelity": "fast", "preview": (0.02, 0.04, 0.1), **options}
-        if kind == "single":
-            return gym.make(id, **options)
-        if kind == "vector":
-            return gym.make_vec(id, num_envs=3, **options)
-        from soft_tendon_env.learning.vec_env import make_sb3_vec_env  # loads torch, which few tests need
-
-        return make_sb3_vec_env(id, 3, **options)
-
-    return make
-
-
-@pytest.fixture(scope="session")
-def begun():
-    """begun(env): the first observation, of seed 0."""
-
-    def begin(env):
-        if isinstance(env, gym.Env | gym.vector.VectorEnv):
-            return env.reset(seed=0)[0]
-        env.seed(0)
-        return env.reset()
-
-    return begin
 
 
 @pytest.fixture

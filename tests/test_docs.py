@@ -120,19 +120,19 @@ def check_command(line: str) -> None:
 
 
 def check_options(line: str, words: list[str], script: bool) -> None:
-    own, *given = words
-    if own.startswith("-"):
+    command, *given = words
+    if command.startswith("-"):
         return  # python -m, python -c, --help
     if script:
-        assert (ROOT / own).is_file(), line
+        assert (ROOT / command).is_file(), line
     options = any(word.startswith("--") for word in given)
-    text = help_of(own) if options or not script else ""  # a script without options may do its work when asked for help
+    text = help_of(command) if options or not script else ""  # a script without options may do its work when asked for help
     for word in given:
         if word.startswith("--"):
             assert re.search(rf"{re.escape(word.split('=')[0])}\b", text), f"{line}: no option {word}"
         elif word.startswith(("configs/", "agents/")):
             assert (ROOT / word).exists(), line
-    if own in ("train", "sweep"):
+    if command in ("train", "sweep"):
         for name in itertools.takewhile(lambda word: not word.startswith("-"), given):
             assert (ROOT / "configs" / f"{name}.toml").is_file() or name.isupper() or "." in name, (
                 f"{line}: there is no configs/{name}.toml"

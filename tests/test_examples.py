@@ -62,7 +62,7 @@ LEFT = {"paper_trajectory.py", "tracking.py", "effects_gallery.py", "scene_galle
 """Examples that draw, or record."""
 
 
-@pytest.mark.parametrize("example, arguments, is_right", RUNS, ids=[own[0] for own in RUNS])
+@pytest.mark.parametrize("example, arguments, is_right", RUNS, ids=[example[0] for example in RUNS])
 def test_examples_find_what_they_should(tmp_path, example, arguments, is_right):
     said = run(example, tmp_path, *arguments)
     assert is_right(said), said

@@ -21,18 +21,18 @@ SIZES = {
     "lines of the tests": lambda: lines_below("tests"),
     "lines of the largest folder": lambda: max(lines_below(path) for path in (ROOT / "soft_tendon_env").iterdir() if path.is_dir()),
     "lines of the longest file": lambda: max(lines(path) for name in ("soft_tendon_env", "tests") for path in (ROOT / name).rglob("*.py")),
-    "words of the documentation": lambda: sum(len(path.read_text(encoding="utf-8").split()) for own in PROSE for path in ROOT.glob(own)),
+    "words of the documentation": lambda: sum(
+        len(path.read_text(encoding="utf-8").split()) for pattern in PROSE for path in ROOT.glob(pattern)
+    ),
 }
 LIMITS = {
     "lines of the package": 28_500,
-    "lines of the tests": 16_500,
+    "lines of the tests": 15_900,
     "lines of the largest folder": 6_000,
     "lines of the longest file": 330,
     "words of the documentation": 35_000,
 }
-STILL = {
-    "lines of the tests": 17_000,
-}
+STILL = {}
 """Sizes that still exceed their limits: each may fall, none may grow."""
 
 

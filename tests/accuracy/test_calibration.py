@@ -60,7 +60,7 @@ def test_the_cheapest_within_the_tolerance_is_chosen():
     found = example(dear, cheap, good)
     for tolerance, best in ((1e-3, good), (MARGIN * 5.01e-4, good), (MARGIN * 4.99e-4, dear)):
         assert cheapest_point(ARM, found, tolerance) is best
-    assert [own.setting.name for own in found.front] == ["cheap", "good", "dear"]
+    assert [point.setting.name for point in found.front] == ["cheap", "good", "dear"]
     assert example(good, bars=(0.0, 1e-4)).within(good) == pytest.approx(MARGIN * 6e-4)
     with pytest.raises(ConfigurationError, match="no setting keeps the tip of 'three_tendon' within 0.01mm .* keeps within 0.2mm"):
         cheapest_point(ARM, found, 1e-5)
@@ -75,12 +75,11 @@ def test_the_setting_holds_on_motions_that_it_was_not_calibrated_on():
 def test_it_is_the_same_when_made_anew(cache, monkeypatch):
     kept = calibrate(ARM, short(ARM), None)
     (file,) = cache.glob("*.json")
-    for content in (None, file.read_bytes()[:-1000], b"no JSON"):
-        file.unlink() if content is None else file.write_bytes(content)
-        again = calibrate(ARM, short(ARM), None)
-        assert again.points == kept.points
-        np.testing.assert_array_equal(again.reference.tips, kept.reference.tips)
-        assert [path.suffix for path in cache.iterdir() if path.suffix != ".lock"] == [".json"]
+    file.write_bytes(file.read_bytes()[:-1000])
+    again = calibrate(ARM, short(ARM), None)
+    assert again.points == kept.points
+    np.testing.assert_array_equal(again.reference.tips, kept.reference.tips)
+    assert [path.suffix for path in cache.iterdir() if path.suffix != ".lock"] == [".json"]
     monkeypatch.setattr(module, "reference_motions", None)  # a further call simulates nothing
     assert calibrate(ARM, short(ARM), None).points == kept.points
 

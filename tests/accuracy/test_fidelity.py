@@ -30,11 +30,11 @@ def test_what_a_scene_leaves_open_is_standard_and_what_it_says_stays():
     moments = {"strain.passive": [{"strains": ["torsion"], "order": 1, "span": "rod"}]}
     for changes in (moments, {"quadrature.intervals": 9}, {"integrator.step": 0.01}):
         (part,) = {key.split(".")[0] for key in changes}
-        own = scene.replace(changes)
-        kept, standard = at_fidelity(own, None), at_fidelity(scene, "standard")
+        changed = scene.replace(changes)
+        kept, standard = at_fidelity(changed, None), at_fidelity(scene, "standard")
         for name in ("strain", "quadrature", "integrator"):
-            assert getattr(kept, name) == getattr(own if name == part else standard, name)
-        assert at_fidelity(own, "scene") == own and at_fidelity(own, "standard") == standard
+            assert getattr(kept, name) == getattr(changed if name == part else standard, name)
+        assert at_fidelity(changed, "scene") == changed and at_fidelity(changed, "standard") == standard
 
 
 @pytest.mark.cases("name", ("paper", "four_tendon", "helical"))

@@ -60,5 +60,5 @@ def test_abrupt_loads_make_no_phantom_tensions(name):
         tension = factor * greatest * (np.arange(greatest.size) < pulled)
         with warnings.catch_warnings(action="ignore", category=TensionLimitWarning):
             q = simulate(model, tension, 1.0, step).q
-        phantom = max(np.abs(model.arm.strain.law.tensions(own)).max() for own in q)
+        phantom = max(np.abs(model.arm.strain.law.tensions(sample)).max() for sample in q)
         assert phantom < 1.6 * tension.max(), (step, factor, pulled)

@@ -1,10 +1,8 @@
 """Every command once, at its smallest: what it prints and what it leaves."""
 
 import importlib
-import os
 import subprocess
 import sys
-from pathlib import Path
 
 import gymnasium as gym
 import pytest
@@ -102,7 +100,7 @@ def test_help_has_every_option_with_a_text(command, capsys, monkeypatch, name):
         command(name, "--help")
     printed, texts = " ".join(capsys.readouterr().out.split()), options.descriptions(kind)
     assert printed.startswith(f"usage: soft-tendon {name} ")
-    for field in (own for own, field in kind.model_fields.items() if not options.is_table(field)):
+    for field in (key for key, field in kind.model_fields.items() if not options.is_table(field)):
         assert texts[field].split()[0] in printed and options.flag(kind, field).removeprefix("--").lower() in printed.lower(), field
 
 
@@ -118,18 +116,3 @@ def test_help_and_the_package_load_nothing_that_extras_bring():
     code += f"print(sorted(set(sys.modules) & set({HEAVY!r})), file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code, *COMMANDS], capture_output=True, text=True)
     assert done.stderr.splitlines() == ["[]"]
-
-
-@pytest.mark.slow  # processes
-def test_modules_of_a_users_own_come_first_in_every_process(tmp_path):
-    root = Path(__file__).parents[2]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(root), str(root / "examples")])}
-    run = [sys.executable, "-m", "soft_tendon_env", "--import", "own_metric"]
-
-    def said(*given):
-        return subprocess.run([*run, *given], cwd=tmp_path, env=environment, capture_output=True, text=True).stdout
-
-    assert said("length", "three_tendon") == "0.3 m\n"
-    arm = (*ARM, "--seconds", "0.4", "--skip", "0.2", "--episodes", "1", "--workers", "2")
-    table = said("evaluate", "tracking", *arm, "--errors", "nominal", "stiffness-50%")
-    assert " peak [N] " in table and "\n| stiffness-50% " in table

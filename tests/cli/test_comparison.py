@@ -48,9 +48,9 @@ def test_options_go_before_the_config_file(tmp_path, command):
     given = ("--task", "Shape", "--policies", "feedforward", "tracking", "--errors", "nominal", both, "--seeds", "7", "2000000")
     command("compare", "--config", config, *given, "--set", "control_period=0.04", "randomize.payload=[0, 0.1]", "--out", tmp_path)
     results = json.loads((tmp_path / "Shape.json").read_text())["results"]
-    assert [(own["policy"], own["model_error"]) for own in results[:2]] == [("feedforward", "nominal"), ("feedforward", both)]
-    assert [[episode["seed"] for episode in own["episodes"]] for own in results] == [[7, 2_000_000]] * 4
-    assert {episode["steps"] for own in results for episode in own["episodes"]} == {5}
+    assert [(result["policy"], result["model_error"]) for result in results[:2]] == [("feedforward", "nominal"), ("feedforward", both)]
+    assert [[episode["seed"] for episode in result["episodes"]] for result in results] == [[7, 2_000_000]] * 4
+    assert {episode["steps"] for result in results for episode in result["episodes"]} == {5}
     assert results[1]["summary"]["metrics"]["effort"] < results[0]["summary"]["metrics"]["effort"]
     record = json.loads((tmp_path / "Shape.json").read_text())
     assert record["settings"]["seeds"] == [7, 2_000_000] and record["environments"]["tracking"]["fidelity"] == "fast", "of the file"
@@ -60,7 +60,7 @@ def test_a_folder_of_runs_is_one_policy(tmp_path, runs, capsys, command):
     files, out = [runs / f"seed_{seed}" / "best" for seed in (2, 10)], tmp_path / "out"
     given = ("--errors", "nominal", "--episodes", "2", "--seconds", "0.2", "--skip", "0.1", "--out", out)
     command("compare", "--task", "TipPose", "--policies", "feedforward", runs, *files, *given)
-    results = {own["policy"]: own for own in json.loads((out / "TipPose.json").read_text())["results"]}
+    results = {result["policy"]: result for result in json.loads((out / "TipPose.json").read_text())["results"]}
     assert list(results) == ["feedforward", str(runs), *map(str, files)]
     assert results[str(runs)]["episodes"] == [episode for file in files for episode in results[str(file)]["episodes"]]
     assert f"{runs} (2 seeds) " in capsys.readouterr().out

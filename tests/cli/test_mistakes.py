@@ -16,7 +16,6 @@ TEXTS = {
     "holds.csv": "hold,tension_0,tension_1,tension_2,tip_x,tip_y,tip_z\na,1,0,0,0.29,0.03,0\nb,0,1,0,0.29,-0.02,0.02\n",
 }
 """Files of the folder that commands are called in."""
-OWN = ("compare", "--config", "own.toml")
 IDENTIFY = ("identify", "three_tendon", "holds.csv", "--out", ".", "--markers", "markers.toml", "--parameters")
 OPTIONS = [
     ("trian", "'trian' is no command: did you mean 'train'?"),

@@ -5,10 +5,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import CONTROLLERS, ControllerInput, Reference
+from soft_tendon_env.control import ControllerInput, Reference
 from soft_tendon_env.model.simulation import Simulation
-
-CATALOGUE = [(task, name) for task, entries in CONTROLLERS.items() for name in entries]
 
 
 class Tracked(NamedTuple):
@@ -65,9 +63,3 @@ def holding():
         return Reference(np.zeros(1), pose[None], pose[None, :3, 3], q[None])
 
     return target
-
-
-@pytest.fixture(params=CATALOGUE, ids="-".join)
-def entry(request):
-    task, name = request.param
-    return CONTROLLERS[task][name]

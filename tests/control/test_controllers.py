@@ -3,17 +3,18 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import ControllerInput, Reference
+from soft_tendon_env.control import CONTROLLERS, ControllerInput, Reference
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.paper_laws import PaperShape
 from soft_tendon_env.control.rigid_motions import moved_pose
 from soft_tendon_env.control.shape_tracking import ShapeFeedforward
 
 PERIOD = 0.02
+ENTRIES = [pytest.param(entry, id=f"{task}-{name}") for task, entries in CONTROLLERS.items() for name, entry in entries.items()]
 SCENES = ["four_tendon", "three_tendon", "catheter", "paper"]
 
 
-def situation(model, random_state, seed):
+def controller_input(model, random_state, seed):
     """A lively arm, measured somewhat off its model, and a moving target anywhere around."""
     rng = np.random.default_rng(seed)
     q, q_dot = random_state(model, seed)
@@ -36,13 +37,14 @@ def same(a, b):
 
 
 @pytest.mark.cases("scene", SCENES)
+@pytest.mark.parametrize("entry", ENTRIES)
 def test_tensions_stay_within_limits_whatever_happens(build, random_state, limits_of, entry, scene):
-    """Situations that jump from one to another, with the memory of the last; every controller does something in them."""
+    """Inputs that jump from one to another, with the memory of the last; every controller does something in them."""
     model = build(scene)
     limits, memory, asked = limits_of(model), None, []
     controller = entry.make(model, limits, PERIOD)
     for seed in range(12):
-        now = situation(model, random_state, seed)
+        now = controller_input(model, random_state, seed)
         for _ in range(5):
             decision = controller.act(now, memory)
             assert_sound(decision, limits)
@@ -51,6 +53,7 @@ def test_tensions_stay_within_limits_whatever_happens(build, random_state, limit
     assert np.ptp(asked, axis=0).max() > 0.1
 
 
+@pytest.mark.parametrize("entry", ENTRIES)
 def test_memory_is_explicit(build, random_state, limits_of, entry):
     """One controller for two arms decides for each what it would alone, bit for bit."""
     model = build("three_tendon")
@@ -59,18 +62,19 @@ def test_memory_is_explicit(build, random_state, limits_of, entry):
     memories, last = [(None, None)] * 2, [None] * 2
     for step in range(4):
         for arm in range(2):
-            now = situation(model, random_state, 10 * arm + step)
-            last[arm], own = shared.act(now, memories[arm][0]), alone[arm].act(now, memories[arm][1])
-            assert same(last[arm], own)
-            memories[arm] = last[arm].memory, own.memory
+            now = controller_input(model, random_state, 10 * arm + step)
+            last[arm], decision = shared.act(now, memories[arm][0]), alone[arm].act(now, memories[arm][1])
+            assert same(last[arm], decision)
+            memories[arm] = last[arm].memory, decision.memory
     assert not same(*last)
 
 
+@pytest.mark.parametrize("entry", ENTRIES)
 def test_models_that_cannot_follow_hold_the_last_tensions(build, random_state, limits_of, entry):
     """Coordinates for which there is no strain. Feedforward does not look at them, (37) takes them as they are."""
     model = build("three_tendon")
     controller = entry.make(model, limits_of(model), PERIOD)
-    now = situation(model, random_state, 0)
+    now = controller_input(model, random_state, 0)
     lost = now._replace(q=np.full_like(now.q, 1e4), tension=np.array([1.0, 2.0, 7.0]))
     before = controller.act(now)
     decision = controller.act(lost, before.memory)

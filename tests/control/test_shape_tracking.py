@@ -26,7 +26,7 @@ def wide(model):
     return np.tile([-1e6, 1e6], (model.tendon_count, 1))
 
 
-def situation(model, random_state, period):
+def controller_input(model, random_state, period):
     """In motion, towards a target in motion, and the target's rates."""
     q, q_dot = random_state(model, 0)
     goal, rates = random_state(model, 1)
@@ -38,7 +38,7 @@ def test_short_periods_give_the_paper_s_law(model, random_state):
     """u = q_a_bar + B^+ G (kd (q_bar_dot - q_dot) + kp (q_bar - q)), up to what a period changes: in its tenth a tenth."""
     off = []
     for period in (1e-8, 1e-9):
-        now, rates = situation(model, random_state, period)
+        now, rates = controller_input(model, random_state, period)
         controller = ShapeTracking(model, wide(model), period, settling_time=0.2, damping=1.0)
         held = np.stack([model.rest_coordinates(unit) for unit in np.eye(model.tendon_count)], axis=1)
         push = controller.kd * (rates - now.q_dot) + controller.kp * (now.reference.q[0] - now.q)

@@ -41,16 +41,16 @@ def position_law(terms, q_dot, pose, twist):
 
 
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("own", [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)], ids=["still", "as the tip", "otherwise"])
+@pytest.mark.parametrize("moves", [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)], ids=["still", "as the tip", "otherwise"])
 @pytest.mark.parametrize("objective, law", [(TipPose(0.1), pose_law), (TipPosition(), position_law)], ids=["pose", "position"])
-def test_short_periods_give_the_paper_s_law(model, random_state, monkeypatch, objective, law, own, seed):
+def test_short_periods_give_the_paper_s_law(model, random_state, monkeypatch, objective, law, moves, seed):
     """(39) in the limit, when nothing but the task counts, for targets that stand still, move as the tip does or with a twist of their
     own, whose derivative is taken in the frame of the tip, which moves: what is left falls with the period."""
     monkeypatch.setattr(tip_tracking, "FREE", 1e-5)
     q, q_dot = random_state(model, seed)
     terms = model.terms(q, q_dot)
     pose = moved_pose(terms.tip_pose, np.array([0.1, -0.2, 0.1, 0.02, 0.03, -0.02]))
-    twist = own[0] * (adjoint(inverse_pose(pose) @ terms.tip_pose) @ terms.tip_jacobian @ q_dot) + own[1] * TWIST
+    twist = moves[0] * (adjoint(inverse_pose(pose) @ terms.tip_pose) @ terms.tip_jacobian @ q_dot) + moves[1] * TWIST
     if isinstance(objective, TipPosition):
         twist[:3] = 0.0  # a straight way
     expected, off = law(terms, q_dot, pose, twist), []

@@ -1,4 +1,4 @@
-"""Rollouts in PyTorch: the environment's own episode, its observation by the groups' own definitions, and gradients against differences."""
+"""Rollouts in PyTorch: the environment's own episode and observation, and gradients, of logarithms and clips too, against differences."""
 
 from contextlib import nullcontext
 
@@ -9,9 +9,10 @@ import torch
 from gymnasium.error import ResetNeeded
 
 from soft_tendon_env import build_model, load_scene
-from soft_tendon_env.control.rigid_motions import pose_error
-from soft_tendon_env.differentiable import GradientWarning, gradient_accuracy, rollout
+from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
+from soft_tendon_env.differentiable import GradientWarning, gradient_accuracy, inward_clip, pose_logarithm, rollout
 from soft_tendon_env.differentiable.accuracy import check_gradients
+from soft_tendon_env.differentiable.poses import body_cotangent
 from soft_tendon_env.envs import IDS, TASKS
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.observation import HISTORY
@@ -36,8 +37,8 @@ def test_a_rollout_is_the_environments_own_episode(task, action, everything, sam
         "preview": [0.02, 0.1],
         "history": 2,
     }
-    own, other = rows_of(task, **options), rows_of(task, **options)
-    own.reset(seed=3)
+    envs, other = rows_of(task, **options), rows_of(task, **options)
+    envs.reset(seed=3)
     actions, seen = torch.tensor(np.random.default_rng(0).uniform(-1.2, 1.2, (5, 3, 3))), []
 
     def policy(observation):
@@ -45,11 +46,11 @@ def test_a_rollout_is_the_environments_own_episode(task, action, everything, sam
         return actions[len(seen) - 1]
 
     expected = [other.reset(seed=3)[0]]
-    found = rollout(own, policy, len(actions))
+    found = rollout(envs, policy, len(actions))
     expected += [other.step(action.numpy())[0] for action in found.action]
     for observation, wanted in zip([*seen, found.observation], expected, strict=True):
-        assert_observations_equal(observation, wanted, episodes_of(own).layout.slices)
-    mine, its = episodes_of(own), episodes_of(other)
+        assert_observations_equal(observation, wanted, episodes_of(envs).layout.slices)
+    mine, its = episodes_of(envs), episodes_of(other)
     assert all(same(getattr(mine.arms.rows, name), getattr(its.arms.rows, name)) for name in ("q", "q_dot", "xi"))
     assert same(found.q[-1].numpy(), its.arms.rows.q) and same(mine.observation(), its.observation())
     errors = [pose_error(pose, wanted) for pose, wanted in zip(its.arms.reading.tip_pose, its.target_pose, strict=True)]
@@ -136,33 +137,29 @@ def test_effects_whose_states_follow_the_motion_are_refused_backward():
         rollout(env, lambda observation: action, 1).error.sum().backward()
 
 
-def refused(env, match, kind, policy=lambda observation: torch.zeros(3, 3), **arguments):
+def assert_refused(env, match, kind, policy=lambda observation: torch.zeros(3, 3), **arguments):
     with pytest.raises(kind, match=match):
         rollout(env, policy, **{"periods": 2, **arguments})
 
 
 def test_mistakes_are_said():
     env = rows_of("TipPose")
-    refused(env, "before reset", ResetNeeded)
+    assert_refused(env, "before reset", ResetNeeded)
     env.reset(seed=0)
-    refused(env, "periods should be a whole number of at least 1, not 0", ValueError, periods=0)
-    refused(env, r"the policy's action should have shape \(3, 3\), not \(3, 2\)", ValueError, lambda observation: torch.zeros(3, 2))
-    refused(env, r"the policy's action should be finite", ValueError, lambda observation: torch.full((3, 3), torch.nan))
-    refused(env, "policy should return a tensor of actions, not ndarray", TypeError, lambda observation: np.zeros((3, 3)))
-    refused(gym.make("CartPole-v1"), "an environment of soft_tendon_env", TypeError)
+    assert_refused(env, "periods should be a whole number of at least 1, not 0", ValueError, periods=0)
+    assert_refused(env, r"the policy's action should have shape \(3, 3\), not \(3, 2\)", ValueError, lambda observation: torch.zeros(3, 2))
+    assert_refused(env, r"the policy's action should be finite", ValueError, lambda observation: torch.full((3, 3), torch.nan))
+    assert_refused(env, "policy should return a tensor of actions, not ndarray", TypeError, lambda observation: np.zeros((3, 3)))
+    assert_refused(gym.make("CartPole-v1"), "an environment of soft_tendon_env", TypeError)
 
 
 ELASTIC = {"stiffness": 2e3, "displacement_limits": [0.0, 0.01]}
 ACCURACY = [  # arm, changes, shares of the range that commands change by in a period; least cosine
     ("paper", {}, 0.05, 0.995),
-    ("two_segment_six", {}, 0.1, 0.999),
     ("four_tendon", {}, 0.1, 0.999),
-    ("catheter", {}, 0.02, 0.99),
     ("catheter", {}, 0.1, 0.99),
     ("catheter", {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}, 0.05, 0.99),
     ("underwater", {}, 0.05, 0.99),
-    ("three_tendon", {"effects.actuators": {"time_constant": 0.02, "delay": 0.05}}, 0.05, 0.99),
-    ("catheter", {"effects.actuators": {"delay": 0.05}}, 0.05, 0.99),
     ("catheter", {"effects.actuators": {"delay": 0.033, "time_constant": 0.02}}, 0.05, 0.99),
     ("three_tendon", {"effects.tendon_friction": {"coefficient": 0.2}}, 0.05, 0.99),
     ("three_tendon", {"effects.tendon_elasticity": ELASTIC}, 0.05, 0.98),
@@ -186,7 +183,6 @@ HANGING = {"scene": "paper", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
     "scene, randomize, told",
     [
         ("catheter", {}, None),
-        (HANGING, {}, None),
         (HANGING, {"payload": [0.0, 0.05]}, r"cosine of 0\.9[4-7]"),
         ({"scene": "three_tendon", "effects.tendon_elasticity": {**ELASTIC, "displacement_limits": [-0.005, 0.01]}}, {}, r"cosine of 0\.9"),
     ],
@@ -197,3 +193,32 @@ def test_a_training_is_told_of_gradients_that_are_far_off(scene, randomize, told
     env.reset(seed=0)
     with pytest.warns(GradientWarning, match=told) if told else nullcontext():
         check_gradients(episodes_of(env))
+
+
+def slopes(value, pose, h=1e-6):
+    """Central differences (6,) of value(pose) along body twists."""
+    return np.array([(value(moved_pose(pose, h * axis)) - value(moved_pose(pose, -h * axis))) / (2.0 * h) for axis in np.eye(6)])
+
+
+@pytest.mark.cases("angle", [(0.0,), (1e-9,), (1e-4,), (0.3,), (2.0,), (3.1,), (np.pi - 1e-4,)])
+def test_gradients_of_the_logarithm_are_differences_along_body_twists(angle):
+    rng = np.random.default_rng(0)
+    axis, weight = rng.normal(size=3), rng.normal(size=6)
+    pose = moved_pose(np.eye(4), rng.normal(size=6))
+    wanted = moved_pose(pose, np.concatenate([angle * axis / np.linalg.norm(axis), rng.normal(size=3)]))
+    g, g_bar = (torch.tensor(of, requires_grad=True) for of in (pose[None], wanted[None, None]))
+    error = pose_logarithm(g, g_bar)
+    np.testing.assert_array_equal(error.detach()[0, 0], pose_error(pose, wanted))
+    (error[0, 0] @ torch.tensor(weight)).backward()
+    by_pose = slopes(lambda moved: weight @ pose_error(moved, wanted), pose)
+    by_wanted = slopes(lambda moved: weight @ pose_error(pose, moved), wanted)
+    np.testing.assert_allclose(body_cotangent(g.detach(), g.grad)[0], by_pose, atol=1e-7)
+    np.testing.assert_allclose(body_cotangent(g_bar.detach(), g_bar.grad)[0, 0], by_wanted, atol=1e-7)
+
+
+def test_a_clip_has_gradients_that_lead_back_inside():
+    values = torch.tensor([-2.0, -2.0, 0.3, 0.3, 2.0, 2.0], dtype=torch.float64, requires_grad=True)
+    clipped = inward_clip(values, -1.0, 1.0)
+    assert clipped.tolist() == [-1.0, -1.0, 0.3, 0.3, 1.0, 1.0]
+    clipped.backward(torch.tensor([1.0, -1.0, 1.0, -1.0, 1.0, -1.0]))  # descent goes against it
+    assert values.grad.tolist() == [0.0, -1.0, 1.0, -1.0, 1.0, 0.0]

@@ -33,30 +33,24 @@ def listed(tmp_path, monkeypatch):
 
 
 def test_every_generated_block_is_listed_once_and_is_there():
-    made = [(own.page, block) for own in generated.listed() if own.page for block in own.blocks]
+    made = [(entry.page, block) for entry in generated.listed() if entry.page for block in entry.blocks]
     blocks = [
         (page.relative_to(ROOT).as_posix(), block)
         for page in PAGES
         for block in re.findall(r"^<!-- /(.+) -->$", page.read_text(encoding="utf-8"), re.MULTILINE)
     ]
     assert sorted(made) == sorted(blocks)
-    whole = {own.page for own in generated.listed() if own.page and not own.blocks}
+    whole = {entry.page for entry in generated.listed() if entry.page and not entry.blocks}
     stamped = {page.relative_to(ROOT).as_posix() for page in PAGES if MADE.search(page.read_text(encoding="utf-8"))}
     assert stamped <= whole | {page for page, _ in made}
-    for own in generated.listed():
-        own.stale()  # reads pages and stamps, and raises for what is not there
+    for entry in generated.listed():
+        entry.stale()  # reads pages and stamps, and raises for what is not there
 
 
-def test_pictures_are_shown_and_copies_are_kept(listed, monkeypatch):
+def test_pictures_are_shown():
     shown = "".join(page.read_text(encoding="utf-8") for page in PAGES)
-    pictures = {name for own in generated.listed() for name in own.pictures}
+    pictures = {name for entry in generated.listed() for name in entry.pictures}
     assert all(Path(name).name in shown and (ROOT / name).is_file() for name in pictures)
-    entry = '[[made]]\npage = "docs/own.md"\ncommand = "soft-tendon own"\npictures = ["docs/own.png"]\ncopied_from = "out"\n'
-    root = listed(entry, "")
-    monkeypatch.setattr(generated, "succeeds", lambda command: (root / "out" / "own.png").write_text("picture") > 0)
-    (root / "out").mkdir()
-    (own,) = generated.listed()
-    assert own.make() and (root / "docs" / "own.png").read_text() == "picture" and own.names == ["docs/own.md", "docs/own.png"]
 
 
 def test_what_is_current_is_left_and_what_changed_or_failed_is_made(listed, monkeypatch, capsys):
@@ -81,21 +75,3 @@ def test_what_is_current_is_left_and_what_changed_or_failed_is_made(listed, monk
     monkeypatch.setattr(generated, "succeeds", lambda command: write(False))
     monkeypatch.setattr(sys, "argv", ["generated.py"])
     assert generated.main() == 1 and "failed: soft-tendon own" in capsys.readouterr().err
-
-
-def test_a_picture_has_its_stamp_beside_it(listed, monkeypatch, capsys):
-    root = listed('[[made]]\npictures = ["docs/pictures/own.png"]\ncommand = "python own.py"\n', "")
-    monkeypatch.setattr(generated, "succeeds", lambda command: (root / "docs/pictures/own.png").touch() or True)
-    monkeypatch.setattr("soft_tendon_env.evaluation.pages.ROOT", root)
-    (root / "own.py").touch()
-    monkeypatch.setattr(sys, "argv", ["generated.py"])
-    assert generated.main() == 0 and "1 to be made" in capsys.readouterr().out
-    monkeypatch.setattr(Stamp, "changed", lambda stamp: False)
-    assert generated.not_current() == {}
-
-
-def test_names_that_are_not_listed_are_refused(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["generated.py", "docs/none.md"])
-    with pytest.raises(SystemExit):
-        generated.main()
-    assert "docs/none.md is not in docs/generated.toml: docs/appendix/speed.md" in capsys.readouterr().err

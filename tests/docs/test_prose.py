@@ -70,13 +70,15 @@ def lengths(page: Path, text: str) -> list[str]:
     """Paragraphs with a result in mm that lack a link to a generated page."""
     if page.parent.name not in GUIDES:
         return []
-    made = {own.page for own in generated.listed()}
+    made = {part.page for part in generated.listed()}
 
     def linked(paragraph: str) -> bool:
         targets = re.findall(r"\]\(([^)#\s]+)", paragraph)
         return any(str((page.parent / target).resolve().relative_to(ROOT)) in made for target in targets if "://" not in target)
 
-    return [own for own in paragraphs(text) if re.search(r"\d\s*(?:mm|millimet\w+)\b", prose(own)) and not linked(own)]
+    return [
+        paragraph for paragraph in paragraphs(text) if re.search(r"\d\s*(?:mm|millimet\w+)\b", prose(paragraph)) and not linked(paragraph)
+    ]
 
 
 def words(page: Path, text: str) -> list[str]:
@@ -89,13 +91,15 @@ def words(page: Path, text: str) -> list[str]:
 
 def sentences(page: Path, text: str) -> list[str]:
     """Sentences that are too long, outside of tables."""
-    parts = [prose(own) for own in paragraphs(text) if not own.lstrip().startswith("|")]
+    parts = [prose(paragraph) for paragraph in paragraphs(text) if not paragraph.lstrip().startswith("|")]
     return [sentence for part in parts for sentence in SENTENCE.split(part) if len(sentence.split()) > LONGEST]
 
 
 def refusals(page: Path, text: str) -> list[str]:
     """Paragraphs that say that something is refused, without what is tried."""
-    return [own for own in paragraphs(text) if re.search(r"\brefuse[sd]?\b", prose(own)) and not REFUSED.search(own)]
+    return [
+        paragraph for paragraph in paragraphs(text) if re.search(r"\brefuse[sd]?\b", prose(paragraph)) and not REFUSED.search(paragraph)
+    ]
 
 
 def name(page: Path) -> str:

@@ -1,9 +1,5 @@
-"""The documentation site: its hooks, and what a search in the built site finds."""
+"""The hooks of the documentation site: equations, links to sources, and tables that the package fills."""
 
-import json
-import os
-import re
-import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -70,28 +66,3 @@ def test_the_page_of_effects_has_every_key_with_its_meaning():
     shown = site_environments.on_page_markdown(page_of_effects, page("how_to/effects.md"))
     keys = [(name, key) for name, effect in site_environments.EFFECTS.items() for key in effect.model_fields]
     assert all(f"| `effects.{name}` | `{key}` | " in shown for name, key in keys) and "| None |" not in shown
-
-
-@pytest.fixture(scope="module")
-def index(tmp_path_factory):
-    """Entries of the search index of the site, built as `make docs` builds it: location, and the words that a search compares."""
-    folder = tmp_path_factory.mktemp("site")
-    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
-    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", folder]
-    built = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
-    assert built.returncode == 0, built.stderr
-    found = json.loads((folder / "search" / "search_index.json").read_text())
-    separator = found["config"]["separator"]
-    return {own["location"]: set(re.split(separator, f"{own['title']} {own['text']}".lower())) for own in found["docs"]}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("query", ["MPC", "EKF", "DAgger", "POD", "domain randomisation", "domain randomization", "inverse kinematics"])
-def test_a_search_finds_what_roboticists_look_for(query, index):
-    """In a page that people wrote, as a whole word or one that punctuation follows."""
-    pages = {
-        location
-        for location, words in index.items()
-        if all(any(re.fullmatch(rf"\W*{part}\W*", word) for word in words) for part in query.lower().split())
-    }
-    assert any(page.startswith(("tutorials/", "how_to/", "explanation/", "reference/")) for page in pages), pages

@@ -2,12 +2,14 @@
 
 import sys
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.error import DependencyNotInstalled
 
 from soft_tendon_env.drawing.renderer import ArmRenderer, Picture
 from soft_tendon_env.drawing.shapes import view_box, viewpoint
+from soft_tendon_env.registration import IDS
 
 LOADED = np.array([1.6, 0.0, 0.3])
 NO_TRAIL = np.empty((0, 3))
@@ -74,6 +76,15 @@ def test_gravity_points_down_in_the_picture(arm, acceleration):
     np.testing.assert_allclose(viewpoint(vertical, upright), renderer.turn, atol=1e-12)  # from where recordings are seen
     for point in (np.zeros(3), [model.length, 0.0, 0.0]):
         assert (pixel(renderer, np.array(point)) > 40).all() and (pixel(renderer, np.array(point)) < [440, 560]).all()
+
+
+def test_rows_of_an_environment_have_the_frames_of_single_ones():
+    options = {"scene": "three_tendon", "fidelity": "fast", "render_mode": "rgb_array"}
+    env, rows = gym.make(IDS["Shape"], **options), gym.make_vec(IDS["Shape"], num_envs=2, **options)
+    rows.reset(seed=0)
+    env.reset(seed=1)
+    np.testing.assert_array_equal(rows.render()[1], env.render())
+    assert env.metadata["render_fps"] == 50, "of its videos"
 
 
 def test_without_matplotlib_the_error_says_what_to_install(build, monkeypatch):

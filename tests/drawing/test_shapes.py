@@ -1,9 +1,15 @@
-"""The arm as curves in space; surfaces of solids: closed, seen from outside, where the obstacles of contact have theirs."""
+"""The arm as curves in space, surfaces of solids, and the styles of policies."""
 
 import numpy as np
 import pytest
 
-from soft_tendon_env.drawing.shapes import backbones, base_poses, surface, tendon_curves
+from soft_tendon_env.drawing.palette import style, styles
+from soft_tendon_env.drawing.shapes import (
+    backbones,
+    base_poses,
+    surface,
+    tendon_curves,
+)
 from soft_tendon_env.effects.contact import Contact
 from soft_tendon_env.model.simulation import Simulation
 
@@ -45,8 +51,8 @@ def test_a_base_that_moves_takes_the_arm_along(build):
     base = base_poses(model, np.array([0.3]))
     (tip,) = backbones(model, simulation.state.strain[None], np.array([model.length]), base)[0]
     np.testing.assert_allclose(tip, simulation.tip_pose, atol=1e-9)
-    own = model.scene.replace({"effects.moving_base.velocity": [0.0, 0.0, 0.0]}).effects
-    np.testing.assert_allclose(base_poses(model, np.array([0.3]), own)[0, :3, 3], 0.0, atol=1e-15)
+    resting = model.scene.replace({"effects.moving_base.velocity": [0.0, 0.0, 0.0]}).effects
+    np.testing.assert_allclose(base_poses(model, np.array([0.3]), resting)[0, :3, 3], 0.0, atol=1e-15)
     np.testing.assert_allclose(base[0, :3, 3], 0.3 * np.array(motion["velocity"]), atol=1e-15)
 
 
@@ -57,3 +63,14 @@ def test_surfaces_hold_the_volume_and_lie_on_the_obstacle(obstacle, volume):
     area = 0.5 * np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     assert np.sum(area * (corners.mean(axis=1) - [0.1, 0.2, 0.3])) / 3.0 == pytest.approx(volume, rel=0.05)
     assert np.abs(contact.distances(corners.reshape(-1, 3))).max() < 1e-12
+
+
+def test_policies_that_are_drawn_together_differ():
+    variants = ("filtered:predictive", "adaptive:predictive", "robust_predictive", "long_horizon_predictive")
+    names = ["predictive", *variants, "ppo", "ppo_long", "arm", "own"]
+    found = styles(names)
+    assert len({look.colour for look in found.values()}) == len(names)
+    assert found["ppo"].marker == found["ppo_long"].marker == "o" and found["predictive"].marker == "s"
+    trainings = styles(["DAgger", "DAgger, loads", "DAgger, water", *(f"ppo_{number}" for number in range(9))])
+    assert len({look.colour for look in trainings.values()}) == len(trainings) and {look.marker for look in trainings.values()} == {"o"}
+    assert found["predictive"] == style("predictive") and found["ppo"] == style("ppo")

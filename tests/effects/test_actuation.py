@@ -5,9 +5,6 @@ import pytest
 from scipy.optimize import brentq
 
 from soft_tendon_env import build_model
-from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
-from soft_tendon_env.mechanics.terms.transmission import find_share
-from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, simulate
 from soft_tendon_env.model.statics import commanded_equilibrium, static_equilibrium
 from soft_tendon_env.scene.scene import Scene
@@ -24,7 +21,7 @@ def limited_lag(u, c, time_constant, rate, times):
     return np.where(times < corner, u + sign * rate * times, late)
 
 
-def moved(model, command, times):
+def tension_response(model, command, times):
     """Tensions of the first tendon at times [s], of an arm that gets this command at 0."""
     simulation, found, now = Simulation(model), [], 0.0
     for time in times:
@@ -40,7 +37,7 @@ def test_step_response_of_a_lag(uniform, command, rate, step):
     model = uniform(changes={**FINE, "integrator.step": step, "effects.actuators": {"time_constant": 0.05, "rate_limit": rate}})
     times = np.array([0.004, 0.013, 0.06, 0.09, 0.1, 0.11, 0.3])
     expected = limited_lag(0.0, command, 0.05, rate, times) if rate else command * -np.expm1(-times / 0.05)
-    np.testing.assert_allclose(moved(model, [command, 0.0, 0.0], times), expected, **ROUND_OFF)
+    np.testing.assert_allclose(tension_response(model, [command, 0.0, 0.0], times), expected, **ROUND_OFF)
     assert limited_lag(0.0, 3.0, 0.05, 20.0, np.array([0.1])) == 2.0, "where the limit ends"
 
 
@@ -146,29 +143,7 @@ def friction(coefficient=MU, **more):
     return {"effects.tendon_friction": {"coefficient": coefficient}, **more}
 
 
-def shares(model, q, direction):
-    """What is left of the tensions at the points (n_a, points), base to tip, where all tendons slide in a direction."""
-    work, q = make_workspace(model.arm), np.asarray(q, dtype=float)
-    assert configure(model.arm, q, 1e-12, work) == (-1, 1.0)
-    assert evaluate(model.arm, np.ones(model.tendon_count), q, 0.0 * q, 1e-12, work) == -1
-    for i in range(model.tendon_count):
-        find_share(model.arm, i, MU, direction, work)
-    return model.grid.at_points(work.share.reshape(model.tendon_count, -1), 1)[..., 0].reshape(model.tendon_count, -1)
-
-
-@pytest.mark.no_jit
-@pytest.mark.parametrize("direction", [1.0, -0.5])
-def test_the_tension_falls_with_the_angle_of_an_arc(uniform, direction):
-    """exp(-mu z theta(s)) exactly: tendons parallel to a rod bent evenly turn as it does."""
-    model = uniform(("bend_z",), 0, friction(**{"quadrature.intervals": 5}))
-    curvature = 8.0
-    q = curvature / model.strain_at(np.ones(1), [0.1])[1][0, 2, 0] * np.ones(1)
-    expected = np.exp(-MU * direction * curvature * model.grid.points[model.grid.real].ravel())
-    for found in shares(model, q, direction):
-        np.testing.assert_allclose(found[: expected.size], expected, rtol=1e-7)
-
-
-def bent(model, tension, direction):
+def bending(model, tension, direction):
     """The bending (q,) of an arm with one constant strain at rest under the first tendon: E I theta / l = T r (1 - exp(-a)) / a, with
     a = mu z theta."""
     unit = model.strain_at(np.ones(1), [0.1])[1][0, 2, 0]
@@ -198,11 +173,11 @@ def test_hysteresis_of_a_slow_cycle(uniform):
     pull = np.array([tension(time)[0] for time in motion.time])
     q, per = motion.q[:, 0], round(period / 0.05)
     assert np.abs(q[2 * per :] - q[per : 2 * per + 1]).max() < 1e-3 * np.abs(q).max(), "closed"
-    least, most = bent(model, 0.5, -1.0), bent(model, 3.5, 1.0)
+    least, most = bending(model, 0.5, -1.0), bending(model, 3.5, 1.0)
 
     def theory(direction, tensions):
         """Where the tendon slides, and before that where it sticks."""
-        return np.clip([bent(model, own, direction) for own in tensions], least, most)
+        return np.clip([bending(model, tension, direction) for tension in tensions], least, most)
 
     for direction, part in ((1.0, slice(per, per + per // 2)), (-1.0, slice(per + per // 2, 2 * per))):
         np.testing.assert_allclose(q[part], theory(direction, pull[part]), rtol=1e-2)

@@ -9,7 +9,6 @@ from soft_tendon_env.model.statics import static_equilibrium
 
 LENGTH, RADIUS, YOUNG, DENSITY = 0.3, 0.01, 5e5, 1070.0
 AREA, INERTIA = np.pi * RADIUS**2, np.pi * RADIUS**4 / 4
-WATER = {"effects.fluid": {"density": 1000.0}}
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 NO_DRAG = {"effects.fluid.normal_drag": 0.0, "effects.fluid.tangential_drag": 0.0}
 
@@ -30,9 +29,9 @@ def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(
     """Lagrange's equations of 1/2 s A s - 1/2 v A v = -v A U + 1/2 U A U, with U the current in the frame of the slice, by differences."""
     current = np.array([0.3, -0.2, 0.5])
     fluid = {"effects.fluid": {"density": 1000.0, "current": current.tolist()}, **NO_DRAG, "quadrature.intervals": 4}
-    model = uniform(("torsion", "bend_y", "bend_z", "stretch"), 0, fluid)
-    n, added = 4, model.scene.effects.fluid
-    q, v = np.array([1.0, 2.0, -3.0, 0.05]), np.array([2.0, 5.0, 3.0, 0.4])
+    model = uniform(("torsion", "bend_y", "bend_z"), 0, fluid)
+    n, added = 3, model.scene.effects.fluid
+    q, v = np.array([1.0, 2.0, -3.0]), np.array([2.0, 5.0, 3.0])
     mass = added.displaced_mass(model.discretisation)[:, 0]
 
     def parts(q):
@@ -53,8 +52,8 @@ def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(
 def test_damping_is_the_derivative_of_the_drag(uniform, workspace_at, slope):
     """-dF/dq_dot = J^T (node damping) J, symmetric and not negative; without the added mass, whose share is no damping."""
     changes = {"effects.fluid": {"density": 1000.0, "current": [0.2, -0.1, 0.3], "added_mass": 0.0}, "quadrature.intervals": 4}
-    model = uniform(("torsion", "bend_y", "bend_z", "stretch"), 0, changes)
-    q, v = np.array([1.0, 2.0, -3.0, 0.05]), np.array([2.0, 5.0, 3.0, 0.4])
+    model = uniform(("torsion", "bend_y", "bend_z"), 0, changes)
+    q, v = np.array([1.0, 2.0, -3.0]), np.array([2.0, 5.0, 3.0])
     work = workspace_at(model, q, v)
     D = work.D.copy()
     add_implicit(model.arm, work)

@@ -75,9 +75,3 @@ def test_state_follows_a_strain_that_is_a_quadratic_of_time_exactly(uniform, wor
         settled = 1.0 - np.exp(-end / tau)
         expected = a * (end - tau * settled) + b * (end**2 - 2.0 * tau * end + 2.0 * tau**2 * settled)
         np.testing.assert_allclose(state.max(), 2.0 * expected, rtol=1e-11)
-
-
-def test_a_state_of_another_size_is_refused(uniform):
-    model = uniform(changes=ONE)
-    with pytest.raises(ValueError, match=r"effects should have shape"):
-        model.energy([0.0, 0.0], [0.0, 0.0], np.zeros(3))

@@ -16,38 +16,28 @@ class Drag(Struct):
     rate: float
 
 
-class ImplicitDrag(Drag):
-    """The same, in the implicit step."""
-
-
 class Spring(Struct):
     stiffness: tuple[float, float, float]  # along the axes of the world frame
     anchor: tuple[float, float, float]
 
 
-class ImplicitSpring(Spring):
-    """The same, in the implicit step."""
-
-
-@adds_wrench(Drag)
-@adds_wrench(ImplicitDrag, implicit=("twist",))
+@adds_wrench(Drag, implicit=("twist",))
 @kernel
-def drag(own, nodes):
+def drag(parameters, nodes):
     """-rate M eta."""
     for i in range(nodes.wrench.size):
-        nodes.wrench[i] -= own.rate * nodes.inertia[i] * nodes.twist[i]
+        nodes.wrench[i] -= parameters.rate * nodes.inertia[i] * nodes.twist[i]
 
 
-@adds_wrench(Spring)
-@adds_wrench(ImplicitSpring, implicit=("pose",))
+@adds_wrench(Spring, implicit=("pose",))
 @kernel
-def spring(own, nodes):
+def spring(parameters, nodes):
     """stiffness (anchor - r) at the tip, in its frame."""
     last = nodes.packs - 1
     pose, at = last * 12 * LANES + LANES - 1, last * 6 * LANES + LANES - 1
     for k in range(3):
         for i in range(3):
-            force = own.stiffness[i] * (own.anchor[i] - nodes.pose[pose + (9 + i) * LANES])
+            force = parameters.stiffness[i] * (parameters.anchor[i] - nodes.pose[pose + (9 + i) * LANES])
             nodes.wrench[at + (3 + k) * LANES] += nodes.pose[pose + (3 * i + k) * LANES] * force
 
 
@@ -56,18 +46,18 @@ def stiff(monkeypatch):
     """stiff(parameters): a model of a bare arm with a stiff effect."""
     monkeypatch.setattr("soft_tendon_env.effects.base.EFFECTS", dict(EFFECTS))
 
-    def make(own):
-        @register_effect("own")
-        class Own(Effect):
+    def make(parameters):
+        @register_effect("stiff")
+        class Stiff(Effect):
             def parameters(self, rod):
-                return own
+                return parameters
 
-        return ste.build_model(ste.load_scene("three_tendon").replace({"effects.own": {}}), "standard")
+        return ste.build_model(ste.load_scene("three_tendon").replace({"effects.stiff": {}}), "standard")
 
     return make
 
 
-def played(model, seconds):
+def simulate_pull(model, seconds):
     """Simulation after so long under a pull of 3 N, in steps of 20 ms, and how many steps were rejected."""
     simulation = ste.Simulation(model)
     return simulation, sum(simulation.step([3.0, 0.0, 0.0], 0.02).rejected for _ in range(round(50 * seconds)))
@@ -75,23 +65,20 @@ def played(model, seconds):
 
 def test_a_stiff_drag_creeps_as_it_should(stiff):
     """(D + D_drag) q_dot = B u - K to the small inertia; hardly a step is tried again, where it would be thousands otherwise."""
-    model = stiff(ImplicitDrag(RATE))
-    simulation, rejected = played(model, 2.0)
+    model = stiff(Drag(RATE))
+    simulation, rejected = simulate_pull(model, 2.0)
     terms = model.terms(simulation.state.q, simulation.state.q_dot, time=simulation.state.time)
     drive = terms.actuation @ [3.0, 0.0, 0.0] - terms.elastic_force
     creep = np.linalg.solve(terms.damping + terms.external_damping, drive)
     np.testing.assert_allclose(simulation.state.q_dot, creep, rtol=0, atol=1e-4 * np.abs(creep).max())
     assert rejected < 10
-    assert played(stiff(Drag(RATE)), 0.02)[1] > 100 + rejected
 
 
 def test_a_stiff_spring_comes_to_rest(stiff):
-    model = stiff(ImplicitSpring(3 * (STIFFNESS,), ANCHOR))
-    simulation, rejected = played(model, 2.0)
+    model = stiff(Spring(3 * (STIFFNESS,), ANCHOR))
+    simulation, rejected = simulate_pull(model, 2.0)
     rest = ste.static_equilibrium(model, [3.0, 0.0, 0.0])
     away = np.linalg.norm(model.tip_pose(simulation.state.q)[:3, 3] - rest.tip_pose[:3, 3])
     assert rest.converged and away < 1e-9 * model.length
     assert np.linalg.norm(rest.tip_pose[:3, 3] - ANCHOR) < 1e-4
     assert rejected < 20
-    plain, others = played(stiff(Spring(3 * (STIFFNESS,), ANCHOR)), 2.0)
-    assert others > 50 * rejected and np.abs(plain.state.q_dot).max() > 1e3 * np.abs(simulation.state.q_dot).max()

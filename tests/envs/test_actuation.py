@@ -49,31 +49,16 @@ def test_increments_add_up_within_their_rate_and_the_limits():
 
 
 LIMITS = np.array([-0.002, 0.012])  # [m]
-ELASTICITY = {"effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": LIMITS.tolist()}}
-PATH = {
-    **ELASTICITY,
-    "effects.actuators": {"time_constant": 0.02, "rate_limit": 0.2, "delay": 0.033},
-    "effects.tendon_friction.coefficient": 0.2,
-}
-SCENES = {"springs": ELASTICITY, "all of the path": PATH}
-
-
-def options_of(name, **more):
-    return {"scene": {"scene": "three_tendon", **SCENES[name]}, "fidelity": "fast", **more}
-
-
-def displacement(action):
-    """The command [m] that an action asks for."""
-    return LIMITS[0] + 0.5 * np.ptp(LIMITS) * (np.clip(action, -1.0, 1.0) + 1.0)
 
 
 def test_an_action_that_is_held_leads_to_the_equilibrium_of_its_displacements():
-    env = TipPoseEnv(**options_of("springs"))
+    springs = {"scene": "three_tendon", "effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": LIMITS.tolist()}}
+    env = TipPoseEnv(scene=springs, fidelity="fast")
     env.reset(seed=0)
     action = np.array([0.5, -1.0, -1.0])
     for _ in range(1000):
         env.step(action)
-    found, tension = commanded_equilibrium(env.model, displacement(action))
+    found, tension = commanded_equilibrium(env.model, LIMITS[0] + 0.5 * np.ptp(LIMITS) * (action + 1.0))
     np.testing.assert_allclose(env.episodes.arms.reading.tip_pose[0], found.tip_pose, atol=1e-6)
     np.testing.assert_allclose(env.episodes.tension[0], tension, atol=1e-3)
     assert tension.max() > 0.5 and tension.min() == 0.0, "one is slack"

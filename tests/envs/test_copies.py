@@ -1,7 +1,9 @@
-"""Copies and pickles of environments go on from where these are, bit for bit, with everything hidden, and by themselves."""
+"""Copies, pickles and forks of environments go on from where these are, bit for bit, with everything hidden, and by themselves."""
 
 import copy
 import pickle
+import threading
+from multiprocessing import get_context
 
 import cloudpickle
 import gymnasium as gym
@@ -36,7 +38,7 @@ COPIES = {
 }
 
 
-def played(env, seed, steps, reset=True):
+def play(env, seed, steps, reset=True):
     """What steps with random actions give, and after them a reset and another step."""
     actions = np.random.default_rng(seed).uniform(-1.2, 1.2, (steps, *env.action_space.shape))
     found = [env.step(action) for action in actions]
@@ -50,12 +52,12 @@ def test_copies_of_one_environment_go_on_alike_and_by_themselves(kind, same):
     env = gym.make(IDS[task], max_episode_steps=30, **KINDS[kind])
     env.reset(seed=6)
     env.action_space.seed(1)
-    played(env, 0, 11, reset=False)
+    play(env, 0, 11, reset=False)
     copies = [make(env) for make in COPIES.values()]
-    first = played(copies[0], 1, 19)  # which ends an episode, for it alone
+    first = play(copies[0], 1, 19)  # which ends an episode, for it alone
     assert first[18][3] and not first[17][3]
-    expected = played(env, 1, 19)
-    assert all(same(expected, found) for found in (first, *(played(other, 1, 19) for other in copies[1:])))
+    expected = play(env, 1, 19)
+    assert all(same(expected, found) for found in (first, *(play(other, 1, 19) for other in copies[1:])))
 
 
 @pytest.mark.parametrize(
@@ -73,17 +75,17 @@ def test_copies_of_rows_go_on_alike_and_by_themselves(made, kind, mode, everythi
     options = {**KINDS[kind], "randomize": {**everything, **KINDS[kind].get("randomize", {})}}
     env = made(4, 12, mode, **options)
     env.reset(seed=2, options={"episode_steps": [7, None, 7, 9]})
-    played(env, 0, 7, reset=False)
+    play(env, 0, 7, reset=False)
     copies = [make(env) for make in COPIES.values()]
 
     def lived(env):
         begun = env.reset(options={"reset_mask": np.array([True, False, True, False])}) if mode == "disabled" else None
-        return begun, *played(env, 1, 2), env.state[3].q, env.timed_out
+        return begun, *play(env, 1, 2), env.state[3].q, env.timed_out
 
     expected = lived(copies[0])
     assert all(same(expected, lived(other)) for other in (*copies[1:], env))
     env.close()
-    assert not same(played(copies[0], 5, 1), played(copies[1], 6, 1))
+    assert not same(play(copies[0], 5, 1), play(copies[1], 6, 1))
 
 
 def test_what_is_recorded_is_not_copied(tmp_path):
@@ -96,4 +98,48 @@ def test_what_is_recorded_is_not_copied(tmp_path):
         with pytest.raises(TypeError, match="a.rrd cannot be copied: copy an environment without RecordRollout"):
             copied(env)
     copy.deepcopy(env.unwrapped).step(np.zeros(3))
+    env.close()
+
+
+ROWS = 24
+
+
+def run_in_a_fork(act):
+    """What act() returns in a forked child."""
+    context = get_context("fork")
+    receive, send = context.Pipe(duplex=False)
+    child = context.Process(target=lambda: send.send(act()))
+    child.start()
+    try:
+        assert receive.poll(60.0), "the child hangs"
+        return receive.recv()
+    finally:
+        child.kill()
+        child.join()
+
+
+def step_randomly(env, seed, steps=4):
+    """What some steps give, rejected steps and everything else that info says included."""
+    return [env.step(action) for action in np.random.default_rng(seed).uniform(-1.0, 1.0, (steps, ROWS, 3))]
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
+def test_a_forked_child_and_its_parent_go_on_alike(same):
+    """The child has threads of its own and closes them; its parent's may be handed work, or be stopped, when it is forked."""
+    env = TipPoseVectorEnv(ROWS, threads=3, scene="three_tendon", fidelity="fast")
+    env.reset(seed=0)
+    step_randomly(env, 1)
+    assert sum(thread.name.startswith("ThreadPoolExecutor") for thread in threading.enumerate()) >= 2
+
+    def act():
+        before = threading.active_count()
+        result = step_randomly(env, 2)
+        meanwhile = threading.active_count()
+        env.close()
+        return result, (before, meanwhile, threading.active_count())
+
+    _, pool = env.episodes.arms._pool
+    with pool._shutdown_lock:
+        child, threads = run_in_a_fork(act)
+    assert same(child, step_randomly(env, 2)) and threads == (1, 3, 1)
     env.close()

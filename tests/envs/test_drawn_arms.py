@@ -58,7 +58,7 @@ def scene_with(env, row=0):
     return env.episodes.arms.model_of(row).scene.replace({"quadrature.intervals": env.episodes.model.grid.per_piece})
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", [pytest.param(case, marks=[pytest.mark.slow] * (case == "contact")) for case in CASES])
 def test_a_row_moves_like_the_scene_with_the_numbers_drawn(case):
     env = TipPoseEnv(**options_of(case))
     env.reset(seed=3)
@@ -90,8 +90,8 @@ def test_episodes_take_arms_of_a_bank_that_the_options_alone_decide(same):
     for seed in (250, 7, 1):
         for env, row in ((second, 0), (rows, 1), (pickle.loads(pickle.dumps(first)), 0)):
             observation, _ = env.reset(seed=seed - row)
-            own = env.episodes.arms.model_of(row).scene.segments[0].density, env.episodes.actuation.delay(row), observation
-            assert same((*own[:2], observation[row] if row else observation), found[seed])
+            again = env.episodes.arms.model_of(row).scene.segments[0].density, env.episodes.actuation.delay(row), observation
+            assert same((*again[:2], observation[row] if row else observation), found[seed])
     assert same(first.reset(seed=5)[0], first.reset(seed=5)[0]) and not same(first.reset()[0], first.reset()[0])
 
 

@@ -1,10 +1,11 @@
-"""The observation's layout: groups side by side in the order of the table, each the thing it names over its unit."""
+"""The observation's layout: groups side by side in the order of the table, each the thing it names over its unit, clipped and cast."""
 
 import numpy as np
 import pytest
 from scipy.linalg import logm
 
 from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv
+from soft_tendon_env.envs.kernels import scale_and_clip
 from soft_tendon_env.envs.observation import GROUPS
 
 SMALL = {"scene": "three_tendon", "fidelity": "standard"}  # 3 tendons, 12 coordinates or fewer
@@ -105,3 +106,16 @@ def test_history_is_what_was_observed_before_with_its_noise_and_at_reset_as_if_a
         for time, observation in enumerate(seen):
             past = observation[slices["history"]].reshape(3, -1)
             np.testing.assert_array_equal(past, (now[np.maximum(time - np.arange(1, 4), 0)] - now[time]) / np.float32(0.1))
+
+
+@pytest.mark.no_jit
+def test_values_are_scaled_then_clipped_then_cast():
+    rng = np.random.default_rng(0)
+    values = 10.0 ** rng.uniform(-3, 3, (7, 5)) * rng.choice([-1.0, 1.0], (7, 5))
+    scale, bound = rng.uniform(0.1, 9.0, 5), rng.uniform(1, 9, 5)
+    values[0], values[1, 1], values[2] = [np.inf, -np.inf, np.nan, 0.0, -0.0], np.nan, bound / scale
+    found = np.empty((7, 5), dtype=np.float32)
+    scale_and_clip(values, scale, bound, found)
+    np.testing.assert_array_equal(found, np.clip(values * scale, -bound, bound).astype(np.float32))
+    assert np.isnan(found[0, 2]) and np.isnan(found[1, 1]) and np.isfinite(found).sum() == found.size - 2
+    assert (np.abs(values * scale) > bound).any() and (np.abs(values * scale) < bound).any()

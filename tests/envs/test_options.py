@@ -99,20 +99,14 @@ def test_previews_are_ahead_by_default_however_long_a_period_is(period, ahead):
     np.testing.assert_allclose(env.episodes.ahead, period * np.array([0, *ahead]))
 
 
-def test_every_mistake_is_told_at_once():
-    with pytest.raises(ConfigurationError) as caught:
-        TipPoseEnv(actio="tension", threshold=-1.0, randomize={"latency": -1.0, "noise": {"length": -1.0}})
-    assert len(caught.value.problems) == 4 and str(caught.value).count("TipPoseEnv: ") == 4
-
-
 BAD_ACTIONS = [np.zeros(4), np.zeros((1, 3)), 0.0, [0.0, np.nan, 0.0], [np.inf, 0.0, 0.0], [[0.0], [0.0, 1.0]]]
 
 
-@pytest.mark.cases("action", [*BAD_ACTIONS, "up", [True] * 3, None, ["a"] * 3])
-def test_bad_actions_are_refused_before_anything_changes(action, everything, live, same):
+def test_bad_actions_are_refused_before_anything_changes(everything, live, same):
     env, twin = (TipPoseEnv(**SMALL, randomize=everything) for _ in range(2))
     live(env, 0, 5)
     live(twin, 0, 5)
-    with pytest.raises((ValueError, TypeError), match="^action should"):
-        env.step(action)
+    for action in (*BAD_ACTIONS, "up", [True] * 3, None, ["a"] * 3):
+        with pytest.raises((ValueError, TypeError), match="^action should"):
+            env.step(action)
     assert same(env.step(np.full(3, 0.3)), twin.step(np.full(3, 0.3)))

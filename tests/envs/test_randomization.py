@@ -35,7 +35,7 @@ def test_every_error_of_a_shape_vanishes_at_the_shape(changes, factor):
         assert (episodes.errors["backbone_error"][0] < 1e-9) == vanishes
 
 
-def acted(env, actions, seed=0):
+def acting_tensions(env, actions, seed=0):
     """The tensions (20 steps, n_a) that acted in every millisecond of control periods of 20 ms, and the observations."""
     episodes, tensions = env.episodes, []
     apply = episodes.actuation.apply
@@ -61,18 +61,18 @@ def test_latency_delays_the_tensions_by_any_time(milliseconds):
     prompt, late = TipPoseEnv(**options), TipPoseEnv(**options, randomize={"latency": 0.001 * milliseconds})
     actions, tensions = commands(prompt)
     fine = np.repeat(tensions, 20, axis=0)
-    np.testing.assert_array_equal(acted(prompt, actions)[0], fine)
+    np.testing.assert_array_equal(acting_tensions(prompt, actions)[0], fine)
     expected = np.concatenate([np.zeros((milliseconds, 3)), fine])[: len(fine)]
-    np.testing.assert_array_equal(acted(late, actions)[0], expected)
-    np.testing.assert_array_equal(acted(late, actions)[0], expected)  # nothing is left of the last episode
+    np.testing.assert_array_equal(acting_tensions(late, actions)[0], expected)
+    np.testing.assert_array_equal(acting_tensions(late, actions)[0], expected)  # nothing is left of the last episode
 
 
 def test_gains_and_offsets_act_on_tensions():
     plain, wrong = TipPoseEnv(**SMALL), TipPoseEnv(**SMALL, randomize={"tension_gain": 1.2, "tension_offset": -0.5})
     actions, tensions = commands(plain)
-    np.testing.assert_allclose(acted(wrong, actions)[0][::20], np.maximum(1.2 * tensions - 0.5, 0.0), rtol=1e-15)
+    np.testing.assert_allclose(acting_tensions(wrong, actions)[0][::20], np.maximum(1.2 * tensions - 0.5, 0.0), rtol=1e-15)
     drawn = TipPoseEnv(**SMALL, randomize={"tension_gain": [0.8, 1.2]})
-    ratio = acted(drawn, actions)[0][::20] / tensions
+    ratio = acting_tensions(drawn, actions)[0][::20] / tensions
     np.testing.assert_allclose(ratio, np.tile(ratio[0], (STEPS, 1)))
     assert np.ptp(ratio[0]) > 0.01 and (ratio >= 0.8).all() and (ratio <= 1.2).all()
 

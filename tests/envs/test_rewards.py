@@ -125,7 +125,7 @@ def test_no_drawn_goal_is_reached_before_the_first_action(options):
     begun = [env.reset(seed=seed) for seed in range(40)]
     assert not any(info["is_success"] for _, info in begun)
     observation, info = rows.reset(seed=0)
-    assert (observation["desired_goal"] == np.array([own["desired_goal"] for own, _ in begun])).all() and not info["is_success"].any()
+    assert (observation["desired_goal"] == np.array([first["desired_goal"] for first, _ in begun])).all() and not info["is_success"].any()
     assert min(info["position_error"]) > env.episodes.threshold
 
 

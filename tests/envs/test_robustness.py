@@ -28,23 +28,22 @@ def saturate(vector, steps, seed=0):
     return ended, diverged
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [TipPoseVectorEnv, *(pytest.param(kind, marks=pytest.mark.slow) for kind in KINDS[1:])])
 def test_saturated_actions_at_the_limits_of_the_paper_s_arm(kind):
-    assert saturate(kind(64, 60, fidelity="fast", tension_limits=[0.0, 60.0]), 130) == (128, 0)
+    assert saturate(kind(16, 60, fidelity="fast", tension_limits=[0.0, 60.0]), 130) == (32, 0)
 
 
+DIVERGED = {"three_tendon": 0, "loaded": 0, "explicit": 0, "loads inside": 4}
+"""Kinds of arms: the most episodes of which the arm may buckle, as soft ones do under the loads inside."""
+
+
+@pytest.mark.parametrize(
+    "name", ["explicit", *(pytest.param(name, marks=pytest.mark.slow) for name in ("three_tendon", "loaded", "loads inside"))]
+)
 @pytest.mark.parametrize("kind", KINDS)
-def test_saturated_actions_on_random_arms(kind, arm, everything):
-    options = {**arm, "randomize": everything, "observation": "measurable", "sensors": [0.1, 0.3]}
-    buckles = isinstance(arm.get("scene"), dict) and "strain.include_loads" in arm["scene"]  # soft ones do, under the loads inside
-    assert saturate(kind(16, 40, **options), 20 if buckles else 100)[1] <= (4 if buckles else 0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_saturated_actions_on_arms_with_loads_inside(kind, arms, everything):
-    options = {**arms["loads inside"], "randomize": everything, "observation": "measurable", "sensors": [0.1, 0.3]}
-    assert saturate(kind(16, 40, **options), 100)[1] <= 4
+def test_saturated_actions_on_random_arms(kind, name, arms, everything):
+    options = {**arms[name], "randomize": everything, "observation": "measurable", "sensors": [0.1, 0.3]}
+    assert saturate(kind(16, 40, **options), 100)[1] <= DIVERGED[name]
 
 
 WILD = {
@@ -57,7 +56,7 @@ WILD = {
 }
 
 
-@pytest.mark.parametrize("how", [pytest.param(how, marks=[pytest.mark.slow] * (how == "pushing")) for how in WILD])
+@pytest.mark.parametrize("how", [pytest.param(how, marks=[pytest.mark.slow] * (how in ("pushing", "pulling"))) for how in WILD])
 def test_wild_arms_end_in_order(how):
     saturate(ShapeVectorEnv(4, 40, **{"fidelity": "fast", **WILD[how]}), 50)
 

@@ -108,12 +108,12 @@ def test_bad_options_are_refused_before_anything_changes(made, options, message,
 
 def test_states_that_are_not_the_arms_are_refused_before_anything_changes(same):
     env, twin, late = TipPoseEnv(**SMALL), TipPoseEnv(**SMALL), TipPoseEnv(**{**SMALL, "scene": LATE})
-    own = bent(env)
+    start = bent(env)
     bad = {
         "state.q should have shape": Simulation(build_model(load_scene("helical"))).state,
-        "state.q should be finite": replace(own, q=own.q * np.nan),
-        "state.strain should be the strain at state.q": replace(own, q=own.q + 1.0),
-        "state.step should be": replace(own, step=0.0),
+        "state.q should be finite": replace(start, q=start.q * np.nan),
+        "state.strain should be the strain at state.q": replace(start, q=start.q + 1.0),
+        "state.step should be": replace(start, step=0.0),
     }
     for each in (env, twin):
         each.reset(seed=0)
@@ -122,5 +122,5 @@ def test_states_that_are_not_the_arms_are_refused_before_anything_changes(same):
         with pytest.raises(ValueError, match=message):
             env.reset(seed=4, options={"state": state})
     with pytest.raises(ValueError, match="this state is of .*"):
-        late.reset(options={"state": own})
+        late.reset(options={"state": start})
     assert same(env.step(np.zeros(3)), twin.step(np.zeros(3)))

@@ -70,6 +70,7 @@ def test_commands_are_those_of_the_original(exported, given):
     assert observations == 20 and of_range < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", TRAINED, ids=lambda folder: f"{folder.parent.name}-{folder.name}")
 def test_agents_that_ship(folder, tmp_path):
     env = gym.make(IDS[folder.name], **policy_options(folder.parent.name, folder.name, {}))

@@ -51,10 +51,12 @@ def tensions(scene: str, periods: int) -> np.ndarray:
     return np.repeat(np.random.default_rng(7).uniform(0.0, LIMIT[scene], (periods // 10, count)), 10, axis=0)
 
 
-def motions() -> Numbers:
-    """Tips of 2 s at 50 Hz, and coordinates and energies at 10 Hz."""
+def motions(*scenes: str) -> Numbers:
+    """Tips of 2 s at 50 Hz, and coordinates and energies at 10 Hz, of these scenes or of all."""
     found = {}
     for scene, presets in PRESETS.items():
+        if scenes and scene not in scenes:
+            continue
         for load, changes in LOADS.items():
             for preset in presets:
                 model = arm(scene, changes, preset)
@@ -152,7 +154,7 @@ def rewards() -> Numbers:
     return found
 
 
-PARTS: Mapping[str, Callable[[], Numbers]] = {
+PARTS: Mapping[str, Callable[..., Numbers]] = {
     "motions": motions,
     "equilibria": equilibria,
     "jacobians": jacobians,

@@ -22,11 +22,15 @@ REWRITTEN = {"gradients": 1e-8}
 """Of parts whose way of computing has changed since."""
 
 
-@pytest.mark.parametrize("part", golden_numbers.PARTS)
-def test_numbers_are_those_of_before(part):
+MOTIONS = [("motions", scene) for scene in golden_numbers.PRESETS]
+
+
+@pytest.mark.parametrize("part, scene", [*((part, "") for part in golden_numbers.PARTS if part != "motions"), *MOTIONS])
+def test_numbers_are_those_of_before(part, scene):
+    beginning = f"{part}/{scene} " if scene else f"{part}/"
     with np.load(HERE / "golden.npz") as kept:
-        wanted = {name.partition("/")[2]: kept[name] for name in kept.files if name.startswith(f"{part}/")}
-    found, tolerance = golden_numbers.PARTS[part](), max(TOLERANCE, REWRITTEN.get(part, 0.0))
+        wanted = {name.partition("/")[2]: kept[name] for name in kept.files if name.startswith(beginning)}
+    found, tolerance = golden_numbers.PARTS[part](*scene.split()), max(TOLERANCE, REWRITTEN.get(part, 0.0))
     assert found.keys() == wanted.keys()
     for name, array in wanted.items():
         np.testing.assert_allclose(found[name], array, rtol=0.0, atol=tolerance * max(1e-6, np.abs(array).max()), err_msg=name)

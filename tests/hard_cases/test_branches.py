@@ -12,7 +12,7 @@ from soft_tendon_env.scene.scene import rod_length
 KIRCHHOFF = ["torsion", "bend_y", "bend_z"]
 
 
-def loaded(name, payload, acceleration=(0.0, 0.0, -9.81)):
+def scene_with_payload(name, payload, acceleration=(0.0, 0.0, -9.81)):
     scene = ste.load_scene(name)
     return scene.replace({"effects.gravity.acceleration": list(acceleration), "effects.tip_load.mass": payload})
 
@@ -25,14 +25,14 @@ def loaded(name, payload, acceleration=(0.0, 0.0, -9.81)):
         ("paper", 0.5, (0.0, 0.0, -9.81)),
         ("two_segment_six", 0.4, (0.0, 6.0, -8.0)),
         ("helical", 0.3, (-1.0, 9.0, 3.0)),
-        ("paper_19dof", 0.3, (-3.0, 0.0, -9.0)),
+        pytest.param("paper_19dof", 0.3, (-3.0, 0.0, -9.0), marks=pytest.mark.slow),
     ],
 )
 def test_payloads_that_fold_the_arm(measured, tip_distance, random_scenes, name, payload, acceleration):
     """A payload that the arm can hardly carry, slack and under 12 random tensions: Newton at the full load lands on other equilibria,
     unstable or stable, up to half a metre away. Expected: the stable equilibrium that loading in moves of 0.02 rad reaches, to 1e-6 of the
     length."""
-    scene = loaded(name, payload, acceleration)
+    scene = scene_with_payload(name, payload, acceleration)
     model, dice = ste.build_model(scene), np.random.default_rng(0)
     greatest = np.array([tendon.tension_limits[1] for tendon in scene.tendons])
     for u in [np.zeros(greatest.size), *dice.uniform(0.0, 0.5 * np.minimum(greatest, 20.0), (12, greatest.size))]:
@@ -68,6 +68,7 @@ def test_weight_that_grows_on_a_column(measured, one_segment):
     assert settled.tip_pose[0, 3] < -0.3  # at three times the load it has fallen over
 
 
+@pytest.mark.slow
 def test_follower_force_on_a_column(measured, one_segment):
     """A force that stays tangential to the tip (Beck's column): no other equilibrium exists, and the straight one begins to flutter.
     Expected: flutter is told at 20.05 EI / L^2, to 1 %."""
@@ -91,7 +92,7 @@ def test_follower_force_on_a_column(measured, one_segment):
 def test_statics_end_where_slow_motion_ends(measured, tip_distance, name):
     """Gravity and a payload that folds the arm, tensions that grow over 20 s in a simulation from the equilibrium without tension.
     Expected: after a rest the simulated tip is at the equilibrium that the statics find, to 1e-5 of the length."""
-    scene = loaded(name, {"four_tendon": 0.5, "three_tendon": 0.3, "paper": 0.5}[name])
+    scene = scene_with_payload(name, {"four_tendon": 0.5, "three_tendon": 0.3, "paper": 0.5}[name])
     model, dice = ste.build_model(scene), np.random.default_rng(1)
     u = dice.uniform(0.0, 4.0, model.tendon_count)
     rest = ste.static_equilibrium(model, np.zeros(model.tendon_count))

@@ -133,7 +133,7 @@ def test_slender_and_stubby_arms(one_segment, measured, tip_distance, shape, ang
         assert tip_distance(motion.tip_pose[-1], rest.tip_pose) < 1e-6
 
 
-@pytest.mark.parametrize("step", [0.005, 0.01, 0.05])
+@pytest.mark.parametrize("step", [pytest.param(0.005, marks=pytest.mark.slow), 0.01, 0.05])
 def test_a_hundred_times_the_damping(build, measured, step):
     """Damping of 10 times critical: rates from 1e-1 to 1e6 1/s in one equation. Expected: no overshoot, no rejected step, and the tensions
     are reached after 200 s."""
@@ -165,7 +165,8 @@ def test_tendons_that_end_a_millimetre_apart(one_segment, straight_tendons, meas
     assert np.abs(motion.q).max() < 100.0
 
 
-@pytest.mark.parametrize("place", ["base", "middle", pytest.param("tip", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("place", ["base", "middle", "tip"])
 def test_ends_of_tendons_within_round_off(one_segment, straight_tendons, measured, tip_distance, place):
     """Ends of tendons, computed in different ways, lie within a few billionths of the length; a tendon may lie between two of them.
     Expected: every one of 100 random arms can be built, and their statics do not feel it."""

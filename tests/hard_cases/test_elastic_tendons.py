@@ -12,30 +12,25 @@ GREATEST = {"underwater": 0.012, "three_tendon": 0.02, "four_tendon": 0.006, "he
 """Displacements [m] of the actuators."""
 
 
-@pytest.fixture
-def tied(build):
-    """tied(scene, stiffness [N/m], changes): the scene with elastic tendons."""
-
-    def scene(name, stiffness, **changes):
-        table = {"stiffness": stiffness, "displacement_limits": [0.0, GREATEST[name]]}
-        return ste.load_scene(name).replace({"effects.tendon_elasticity": table, **changes})
-
-    return scene
+def with_elastic_tendons(name, stiffness, **changes):
+    """The scene with elastic tendons of a stiffness [N/m], changed."""
+    table = {"stiffness": stiffness, "displacement_limits": [0.0, GREATEST[name]]}
+    return ste.load_scene(name).replace({"effects.tendon_elasticity": table, **changes})
 
 
 def commands(model, greatest, rows, seed):
     return np.random.default_rng(seed).uniform(0.0, greatest, (rows, model.tendon_count))
 
 
-@pytest.mark.parametrize("fidelity", ["scene", "fast", "standard", "fine"])
-def test_commands_of_stiff_tendons_that_jump(tied, measured, fidelity):
+@pytest.mark.parametrize("fidelity", ["scene", "fast", "standard", pytest.param("fine", marks=pytest.mark.slow)])
+def test_commands_of_stiff_tendons_that_jump(measured, fidelity):
     """Actuators jump by centimetres: a cable of 2e5 to 1e7 N/m would pull with up to 100 kN and throw the arm; tendons go slack and taut
     within a step. Expected: no divergence, in 12 jumps of 6 arms, and evaluations that do not grow with the stiffness, to a factor of
     1.5."""
     for name in GREATEST:
         counts = []
         for stiffness in (2e5, 1e7):
-            model = ste.build_model(at_fidelity(tied(name, stiffness), fidelity))
+            model = ste.build_model(at_fidelity(with_elastic_tendons(name, stiffness), fidelity))
             simulation = Simulation(model)
             counts.append(sum(simulation.step(row, 0.15).evaluations for row in commands(model, GREATEST[name], 12, 5)))
             assert np.isfinite(simulation.tip_pose).all()
@@ -43,12 +38,12 @@ def test_commands_of_stiff_tendons_that_jump(tied, measured, fidelity):
         assert counts[1] < 1.5 * counts[0], name
 
 
-def test_stiff_tendons_come_to_rest_where_the_statics_says(tied, measured):
+def test_stiff_tendons_come_to_rest_where_the_statics_says(measured):
     """At long fixed steps a tendon that is slack at a step's beginning and taut at its end is pulled with what it has at neither. Expected:
     after 40 s at rest to 1e-6 mm, with some tendons slack, within 1e-6 of the length of where `commanded_equilibrium` says."""
     slack, arms = 0, (("two_segment_six", 2e6, 0.025), ("helical", 8e5, 0.02), ("three_tendon", 1e7, 0.04), ("paper", 1e7, 0.02))
     for name, stiffness, step in arms:
-        model = ste.build_model(tied(name, stiffness, **{"integrator.step": step}))
+        model = ste.build_model(with_elastic_tendons(name, stiffness, **{"integrator.step": step}))
         for command in commands(model, 0.4 * GREATEST[name], 3, 11):
             found, tension = commanded_equilibrium(model, command)
             motion = simulate(model, command, 40.0, 1.0)
@@ -61,12 +56,12 @@ def test_stiff_tendons_come_to_rest_where_the_statics_says(tied, measured):
     assert slack > 3
 
 
-def test_motion_of_stiff_tendons_follows_the_tolerance(tied, measured):
+def test_motion_of_stiff_tendons_follows_the_tolerance(measured):
     """Slack and taut within steps: nothing is smooth enough there to be extrapolated, and an estimate that takes it to be is wrong.
     Expected: over 0.8 s with four jumps each preset's own error, against first-order steps of 0.05 ms extrapolated from two sizes, is below
     8, 3 and 1 thousandths of the length."""
     allowed = {"fast": 8e-3, "standard": 3e-3, "fine": 1e-3}
-    scene = at_fidelity(tied("three_tendon", 6e5), "standard")
+    scene = at_fidelity(with_elastic_tendons("three_tendon", 6e5), "standard")
 
     def tips(integrator):
         model = ste.build_model(scene.replace({"integrator": integrator}))
@@ -76,7 +71,7 @@ def test_motion_of_stiff_tendons_follows_the_tolerance(tied, measured):
     coarse, exact = (tips({"step": step, "columns": 1}) for step in (1e-4, 5e-5))
     exact = 2.0 * exact - coarse
     for name, bound in allowed.items():
-        own = at_fidelity(tied("three_tendon", 6e5), name).integrator
-        error = np.linalg.norm(tips({"step": own.step, "tolerance": own.tolerance}) - exact, axis=1).max() / 0.3
+        preset = at_fidelity(with_elastic_tendons("three_tendon", 6e5), name).integrator
+        error = np.linalg.norm(tips({"step": preset.step, "tolerance": preset.tolerance}) - exact, axis=1).max() / 0.3
         measured(f"{name}, part of the length", error)
         assert error < bound

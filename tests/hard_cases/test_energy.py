@@ -65,7 +65,10 @@ def check_no_growth(build, measured, scene, steps, changes):
 
 
 @pytest.mark.parametrize("columns", [1, 2, 3, 4])
-@pytest.mark.parametrize("scene", ["paper", "paper_16dof", "paper_19dof", "four_tendon", "three_tendon"])
+@pytest.mark.parametrize(
+    "scene",
+    ["four_tendon", "three_tendon", *(pytest.param(scene, marks=pytest.mark.slow) for scene in ("paper", "paper_16dof", "paper_19dof"))],
+)
 def test_energy_never_grows_with_the_damping_of_the_scene(build, measured, scene, columns):
     """Constant tensions, a bent and moving start, steps from 0.1 to 50 ms. Expected: total energy and the tensions' potential never grow
     over a step, by more than round-off of what is turned over."""
@@ -82,7 +85,7 @@ def test_energy_never_grows_where_the_order_follows_the_error(build, measured, s
 
 @pytest.mark.parametrize("columns", [2, 3])
 @pytest.mark.parametrize("part", [0.0, 1e-3, 1e-2, 0.1])
-@pytest.mark.parametrize("scene", ["paper_16dof", "three_tendon"])
+@pytest.mark.parametrize("scene", [pytest.param("paper_16dof", marks=pytest.mark.slow), "three_tendon"])
 def test_energy_grows_by_no_more_than_the_error_estimate(build, measured, scene, part, columns):
     """As above, with 0, 0.1, 1 and 10 % of the scene's damping, so that errors of fast undamped modes can show. Expected: energy grows over
     a step by no more than the step's own error estimate allows, see the top of the file."""

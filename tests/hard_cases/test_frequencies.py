@@ -20,9 +20,9 @@ def wrong_share(scene, fidelity):
     """Largest distance of the tip to that of steps a hundredth of a period long, over its motion."""
     *_, frequency = scene
     base = ste.load_scene("two_segment_six").replace(scene[0])
-    own = at_fidelity(base, fidelity)
-    fine = own.replace({"integrator": {"step": min(1e-3, 0.01 / frequency), "columns": 3}})
-    found, exact = (ste.simulate(ste.build_model(each), np.zeros(6), DURATION, SAMPLES).tip_pose[:, :3, 3] for each in (own, fine))
+    usual = at_fidelity(base, fidelity)
+    fine = usual.replace({"integrator": {"step": min(1e-3, 0.01 / frequency), "columns": 3}})
+    found, exact = (ste.simulate(ste.build_model(each), np.zeros(6), DURATION, SAMPLES).tip_pose[:, :3, 3] for each in (usual, fine))
     return np.linalg.norm(found - exact, axis=1).max() / np.linalg.norm(exact - exact[0], axis=1).max()
 
 
@@ -41,12 +41,15 @@ def rock(frequency):
     return {"effects.moving_base": {"axis": [0.0, 0.6, 0.8], "angular_amplitude": size, "frequency": frequency}}, frequency
 
 
+SWINGS = [*map(sine, (2.0, 9.0, 150.0, 1000.0)), *map(swing, (13.0, 400.0)), rock(200.0)]
+
+
 @pytest.mark.filterwarnings("ignore:the passive fields")
+@pytest.mark.parametrize("cases", [[sine(50.0), swing(50.0)], pytest.param(SWINGS, marks=pytest.mark.slow)], ids=["50 Hz", "others"])
 @pytest.mark.parametrize("fidelity", FIDELITIES)
-def test_periods_that_fit_into_a_step(fidelity, measured):
+def test_periods_that_fit_into_a_step(fidelity, cases, measured):
     """Forces and bases that swing and rock at 2 to 1000 Hz, 50 Hz and its multiples among them: every evaluation of steps of
     20 ms sees the same phase. Expected: the tip within 5 % of its motion of steps a hundredth of a period long."""
-    cases = [*map(sine, (2.0, 9.0, 50.0, 150.0, 1000.0)), *map(swing, (13.0, 50.0, 400.0)), rock(200.0)]
     shares = [wrong_share(case, fidelity) for case in cases]
     measured("part of the motion", max(shares))
     assert max(shares) < 0.05, shares
@@ -70,7 +73,7 @@ def test_tension_that_swings_within_steps(measured):
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 ste.simulate(model, lambda t, f=frequency, p=phase: [1.0 + np.sin(2.0 * np.pi * f * t + p), 0.0, 0.0], 0.4, 0.02)
-            assert any(issubclass(own.category, CommandWarning) for own in caught) == told, frequency
+            assert any(issubclass(warning.category, CommandWarning) for warning in caught) == told, frequency
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         ste.simulate(model, lambda t: [2.0 * (t > 0.1), 0.0, 0.0], 0.4, 0.02)
@@ -83,9 +86,9 @@ def test_actuators_that_arrive_within_a_step(fidelity, measured):
     base, commands = ste.load_scene("two_segment_six"), np.random.default_rng(5).uniform(0.0, 4.0, (25, 6))
     shares = []
     for actuators in ({"rate_limit": 300.0}, {"rate_limit": 60.0}, {"time_constant": 2e-3}, {"rate_limit": 150.0, "time_constant": 4e-3}):
-        own = at_fidelity(base.replace({"effects.actuators": actuators}), fidelity)
-        fine = own.replace({"integrator": {"step": 2e-4, "columns": 3}})
-        found, exact = (ste.simulate(ste.build_model(each), commands, 0.5, 0.02).tip_pose[:, :3, 3] for each in (own, fine))
+        usual = at_fidelity(base.replace({"effects.actuators": actuators}), fidelity)
+        fine = usual.replace({"integrator": {"step": 2e-4, "columns": 3}})
+        found, exact = (ste.simulate(ste.build_model(each), commands, 0.5, 0.02).tip_pose[:, :3, 3] for each in (usual, fine))
         shares.append(np.linalg.norm(found - exact, axis=1).max() / np.linalg.norm(exact - exact[0], axis=1).max())
     measured("part of the motion", max(shares))
     assert max(shares) < 0.05, shares

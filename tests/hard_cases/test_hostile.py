@@ -70,11 +70,11 @@ SIZES = (5e-324, 1e-200, 1e-30, 1e30, 1e200, 1e308, -1e-200, -1e200, -1e308, 10*
 def numbers_in(table, key=""):
     """Dotted keys of all numbers in nested tables and lists."""
     for name, value in table.items() if isinstance(table, dict) else enumerate(table):
-        own = f"{key}.{name}".lstrip(".")
+        path = f"{key}.{name}".lstrip(".")
         if isinstance(value, dict | list | tuple):
-            yield from numbers_in(value, own)
+            yield from numbers_in(value, path)
         elif isinstance(value, float):
-            yield own
+            yield path
 
 
 def test_numbers_that_no_arm_has(measured):
@@ -135,7 +135,7 @@ def test_more_than_can_be_computed(changes, message):
     refused(lambda: _model(changes))
 
 
-def turned(model, q, points):
+def turning_angles(model, q, points):
     """Angles [rad] by which the first tendon has turned at arc lengths (m,) [m], from its path in space at 20,000 places."""
     places = np.linspace(0.0, model.length, 20001)
     pose = model.backbone_at(q, places)
@@ -179,7 +179,7 @@ def test_friction_of_any_angle(measured):
             model = _model(changes)
             q = np.zeros(model.coordinate_count)
             q[:2] = 3.0, 1.0
-            angle = coefficient * turned(model, q, model.grid.points[model.grid.real].ravel())
+            angle = coefficient * turning_angles(model, q, model.grid.points[model.grid.real].ravel())
             pulled, let_out = shares(model, q, coefficient, 1.0), shares(model, q, coefficient, -1.0)
             np.testing.assert_allclose(pulled * let_out, 1.0, rtol=1e-5)
             off = np.abs(pulled - np.exp(-angle)).max(), abs(np.log(let_out[-1]) / angle[-1] - 1.0) if size > 1e-3 else 0.0

@@ -15,11 +15,11 @@ SCENES = ["paper", "paper_16dof", "paper_19dof"]
 BOUND = 1.5  # |q_a| over the tension applied
 
 
-def pulled(which, value):
+def pull(which, value):
     return np.where([which == "all" or i == which for i in range(10)], value, 0.0)
 
 
-@pytest.mark.parametrize("step", [0.0005, 0.01])
+@pytest.mark.parametrize("step", [pytest.param(0.0005, marks=pytest.mark.slow), 0.01])
 @pytest.mark.parametrize("scene", SCENES)
 def test_abrupt_tension(build, measured, scene, step):
     """80, 100, 120 and 150 N all at once on one tendon (a straight one, a spiral, two that end half way) or on all ten. Expected: no step
@@ -28,7 +28,7 @@ def test_abrupt_tension(build, measured, scene, step):
     greatest, rejected = 0.0, 0
     for value in (80.0, 100.0, 120.0, 150.0):
         for which in (0, 3, 5, 8, "all"):
-            motion = ste.simulate(model, pulled(which, value), 0.5, 0.01)
+            motion = ste.simulate(model, pull(which, value), 0.5, 0.01)
             assert np.isfinite(motion.q).all() and np.isfinite(motion.tip_pose).all(), (which, value)
             greatest, rejected = max(greatest, np.abs(motion.q[:, :10]).max() / value), rejected + motion.rejected
     measured("q_a / tension", greatest)
@@ -45,7 +45,7 @@ def test_abrupt_tension_with_raw_passive_coordinates(build, measured, step):
     for value in (80.0, 150.0):
         for which in (0, 3, 5, 8, "all"):
             try:
-                motion = ste.simulate(model, pulled(which, value), 0.5, 0.01)
+                motion = ste.simulate(model, pull(which, value), 0.5, 0.01)
                 assert np.isfinite(motion.q).all() and np.isfinite(motion.tip_pose).all()
             except ste.SimulationDiverged as error:
                 assert np.isfinite(error.state.q).all() and error.cause
@@ -58,7 +58,7 @@ def test_abrupt_tension_with_raw_passive_coordinates(build, measured, step):
 def test_step_of_100_newton_on_two_tendons(build, measured, tip_distance, tendons):
     """Two tendons jump to 100 N together: a violent motion, far outside of what the passive fields were made for. Expected: the tip of the
     19-DOF model converges with columns and steps; how far it is off the 48-DOF model is measured and bounded."""
-    u = sum(pulled(i, 100.0) for i in tendons)
+    u = sum(pull(i, 100.0) for i in tendons)
 
     def tip(scene, step, columns):
         return ste.simulate(build(scene, {"integrator.step": step, "integrator.columns": columns}), u, 0.5, 0.01).tip_pose
@@ -75,7 +75,7 @@ def test_step_of_100_newton_on_two_tendons(build, measured, tip_distance, tendon
 
 
 @pytest.mark.parametrize("step, most_rejected", [(0.01, 0.01), (0.02, 0.3)])
-@pytest.mark.parametrize("columns", [2, 3])
+@pytest.mark.parametrize("columns", [2, pytest.param(3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("scene", SCENES)
 def test_random_tensions_for_a_minute(build, measured, scene, columns, step, most_rejected):
     """Ten tensions jump to new values in 0-150 N every 10 or 20 ms, for a minute: what an untrained agent does. Expected: finite
@@ -95,7 +95,7 @@ def test_random_tensions_for_a_minute(build, measured, scene, columns, step, mos
         assert np.abs(after.q[-1]).max() < 1.0
 
 
-@pytest.mark.parametrize("columns", [1, 2, 3, 4])
+@pytest.mark.parametrize("columns", [1, *(pytest.param(columns, marks=pytest.mark.slow) for columns in (2, 3, 4))])
 def test_steps_from_a_tenth_to_fifty_milliseconds(build, measured, tip_distance, columns):
     """The input of the reference trajectories, with a jump in mid-run, at steps of 0.1 to 50 ms: a factor of 500. Expected: finite, and the
     tip's error (to steps of 0.1 ms with 4 columns) falls with the step."""
@@ -125,7 +125,7 @@ def test_steps_from_a_tenth_to_fifty_milliseconds(build, measured, tip_distance,
 def test_error_control_through_an_abrupt_load(build, measured, tip_distance, scene):
     """Steps that follow a tolerance of 1 micrometre meet a jump of 100 N, and may grow only as the motion calms down. Expected: every
     tolerance ends near the same tip, the tighter the nearer, and steps are spent at the jump."""
-    u = pulled(0, 100.0)
+    u = pull(0, 100.0)
     exact = ste.simulate(build(scene, {"integrator.step": 2e-4, "integrator.columns": 4}), u, 0.5, 0.01)
     distances = []
     for tolerance in (1e-4, 1e-6):
@@ -148,10 +148,10 @@ def test_order_control_through_abrupt_tensions(build, measured, scene, tolerance
     greatest, evaluations = 0.0, 0
     for value in (80.0, 150.0):
         for which in (0, 3, 5, 8, "all"):
-            motion = ste.simulate(model, pulled(which, value), 0.5, 0.02)
+            motion = ste.simulate(model, pull(which, value), 0.5, 0.02)
             assert np.isfinite(motion.q).all() and np.isfinite(motion.tip_pose).all(), (which, value)
             greatest, evaluations = max(greatest, np.abs(motion.q[:, :10]).max() / value), evaluations + motion.evaluations
-    still = ste.simulate(model, pulled("all", 150.0), 0.2, 0.02, initial=ste.simulate(model, pulled("all", 150.0), 20.0, 0.1).final)
+    still = ste.simulate(model, pull("all", 150.0), 0.2, 0.02, initial=ste.simulate(model, pull("all", 150.0), 20.0, 0.1).final)
     measured("q_a / tension", greatest)
     measured("evaluations per 20 ms", evaluations / 250)
     assert greatest < BOUND and still.evaluations == 2 * still.steps == 20
@@ -174,9 +174,9 @@ def test_order_control_through_jumps_under_combined_loads(build, measured, tip_d
     """40 N at once under gravity, a payload and a force at the tip: three columns at 20 ms are millimetres off, without a word. Expected:
     with a tolerance of 3e-5 m the tip is within a millimetre of the converged motion."""
     loads = {"effects.gravity.acceleration": [9.81, 0, 0], "effects.tip_load.mass": 0.05, "effects.tip_load.force": [0, 0.2, 0.1]}
-    exact = ste.simulate(build("paper_19dof", {**loads, "integrator.step": 5e-4, "integrator.columns": 4}), pulled(which, 40.0), 1.0, 0.02)
-    fixed = ste.simulate(build("paper_19dof", {**loads, "integrator.columns": 3}), pulled(which, 40.0), 1.0, 0.02)
-    motion = ste.simulate(build("paper_19dof", {**loads, "integrator.tolerance": 3e-5}), pulled(which, 40.0), 1.0, 0.02)
+    exact = ste.simulate(build("paper_19dof", {**loads, "integrator.step": 5e-4, "integrator.columns": 4}), pull(which, 40.0), 1.0, 0.02)
+    fixed = ste.simulate(build("paper_19dof", {**loads, "integrator.columns": 3}), pull(which, 40.0), 1.0, 0.02)
+    motion = ste.simulate(build("paper_19dof", {**loads, "integrator.tolerance": 3e-5}), pull(which, 40.0), 1.0, 0.02)
     measured("three columns [mm]", 1e3 * tip_distance(fixed.tip_pose, exact.tip_pose))
     measured("with the tolerance [mm]", 1e3 * tip_distance(motion.tip_pose, exact.tip_pose))
     measured("evaluations per 20 ms", motion.evaluations / 50)
@@ -188,7 +188,7 @@ def test_equilibrium_is_reached_from_any_jump(build, measured, tip_distance):
     the equilibrium to 1e-6 m."""
     for scene in SCENES:
         model = build(scene)
-        for u in (pulled(3, 100.0), pulled("all", 60.0), np.random.default_rng(1).uniform(0.0, 60.0, 10)):
+        for u in (pull(3, 100.0), pull("all", 60.0), np.random.default_rng(1).uniform(0.0, 60.0, 10)):
             distance = tip_distance(ste.simulate(model, u, 40.0, 0.1).tip_pose[-1], static_equilibrium(model, u).tip_pose)
             measured("tip to equilibrium [m]", distance)
             assert distance < 1e-6

@@ -63,9 +63,9 @@ def record_of(folder, placed):
             q = simulate(model, tensions[:-1], period * (len(tensions) - 1), period, start).q
         else:
             q = [static_equilibrium(model, u).q for u in tensions]
-        positions = measured(measurement.positions(np.array([model.backbone_at(own, placed.arc_lengths) for own in q])), noise, seed)
+        positions = measured(measurement.positions(np.array([model.backbone_at(sample, placed.arc_lengths) for sample in q])), noise, seed)
         times = [[i * period if period else f"{name}{i}"] for i in range(len(q))]
-        columns = [*(f"tension_{i}" for i in range(3)), *(f"{own}_{axis}" for own in MARKERS for axis in "xyz")]
+        columns = [*(f"tension_{i}" for i in range(3)), *(f"{marker}_{axis}" for marker in MARKERS for axis in "xyz")]
         header = ["time" if period else "hold", *columns]
         path = folder / f"{name}.csv"
         with path.open("w", newline="") as file:

@@ -66,7 +66,7 @@ def test_dialects_give_the_same_numbers(tmp_path, content):
 def test_columns_have_names_units_and_signs(tmp_path, columns, factors, header):
     markers = MarkerSet(markers=MARKERS.markers, columns=columns)
     found = read(tmp_path, table(header=header, numbers=NUMBERS * factors), markers)
-    np.testing.assert_allclose([[*own.command[0], *own.positions[0, 0]] for own in found], NUMBERS, rtol=1e-11)
+    np.testing.assert_allclose([[*recording.command[0], *recording.positions[0, 0]] for recording in found], NUMBERS, rtol=1e-11)
     again = markers.with_offsets(markers.offsets, Frame())
     assert again.columns == markers.columns
 

@@ -45,17 +45,17 @@ def test_derivatives_are_those_of_smaller_differences(arm, holds, placed):
     assert np.abs(J - other).max() < 1e-5 * np.abs(J).max()
 
 
-@pytest.mark.cases(
+@pytest.mark.parametrize(
     "parameters, words",
     [
-        ([E, RHO, "commands.*.gain"], ["a combination of ", "commands.0.gain", "known weight"]),
-        ([E, RHO, "segments.*.damping"], ["segments.*.damping: a free decay"]),
+        pytest.param([E, RHO, "commands.*.gain"], ["a combination of ", "commands.0.gain", "known weight"], marks=pytest.mark.slow),
+        pytest.param([E, RHO, "segments.*.damping"], ["segments.*.damping: a free decay"], marks=pytest.mark.slow),
         ([E, RHO, NU], ["segments.*.poisson_ratio", "twist shows it"]),
     ],
 )
 def test_parameters_that_the_data_do_not_contain_are_named(arm, holds, placed, parameters, words):
     found = identify(arm, holds, placed, parameters, fidelity="scene")
-    (text,) = (own for own in found.findings if own.startswith("The data do not contain"))
+    (text,) = (finding for finding in found.findings if finding.startswith("The data do not contain"))
     assert all(word in text for word in words), text
     assert found.intervals.identified[:2].all() == ("commands.*.gain" not in parameters)
     assert not found.intervals.identified[2:].any() and np.isfinite([found.intervals.low, found.intervals.high]).all()
@@ -95,20 +95,21 @@ def test_the_command_writes_a_scene_numbers_and_a_page(arm, holds, folder, tmp_p
     save_scene(arm, tmp_path / "arm.toml")
     out = tmp_path / "found"
     options = ["--markers", folder / "markers.toml", "--parameters", E, RHO, "--fidelity", "scene", "--out", out]
-    main([str(own) for own in ["identify", tmp_path / "arm.toml", holds, *options]])
+    main([str(argument) for argument in ["identify", tmp_path / "arm.toml", holds, *options]])
     printed, numbers = capsys.readouterr().out, json.loads((out / "estimate.json").read_text())
-    own = numbers["parameters"][E]
-    assert own["low"] <= truth["segments.0.young_modulus"] <= own["high"] and own["low"] <= own["value"] <= own["high"]
+    modulus = numbers["parameters"][E]
+    assert modulus["low"] <= truth["segments.0.young_modulus"] <= modulus["high"] and modulus["low"] <= modulus["value"] <= modulus["high"]
     assert (
         numbers["error_mm"]["held_out"]["mean"] < 0.5
         and list(numbers["data"]) == ["holds.csv"]
         and "soft_tendon_env" in numbers["versions"]
     )
-    assert load_scene(out / "scene.toml").segments[0].young_modulus == pytest.approx(own["value"])
+    assert load_scene(out / "scene.toml").segments[0].young_modulus == pytest.approx(modulus["value"])
     assert f"# | {E} " in (out / "scene.toml").read_text() and E in printed
     assert numbers["error_mm"]["fit"]["each"].keys() | numbers["error_mm"]["held_out"]["each"].keys() == {f"holds{i}" for i in range(16)}
 
 
+@pytest.mark.slow
 def test_files_of_an_estimate_lead_to_it_again_and_to_an_environment(arm, record, placed, truth, tensions, tmp_path):
     R, shift = Rotation.from_rotvec([0.0, 0.0, 3.0], degrees=True).as_matrix(), np.array([0.004, 0.0, -0.003])
     turned = record("turned", {**truth, "effects.gravity.acceleration": (R.T @ [9.81, 0.0, 0.0]).tolist()}, tensions)

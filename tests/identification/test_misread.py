@@ -22,16 +22,16 @@ def holds():
     def of(name):
         if name not in cache:
             scene = load_scene(name).replace({"effects.gravity.acceleration": [6.0, 2.0, -5.0]})
-            length = sum(own.length for own in scene.segments)
+            length = sum(segment.length for segment in scene.segments)
             model = build_model(
-                scene.replace({f"segments.{i}.young_modulus": 0.8 * own.young_modulus for i, own in enumerate(scene.segments)})
+                scene.replace({f"segments.{i}.young_modulus": 0.8 * segment.young_modulus for i, segment in enumerate(scene.segments)})
             )
-            most = 0.4 * np.array([own.tension_limits[1] for own in scene.tendons])
+            most = 0.4 * np.array([tendon.tension_limits[1] for tendon in scene.tendons])
             tensions = np.random.default_rng(5).uniform(0.0, 1.0, (10, len(scene.tendons))) * most
             places = np.array([0.6, 1.0]) * length
-            positions = [model.backbone_at(static_equilibrium(model, own).q, places)[:, :3, 3] for own in tensions]
+            positions = [model.backbone_at(static_equilibrium(model, tension).q, places)[:, :3, 3] for tension in tensions]
             positions = np.array(positions) + 1e-3 * length * np.random.default_rng(6).normal(size=(10, 2, 3))
-            cache[name] = scene, tensions, positions, {f"m{i}": Marker(arc_length=own) for i, own in enumerate(places)}
+            cache[name] = scene, tensions, positions, {f"m{i}": Marker(arc_length=place) for i, place in enumerate(places)}
         return cache[name]
 
     return of
@@ -39,7 +39,7 @@ def holds():
 
 def found_of(folder, scene, tensions, positions, markers, frame=None, columns=None):
     header = ["hold", *(f"tension_{i}" for i in range(tensions.shape[1])), *(f"m{i}_{axis}" for i in range(2) for axis in "xyz")]
-    rows = [[f"h{k}", *map(repr, own.tolist())] for k, own in enumerate(np.hstack([tensions, positions.reshape(len(tensions), -1)]))]
+    rows = [[f"h{k}", *map(repr, row.tolist())] for k, row in enumerate(np.hstack([tensions, positions.reshape(len(tensions), -1)]))]
     path = folder / "holds.csv"
     path.write_text("\n".join(",".join(row) for row in [header, *rows]))
     markers = MarkerSet(markers=markers, frame=frame or Frame(), columns=columns or {})
@@ -66,7 +66,7 @@ CASES = {
 
 
 @pytest.mark.parametrize(
-    "scene", ["three_tendon", *(pytest.param(own, marks=pytest.mark.slow) for own in ("four_tendon", "two_segment_six"))]
+    "scene", ["three_tendon", *(pytest.param(name, marks=pytest.mark.slow) for name in ("four_tendon", "two_segment_six"))]
 )
 @pytest.mark.parametrize("case", CASES)
 def test_data_that_are_misread_get_a_finding_that_names_it(holds, tmp_path, scene, case):
@@ -77,7 +77,7 @@ def test_data_that_are_misread_get_a_finding_that_names_it(holds, tmp_path, scen
     except NoHoldError as error:
         found = [str(error)]
     if text is None:
-        assert not any("times better with" in own for own in found)
+        assert not any("times better with" in finding for finding in found)
     else:
         assert "times better with" in found[0] and text in found[0] and "known weight" not in " ".join(found)
 
@@ -92,7 +92,7 @@ def motion():
     return scene, np.column_stack([ran.time, tensions, ran.tip_pose[:, :3, 3]])
 
 
-def moved(folder, scene, rows, columns=None):
+def identify_damping(folder, scene, rows, columns=None):
     path = folder / "steps.csv"
     header = ["time", *(f"tension_{i}" for i in range(3)), "m_x", "m_y", "m_z"]
     path.write_text("\n".join(",".join(map(str, row)) for row in [header, *rows.tolist()]))
@@ -102,7 +102,7 @@ def moved(folder, scene, rows, columns=None):
 
 def test_damping_is_found_from_a_motion(motion, tmp_path):
     scene, rows = motion
-    found = moved(tmp_path, scene, rows)
+    found = identify_damping(tmp_path, scene, rows)
     assert found.value[0] == pytest.approx(9e3, rel=0.01) and not any(
         "Motion 'steps'" in text or "better" in text for text in found.findings
     )
@@ -110,15 +110,17 @@ def test_damping_is_found_from_a_motion(motion, tmp_path):
 
 def test_motions_that_do_not_begin_at_rest_are_told(motion, tmp_path):
     scene, rows = motion
-    found = moved(tmp_path, scene, rows[3:])
-    (text,) = (own for own in found.findings if "does not begin at rest" in own)
+    found = identify_damping(tmp_path, scene, rows[3:])
+    (text,) = (finding for finding in found.findings if "does not begin at rest" in finding)
     assert "in the first period, at rest up to 1.5 mm" in text
 
 
 def test_a_motion_that_cannot_be_simulated_says_what_to_look_at(motion, tmp_path):
     scene, rows = motion
     with pytest.raises(NoHoldError) as raised:
-        moved(tmp_path, scene.replace({"segments.0.young_modulus": 2e3, "effects.gravity.acceleration": [-300.0, 900.0, 0.0]}), rows)
+        identify_damping(
+            tmp_path, scene.replace({"segments.0.young_modulus": 2e3, "effects.gravity.acceleration": [-300.0, 900.0, 0.0]}), rows
+        )
     text = str(raised.value)
     assert "line 2: motion 'steps' cannot be simulated" in text
     assert "Its samples are 0.02 s apart, if their unit is right. Look at units and signs of the commands" in text
@@ -129,6 +131,6 @@ def test_stiffness_far_from_the_drawing_is_told(tmp_path):
     scene = load_scene("three_tendon")
     model = build_model(scene)
     tensions = np.random.default_rng(5).uniform(0.0, 3.0, (6, 3))
-    positions = np.array([model.backbone_at(static_equilibrium(model, own).q, [0.15, 0.3])[:, :3, 3] for own in tensions])
+    positions = np.array([model.backbone_at(static_equilibrium(model, tension).q, [0.15, 0.3])[:, :3, 3] for tension in tensions])
     found = found_of(tmp_path, scene, tensions / 9.80665, positions, {"m0": Marker(arc_length=0.15), "m1": Marker(arc_length=0.3)})
-    assert found.errors[0] < 1e-6 and any("9.8 times less than in the scene: is a unit wrong?" in own for own in found.findings)
+    assert found.errors[0] < 1e-6 and any("9.8 times less than in the scene: is a unit wrong?" in finding for finding in found.findings)

@@ -30,7 +30,7 @@ def steps(record_of, moving, robot):
     """Three motions of steps between random tensions."""
     random = np.random.default_rng(2)
     tensions = [np.repeat(random.uniform(0.0, 4.0, (3, 3)), 40, axis=0) for _ in range(3)]
-    return [record_of(moving, f"steps{i}", robot, own, period=PERIOD, seed=i) for i, own in enumerate(tensions)]
+    return [record_of(moving, f"steps{i}", robot, table, period=PERIOD, seed=i) for i, table in enumerate(tensions)]
 
 
 @pytest.mark.slow

@@ -62,8 +62,8 @@ def test_priors_are_shares_of_the_arms_length_and_of_its_actuators_ranges():
     elastic = {"effects.tendon_elasticity": {"stiffness": 3e3, "displacement_limits": [-0.01, 0.03]}}
     placed = MarkerSet(markers={"tip": Marker(arc_length=0.2)})
     for changes, key, prior in ((elastic, "commands.1.offset", 2e-3), ({}, "commands.1.offset", 0.25), ({}, "mount.shift.2", 3.75e-3)):
-        (own,) = read_parameters([key], load_scene("three_tendon").replace(changes), placed)
-        assert own.prior == pytest.approx(prior) and own.high - own.value == pytest.approx(5.0 * prior)
+        (parameter,) = read_parameters([key], load_scene("three_tendon").replace(changes), placed)
+        assert parameter.prior == pytest.approx(prior) and parameter.high - parameter.value == pytest.approx(5.0 * prior)
 
 
 def test_offsets_of_displacements_are_randomised_as_the_tensions_that_environments_make_them_of(placed):

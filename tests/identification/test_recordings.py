@@ -24,9 +24,9 @@ def changed(holds, tmp_path):
 
 def test_holds_are_read_in_the_scenes_frame(arm, holds, placed, tensions):
     found = read_recordings([holds], arm, placed)
-    assert [own.name for own in found[:2]] == ["holds0", "holds1"] and not any(own.period for own in found)
-    assert np.allclose([own.command[0] for own in found], tensions)
-    assert all(np.linalg.norm(own.positions[0], axis=1) @ [1, 0, 0] < 0.12 < own.positions[0, 2, 0] for own in found)
+    assert [recording.name for recording in found[:2]] == ["holds0", "holds1"] and not any(recording.period for recording in found)
+    assert np.allclose([recording.command[0] for recording in found], tensions)
+    assert all(np.linalg.norm(recording.positions[0], axis=1) @ [1, 0, 0] < 0.12 < recording.positions[0, 2, 0] for recording in found)
 
 
 @pytest.mark.cases(
@@ -77,9 +77,9 @@ def test_bad_shares_are_told(arm, holds, placed, held_out, message):
     assert message in str(raised.value)
 
 
-def held(*commands, period=0.0):
+def recordings_of(*commands, period=0.0):
     """Recordings of commands, a motion for each list of them."""
-    return [Recording(f"{i}", "simulated", np.atleast_2d(own), np.full((1, 1, 3), i), period, {}) for i, own in enumerate(commands)]
+    return [Recording(f"{i}", "simulated", np.atleast_2d(command), np.full((1, 1, 3), i), period, {}) for i, command in enumerate(commands)]
 
 
 @pytest.mark.cases(
@@ -93,13 +93,13 @@ def held(*commands, period=0.0):
     ],
 )
 def test_repeats_of_the_same_commands_are_found(commands, groups):
-    assert same_commands(held(*commands)).tolist() == groups
+    assert same_commands(recordings_of(*commands)).tolist() == groups
 
 
 @pytest.mark.cases("share, count", [("0.25", 4), ("0.5", 8)])
 def test_repeats_stay_together_when_some_are_held_out(share, count):
     tensions = np.random.default_rng(0).uniform(0.0, 5.0, (4, 3))
-    parts = split(held(*(np.tile(tensions, (4, 1)) + 0.01 * np.random.default_rng(1).uniform(size=(16, 3)))), share)
+    parts = split(recordings_of(*(np.tile(tensions, (4, 1)) + 0.01 * np.random.default_rng(1).uniform(size=(16, 3)))), share)
     seen, unseen = ({int(one.name) % 4 for one in part} for part in parts)
     assert len(parts[1]) == count and not seen & unseen
 

@@ -11,33 +11,18 @@ import torch
 pytest.importorskip("ray.rllib")
 
 from soft_tendon_env.envs import IDS  # noqa: E402
-from soft_tendon_env.learning.config import Training, find_config, read_training  # noqa: E402
+from soft_tendon_env.learning.config import find_config, read_training  # noqa: E402
 from soft_tendon_env.learning.rllib import RllibTraining, make_config, make_runner_env  # noqa: E402
 from soft_tendon_env.learning.train import checkpoint_to_resume  # noqa: E402
 from soft_tendon_env.policies import load_policy  # noqa: E402
 from soft_tendon_env.tools.configuration import ConfigurationError  # noqa: E402
 from soft_tendon_env.tools.parallel import ray_cluster  # noqa: E402
 
-TABLE = {
-    "task": "TipPose",
-    "algorithm": "PPO",
-    "steps": 256,
-    "arms": 4,
-    "seconds": 0.4,
-    "hyperparameters": {"n_steps": 16, "batch_size": 32, "n_epochs": 2},
-    "options": {"scene": "three_tendon", "fidelity": "fast", "action": "increment"},
-    "evaluation": {"every": 128, "episodes": 2, "skip": 0.2},
-}
-
 
 @pytest.fixture(scope="module")
 def running():
     with ray_cluster(None, 2, "tests"):
         yield
-
-
-def training(**changes):
-    return Training(**{**TABLE, **changes})
 
 
 def test_hyperparameters_keep_their_values_under_rllibs_names():
@@ -63,7 +48,7 @@ def test_hyperparameters_keep_their_values_under_rllibs_names():
         ({"hyperparameters": {"clip_range_vf": 0.2}}, r"hyperparameters\.clip_range_vf has no counterpart"),
     ],
 )
-def test_what_has_no_counterpart_is_refused_with_its_key(changes, said):
+def test_what_has_no_counterpart_is_refused_with_its_key(training, changes, said):
     with pytest.raises(ConfigurationError, match=f"with RLlib: {said}"):
         make_config(training(**changes), 2)
 
@@ -74,7 +59,7 @@ class Context(dict):
     worker_index = 0
 
 
-def test_runners_have_the_rows_of_one_environment_each_its_own():
+def test_runners_have_the_rows_of_one_environment_each_its_own(training):
     plain, contexts = training(normalise={"rewards": False}), [Context(seed=7, num_envs=2) for _ in range(2)]
     for index, context in enumerate(contexts, 1):
         context.worker_index = index
@@ -92,7 +77,7 @@ def test_runners_have_the_rows_of_one_environment_each_its_own():
 
 @pytest.mark.filterwarnings("ignore:.*Overriding environment rllib")  # of RLlib, which registers one per training of a process
 @pytest.mark.parametrize("task, runners", [("TipPose", 2), ("Reach", 0)])
-def test_a_training_leaves_what_one_of_stable_baselines3_does_and_goes_on(running, tmp_path, task, runners):
+def test_a_training_leaves_what_one_of_stable_baselines3_does_and_goes_on(running, training, tmp_path, task, runners):
     chosen = training(task=task)
     done = RllibTraining(chosen, tmp_path, runners, None)
     done.learn()

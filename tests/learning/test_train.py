@@ -21,18 +21,7 @@ from soft_tendon_env.policies import load_policy, policy_options
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
-PPO = {"n_steps": 16, "batch_size": 32, "n_epochs": 1}
 OFF_POLICY = {"learning_starts": 60, "batch_size": 16, "gradient_steps": 1, "buffer_size": 1000}
-TABLE = {
-    "task": "TipPose",
-    "algorithm": "PPO",
-    "steps": 256,
-    "arms": 4,
-    "seconds": 0.4,
-    "hyperparameters": PPO,
-    "options": SMALL,
-    "evaluation": {"every": 128, "episodes": 2, "skip": 0.2},
-}
 SAC = {"algorithm": "SAC", "hyperparameters": OFF_POLICY, "normalise": {"rewards": False}}
 RUNS = {
     "PPO": {},
@@ -46,18 +35,13 @@ RUNS = {
 }
 
 
-def training(**changes):
-    """A small one, changed."""
-    return config.Training.parse({**TABLE, **changes}, "file")
-
-
 def curve(folder):
     with open(folder / "evaluations.csv", newline="") as file:
         return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
 
 
-@pytest.mark.parametrize("run", RUNS)
-def test_every_algorithm_learns_is_saved_loaded_and_evaluated(tmp_path, run):
+@pytest.mark.parametrize("run", [pytest.param(run, marks=[pytest.mark.slow] * (run in ("TQC", "CrossQ"))) for run in RUNS])
+def test_every_algorithm_learns_is_saved_loaded_and_evaluated(training, tmp_path, run):
     chosen = training(**RUNS[run])
     train.train(chosen, tmp_path)
     rows = curve(tmp_path)
@@ -79,14 +63,14 @@ def test_every_algorithm_learns_is_saved_loaded_and_evaluated(tmp_path, run):
     assert summary.errors[error].rms == pytest.approx(rows[-1][f"{error}_rms"], rel=1e-3), "as the learning curve says"
 
 
-def test_episodes_of_arms_do_not_all_begin_together():
+def test_episodes_of_arms_do_not_all_begin_together(training):
     env = train.make_training_env(training(arms=10, seconds=0.4))
     env.reset()
     ends = [int(env.step(np.zeros((10, 3)))[2].sum()) for _ in range(60)]
     assert ends[:20] == [1, 0] * 10 and ends[20:] == ends[:20] * 2, "one of ten every two of twenty steps"
 
 
-def test_arms_of_trainings_have_seeds_of_their_own_and_scales_of_the_environment():
+def test_arms_of_trainings_have_seeds_of_their_own_and_scales_of_the_environment(training):
     parts = [training(seed=seed).arm_seed(done) for seed in range(5) for done in (0, 1_000_000, 2_999_990)]
     seeds = {first + arm for first in parts for arm in range(64)}
     assert len(seeds) == 64 * len(parts) and all(seed in SEEDS["training"] for seed in seeds), "no two purposes share any"
@@ -94,11 +78,13 @@ def test_arms_of_trainings_have_seeds_of_their_own_and_scales_of_the_environment
     model.learn(64)
     plain = make_sb3_vec_env(IDS["TipPose"], 4, max_episode_steps=20, **SMALL)
     plain.seed(training(seed=3).arm_seed())
-    np.testing.assert_array_equal(model.rollout_buffer.observations[:: PPO["n_steps"]], plain.reset())  # row after row
+    np.testing.assert_array_equal(model.rollout_buffer.observations[::16], plain.reset())  # row after row
 
 
-@pytest.mark.parametrize("run", ["PPO", "SAC", "APG", "DAgger", "hindsight", "running"])
-def test_a_training_that_was_stopped_ends_as_one_that_was_not(tmp_path, run):
+@pytest.mark.parametrize(
+    "run", ["PPO", *(pytest.param(run, marks=pytest.mark.slow) for run in ("SAC", "APG", "DAgger", "hindsight", "running"))]
+)
+def test_a_training_that_was_stopped_ends_as_one_that_was_not(training, tmp_path, run):
     """Stopped at an evaluation, it goes on from the checkpoint before: the same weights, bit for bit."""
     options = {**SMALL, "randomize": {"latency": [0.0, 0.03], "noise": {"position": 1e-3}}}
     evaluation = {"every": 64, "episodes": 1, "skip": 0.2}
@@ -120,9 +106,9 @@ def test_a_training_that_was_stopped_ends_as_one_that_was_not(tmp_path, run):
 
 
 @pytest.mark.slow
-def test_a_killed_training_goes_on_from_its_last_checkpoint(tmp_path):
+def test_a_killed_training_goes_on_from_its_last_checkpoint(table, tmp_path):
     path = tmp_path / "long.toml"
-    path.write_text(tomli_w.dumps({**TABLE, "steps": 100_000}))
+    path.write_text(tomli_w.dumps({**table, "steps": 100_000}))
     out, command = tmp_path / "run", [sys.executable, "-m", "soft_tendon_env", "train", path, "--out", tmp_path / "run"]
     process = subprocess.Popen(command, env={**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}, stderr=subprocess.DEVNULL)
     try:
@@ -140,7 +126,7 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint(tmp_path):
     assert rows == sorted(set(rows)) and rows[-1] == done + 128 == checkpoints.read_checkpoint(out / "last")["steps_done"]
 
 
-def test_other_trainings_and_versions_do_not_go_on(tmp_path):
+def test_other_trainings_and_versions_do_not_go_on(training, tmp_path):
     train.train(training(), tmp_path)
     more = training(steps=320)
     assert train.checkpoint_to_resume(tmp_path, more, resume=True) == tmp_path / "last"
@@ -160,7 +146,7 @@ def test_other_trainings_and_versions_do_not_go_on(tmp_path):
         train.checkpoint_to_resume(tmp_path, more, resume=True)
 
 
-def test_the_best_agent_stays_the_best_when_the_training_goes_on(tmp_path):
+def test_the_best_agent_stays_the_best_when_the_training_goes_on(training, tmp_path):
     """Killed between the two renamings of a checkpoint, when the new one was complete."""
     path = tmp_path / "best" / "config.json"
     train.train(training(), tmp_path)
@@ -199,7 +185,7 @@ def hyperparameters(**given):
         ({"algorithm": "DAgger", **hyperparameters(hidden=64)}, "hyperparameters.hidden is an unknown key"),
     ],
 )
-def test_mistakes_in_a_file_are_named(changes, said):
+def test_mistakes_in_a_file_are_named(training, changes, said):
     with pytest.raises(ConfigurationError) as error:
         training(**changes)
     assert str(error.value).startswith("file: ") and said in str(error.value)
@@ -216,14 +202,14 @@ def test_mistakes_in_a_file_are_named(changes, said):
         ({**RUNS["DAgger"], "normalise": {"observations": True}}, "normalise.observations is true: DAgger has a scale of its own"),
     ],
 )
-def test_what_the_algorithm_refuses_is_told(changes, said):
+def test_what_the_algorithm_refuses_is_told(training, changes, said):
     with pytest.raises(ValueError, match=said):
         train.make_model(training(**changes))
 
 
-def test_arguments_go_before_the_file(tmp_path):
+def test_arguments_go_before_the_file(table, tmp_path):
     path = tmp_path / "mine.toml"
-    path.write_text(tomli_w.dumps(TABLE))
+    path.write_text(tomli_w.dumps(table))
     changes = ["options.scene=paper", "hyperparameters.gamma=0.9", "learning_rate=[1e-3, 0.0]", "steps=5_000"]
     chosen = config.read_training(path, changes, seed=7)
     assert (chosen.options["scene"], chosen.hyperparameters["gamma"], chosen.steps, chosen.seed) == ("paper", 0.9, 5000, 7)

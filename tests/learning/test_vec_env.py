@@ -1,11 +1,8 @@
-"""The adapter to Stable-Baselines3 against what that does itself with single environments, and its algorithms on it."""
+"""The adapter to Stable-Baselines3 against what that does itself with single environments."""
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from sb3_contrib import TQC
-from stable_baselines3 import HerReplayBuffer
-from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
@@ -22,18 +19,6 @@ WILD = {  # diverges at random times
     "tension_limits": [-20.0, 20.0],
     "control_period": 0.05,
 }
-SMALL = {"net_arch": [32, 32]}
-
-
-@pytest.mark.cases(
-    "id, options",
-    [
-        *((id, {}) for id in IDS.values()),
-        (TIP_POSE, {"observation": "measurable", "sensors": (0.1, 0.2), "action": "increment", **FAST}),
-    ],
-)
-def test_its_checker_has_nothing_to_say(id, options):
-    check_env(gym.make(id, **options).unwrapped)
 
 
 def reference(id, rows, **options):
@@ -44,7 +29,7 @@ def reference(id, rows, **options):
 def timeless(value):
     """Nested values without times."""
     if isinstance(value, dict):
-        return {key: timeless(own) for key, own in value.items() if key != "t"}
+        return {key: timeless(entry) for key, entry in value.items() if key != "t"}
     return type(value)(map(timeless, value)) if isinstance(value, list | tuple) else value
 
 
@@ -97,11 +82,6 @@ def test_what_the_rows_share():
     assert env.env_is_wrapped(Monitor) == [True] * 3 and env.env_is_wrapped(gym.wrappers.TimeLimit, 0) == [False]
     assert env.spec.id == REACH
     env.close()
-    shown = make_sb3_vec_env(TIP_POSE, 2, render_mode="rgb_array", **FAST)
-    shown.reset()
-    frames = shown.get_images()
-    assert len(frames) == 2 and frames[0].dtype == np.uint8
-    assert shown.render().shape == (2 * frames[0].shape[0], *frames[0].shape[1:])
 
 
 def test_other_environments_are_refused():
@@ -109,15 +89,3 @@ def test_other_environments_are_refused():
         StableBaselinesVecEnv(gym.make_vec(TIP_POSE, 1, **FAST))
     with pytest.raises(TypeError, match="should be a TendonRodVectorEnv"):
         StableBaselinesVecEnv(gym.make_vec("CartPole-v1", 1))
-
-
-def test_tqc_with_hindsight():
-    env = make_sb3_vec_env(REACH, 4, max_episode_steps=10, **FAST)
-    hindsight = {"replay_buffer_class": HerReplayBuffer, "learning_starts": 100, "buffer_size": 1000, "device": "cpu"}
-    agent = TQC("MultiInputPolicy", env, policy_kwargs=dict(SMALL), seed=0, **hindsight).learn(300)
-    buffer = agent.replay_buffer
-    sample = buffer.sample(256)
-    goals = (sample.next_observations[key].numpy() for key in ("achieved_goal", "desired_goal"))
-    assert (sample.rewards.numpy()[:, 0] == env.env_method("compute_reward", *goals, None, indices=[0])[0].astype(np.float32)).all()
-    assert sample.rewards.max() == 1.0  # goals in hindsight are reached
-    assert (buffer.timeouts.sum(), buffer.dones.sum()) == (4 * 7, 4 * 7)  # 75 steps of 4 rows

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_rate
 from soft_tendon_env.mechanics.workspace import make_workspace
 
@@ -14,17 +13,6 @@ TOLERANCE = 1e-12
 def at_points():
     """at_points(model, field): a field over points as (..., points, 6), padding left out."""
     return lambda model, field: model.grid.unpacked(field.reshape(-1, model.arm.rod.weight.size * 6))
-
-
-@pytest.fixture(scope="session")
-def at_nodes():
-    """at_nodes(model, field, components): a field over nodes as (..., nodes, components), padding left out."""
-
-    def unpacked(model, field, components=6):
-        packed = field.reshape(-1, model.arm.rod.packs, components, LANES)
-        return packed.swapaxes(-1, -2).reshape(len(packed), -1, components)[:, model.grid.real]
-
-    return unpacked
 
 
 @pytest.fixture(scope="session")

@@ -1,10 +1,10 @@
-"""Which coordinates a scene gets: independent tensions, orthogonal or raw passive fields, Legendre fields."""
+"""Which coordinates a scene gets: orthogonal or raw passive fields, Legendre fields."""
 
 import numpy as np
 import pytest
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.model.coordinates import actuation_columns, independent_tensions, make_strain, mode_fields
+from soft_tendon_env.model.coordinates import actuation_columns, make_strain, mode_fields
 from soft_tendon_env.model.grid import STRAIGHT, at_points, make_grid, screw_matrices
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.strain import Modes
@@ -30,16 +30,6 @@ def tendon_fields(scene, grid):
 
 def passive_fields(strain, grid):
     return strain.passive.reshape(-1, grid.packs, 2, 6, LANES).transpose(0, 1, 4, 2, 3).reshape(-1, *grid.points.shape, 6)
-
-
-def test_redundant_tendons_get_as_many_coordinates_as_they_strain():
-    """Four tendons at 90 degrees: a moment each and the same thrust."""
-    columns = np.array([[1.0, 0, -1], [0, 1, -1], [-1, 0, -1], [0, -1, -1]]) * [0.3, 0.3, 2.0]
-    mixing = independent_tensions(columns @ columns.T, 1e-4)
-    assert mixing.shape == (4, 3)
-    np.testing.assert_allclose(mixing.T @ mixing, np.eye(3), atol=1e-14)
-    np.testing.assert_allclose(mixing.T @ [1, -1, 1, -1], 0.0, atol=1e-13)  # the combination that strains nothing
-    np.testing.assert_allclose(columns.T @ mixing @ mixing.T, columns.T, atol=1e-13)  # nothing else is lost
 
 
 @pytest.mark.parametrize("name", ("paper_16dof", "paper_19dof", "paper_22dof"))

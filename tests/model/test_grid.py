@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.model.grid import GAUSS, at_points, make_grid, make_rod, newton_cotes
+from soft_tendon_env.model.grid import at_points, make_grid, make_rod, newton_cotes
 from soft_tendon_env.scene.file import load_scene, scene_names
 from soft_tendon_env.scene.scene import rod_length
 from soft_tendon_env.scene.strain import STRAINS
@@ -32,14 +32,6 @@ def test_intervals_fill_the_rod_and_none_crosses_a_breakpoint(name, intervals):
         assert not ((start < border - 1e-12) & (end > border + 1e-12)).any()
     assert ((grid.points[grid.real] > start[:, None]) & (grid.points[grid.real] < end[:, None])).all()
     assert ((grid.points >= 0) & (grid.points <= rod_length(scene))).all()
-
-
-def test_points_integrate_cubics_exactly():
-    _, grid = grid_of("paper", 3)
-    for power in range(4):
-        np.testing.assert_allclose((grid.weights * grid.points**power).sum(), 1 / (power + 1), rtol=1e-14)
-    assert abs((grid.weights * grid.points**4).sum() - 0.2) > 1e-8
-    np.testing.assert_allclose(GAUSS, 0.5 + 0.5 * np.polynomial.legendre.leggauss(2)[0], rtol=1e-15)
 
 
 def test_node_inertia_sums_to_the_rod_without_the_base_node_and_takes_up_the_payload():

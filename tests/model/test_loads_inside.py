@@ -41,17 +41,6 @@ def test_an_arm_at_rest_stays_there(changes, build):
     np.testing.assert_allclose(simulation.tip_pose, tip, atol=1e-12)
 
 
-def test_the_net_force_is_the_gradient_of_the_energy(build, random_state):
-    model = build("paper_16dof", {**INSIDE, **GRAVITY, "effects.tip_load.mass": 0.02})
-    (q, _), still = random_state(model, 0), np.zeros(16)
-    terms, unit = model.terms(q, still), model.coordinate_scale()
-    for j in range(16):
-        step = 1e-5 * unit[j] * np.eye(16)[j]
-        ahead, behind = (model.energy(q + s * step, still) for s in (1, -1))
-        gain = (ahead.elastic + ahead.load - behind.elastic - behind.load) / (2e-5 * unit[j])
-        assert terms.elastic_force[j] - terms.external_force[j] == pytest.approx(gain, abs=1e-7 * np.abs(terms.elastic_force).max())
-
-
 HELD_STRAIGHT = {"effects.tip_load.force": [0.5, 0.0, 0.0]}
 BENT = np.array([10.0, 0.0, 0.0])
 """[N] that turn the tip against the force that holds the arm straight, until the arm snaps out of its plane."""

@@ -8,12 +8,10 @@ import pytest
 from soft_tendon_env.model.build import QuadratureTest, QuadratureWarning, build_model, quadrature_estimate
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.scene import MOST_INTERVALS, TIP_TOLERANCE
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 LOADS = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.01}
 ANGULAR = ["torsion", "bend_y", "bend_z"]
-ALONG = np.linspace(0.0, 0.3, 31)
 
 
 def helices(turns):
@@ -25,11 +23,6 @@ def helices(turns):
 
 def three_tendon(**changes):
     return load_scene("three_tendon").replace({key.replace("__", "."): value for key, value in changes.items()})
-
-
-def wiggle(waves):
-    y = 0.006 + 0.002 * np.cos(2 * np.pi * waves * ALONG / 0.3)
-    return three_tendon(tendons__0__routing={"type": "table", "arc_length": ALONG, "y": y, "z": 0 * ALONG})
 
 
 def radius_table(middle, width):
@@ -82,23 +75,6 @@ KINDS = {
 def test_the_estimate_is_the_largest_error_and_a_margin(scene, intervals):
     estimate, true = quadrature_estimate(scene, intervals).error, true_error(scene, intervals)
     assert true < estimate < 2.0 * true
-
-
-FAST = {
-    "13 turns": helices(13),  # as many as the finer quadrature for 6 intervals would have: both would see straight tendons
-    "wiggle": wiggle(6),
-    "narrow notch": radius_table(0.008, 0.004),  # between the points of a few intervals
-    "curved": three_tendon(segments__0__curvature=[0.0, 60.0, 0.0], **{key.replace(".", "__"): value for key, value in LOADS.items()}),
-}
-
-
-@pytest.mark.cases("scene", [pytest.param(scene, id=name) for name, scene in FAST.items()])
-def test_what_varies_fast_gets_the_intervals_that_it_needs(scene):
-    """Within the tolerance, and not with many more than that takes."""
-    found = quadrature_estimate(scene)
-    assert found.intervals > 6 and not found.problem and found.error <= TIP_TOLERANCE
-    assert true_error(scene, found.intervals, min(4 * found.intervals, MOST_INTERVALS)) < TIP_TOLERANCE
-    assert quadrature_estimate(scene, found.intervals // 2).problem
 
 
 def test_the_mass_of_a_disc_is_not_missed():

@@ -1,12 +1,14 @@
-"""Bad input of models, simulations and states: the error names the argument, and whoever catches it finds everything as it was."""
+"""Bad input of models, simulations and states is named and changes nothing; commands beyond their limits get a word."""
 
 import dataclasses
+import warnings
 
 import numpy as np
 import pytest
 
 import soft_tendon_env as ste
 from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.model.tension_limits import TensionLimitWarning, erring_actuators
 
 OK, BAD = np.zeros(10), np.full(10, float("nan"))
 
@@ -63,11 +65,11 @@ def test_bad_input_is_named_and_changes_nothing(moving, call, message):
 
 MEMORY = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.05}]}
 SLOWER = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.5}]}
-BEND_Y, BEND_Z = ({"type": "explicit", "modes": [{"strains": [own], "order": 1, "span": "rod"}]} for own in ("bend_y", "bend_z"))
+BEND_Y, BEND_Z = ({"type": "explicit", "modes": [{"strains": [bend], "order": 1, "span": "rod"}]} for bend in ("bend_y", "bend_z"))
 
 
 @pytest.mark.cases(
-    "theirs, own, message",
+    "theirs, ours, message",
     [
         ({"quadrature.intervals": 4}, {"quadrature.intervals": 6}, "state.strain"),
         ({"strain.passive": [{"strains": ["bend_y"], "order": 3, "span": "rod"}]}, {}, "state.q "),
@@ -77,9 +79,9 @@ BEND_Y, BEND_Z = ({"type": "explicit", "modes": [{"strains": [own], "order": 1, 
         (MEMORY, SLOWER, "relaxation times [0.5] s; this state is of viscoelastic_memory:96 + relaxation times [0.05] s"),
     ],
 )
-def test_states_of_another_arm_are_refused(build, tmp_path, theirs, own, message):
+def test_states_of_another_arm_are_refused(build, tmp_path, theirs, ours, message):
     """As many numbers of another meaning would be read as this arm's; from a file too."""
-    stranger, arm = (ste.Simulation(build("four_tendon", changes)) for changes in (theirs, own))
+    stranger, arm = (ste.Simulation(build("four_tendon", changes)) for changes in (theirs, ours))
     stranger.reset(np.full(stranger.model.coordinate_count, 0.1))
     before = numbers(arm)
     stranger.state.save(tmp_path / "state.npz")
@@ -102,3 +104,40 @@ def test_files_that_hold_no_state_are_refused(moving, tmp_path):
         np.savez(path, **{**dataclasses.asdict(moving.state), **changes})
         with pytest.raises(ValueError, match="holds no state"):
             ste.State.load(path)
+
+
+LATE = {"effects.tendon_elasticity": {"stiffness": 2000.0, "displacement_limits": [0.0, 0.02]}}
+WAYS = {
+    "simulate": lambda model, u: ste.simulate(model, u, 0.04, 0.02, ste.Simulation(model).state),
+    "step": lambda model, u: ste.Simulation(model).step(u, 0.02),
+    "rollout": lambda model, u: ste.Simulation(model).rollout([u], 0.02),
+    "linearize": lambda model, u: ste.Simulation(model).linearize(u, 0.02),
+    "commanded_equilibrium": ste.commanded_equilibrium,
+}
+
+
+def said(way, model, command):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        way(model, command)
+    return [str(warning.message) for warning in caught if warning.category is TensionLimitWarning]
+
+
+@pytest.mark.parametrize("name", WAYS)
+def test_what_goes_beyond_is_said_once(build, name):
+    way, model = WAYS[name], build("three_tendon")
+    assert said(way, model, [5.0 * (1.0 + 1e-12), 0.0, 2.0]) == []
+    for command in ([0.0, 5.2, 0.0], [0.0, -0.1, 6.0]):
+        (text,) = said(way, model, command)
+        assert text.startswith("tendons[1] goes beyond its tension_limits, 0 to 5 N: computed as asked")
+    with erring_actuators():
+        assert said(way, model, [0.0, 5.2, 0.0]) == []
+    assert len(said(way, model, [0.0, 5.2, 0.0])) == 1
+
+
+@pytest.mark.parametrize("name", WAYS)
+def test_commands_that_are_displacements_have_limits_of_their_own(build, name):
+    model = build("three_tendon", LATE)
+    assert said(WAYS[name], model, [0.001, 0.0, 0.0]) == []
+    (text,) = said(WAYS[name], model, [0.0, 0.0, 0.025])
+    assert text.startswith("tendons[2] goes beyond its tension_limits, 0 to 0.02 m")

@@ -2,18 +2,15 @@
 
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from soft_tendon_env.cli.main import main
-from soft_tendon_env.evaluation import pages
 from soft_tendon_env.paper import tip
 from soft_tendon_env.paper.motion import track
 from soft_tendon_env.paper.report import claims_table
 
-DOCS = Path(__file__).parent.parent.parent / "docs" / "appendix" / "paper.md"
 ACTUATED = ("fully actuated", "underactuated")
 
 
@@ -84,12 +81,3 @@ def test_what_is_missed_is_said():
     broken = {"until_s": 0.02}
     claim = tip.staying_below("6(c)", "name", broken)
     assert not claim.holds and "breaks down after 0.02 s" in claim.measured
-
-
-def test_docs_have_what_is_missed():
-    before, after = pages.around_markers(DOCS, "figures")
-    written = DOCS.read_text().removeprefix(before).removesuffix(after)
-    rows = [line for line in written.splitlines() if "stays below 1 mm" in line]
-    assert len(rows) == 5
-    for row in rows:
-        assert ("**NO, missed**" in row) == ("never for good" in row)

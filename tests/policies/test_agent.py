@@ -1,6 +1,7 @@
 """Trained agents as policies: what is found in their files, and what is refused."""
 
 import json
+import os
 import pickle
 import warnings
 
@@ -36,8 +37,8 @@ def write_agent(folder, network, normalization=None, **config):
 
 @pytest.mark.parametrize("name", ["PPO", "SAC", "TQC"])
 def test_an_agent_of_any_algorithm_acts_as_its_model(tmp_path, name):
-    own = getattr(stable_baselines3, name, None) or getattr(sb3_contrib, name)
-    trained = own("MlpPolicy", make(), device="cpu", seed=0)
+    algorithm = getattr(stable_baselines3, name, None) or getattr(sb3_contrib, name)
+    trained = algorithm("MlpPolicy", make(), device="cpu", seed=0)
     env = make()
     observation, _ = env.reset(seed=0)
     loaded = agent.load_agent(str(write_agent(tmp_path / "own", trained.policy, algorithm=name)), env)
@@ -52,12 +53,12 @@ def test_an_agent_sees_through_its_statistics(tmp_path, task):
     env = make(task)
     observation, _ = env.reset(seed=0)
     config = {"algorithm": "SAC", "normalise": {"observations": True}}
-    own = write_agent(tmp_path / "own", trained.policy, normalization_of(statistics), **config)
-    action, _ = agent.load_agent(str(own), env).predict(observation)
+    folder = write_agent(tmp_path / "own", trained.policy, normalization_of(statistics), **config)
+    action, _ = agent.load_agent(str(folder), env).predict(observation)
     np.testing.assert_array_equal(action, trained.predict(statistics.normalize_obs(observation), deterministic=True)[0])
-    (own / "statistics.npz").unlink()
+    (folder / "statistics.npz").unlink()
     with pytest.raises(FileNotFoundError, match="should have statistics.npz: the agent sees observations through it"):
-        agent.load_agent(str(own), env)
+        agent.load_agent(str(folder), env)
 
 
 @pytest.fixture(scope="module")
@@ -68,11 +69,21 @@ def trained():
     return model.policy, normalization_of(statistics)
 
 
+class Malice:
+    """An object that makes a folder where it is unpickled."""
+
+    def __init__(self, folder):
+        self.folder = str(folder)
+
+    def __reduce__(self):
+        return os.mkdir, (self.folder,)
+
+
 @pytest.mark.parametrize("name", ["weights.pt", "statistics.npz", "config.json"])
-def test_what_is_pickled_in_an_agents_files_does_not_run(tmp_path, trained, malice, name):
+def test_what_is_pickled_in_an_agents_files_does_not_run(tmp_path, trained, name):
     folder, ran = write_agent(tmp_path / "agent", *trained), tmp_path / "it_ran"
     agent.load_agent(str(folder), make())
-    (folder / name).write_bytes(pickle.dumps(malice(ran)))
+    (folder / name).write_bytes(pickle.dumps(Malice(ran)))
     with pytest.raises(ValueError, match=f"{folder / name}") as error:
         agent.load_agent(str(folder), make())
     assert not ran.exists() and len(str(error.value).splitlines()) == 1
@@ -136,7 +147,7 @@ def test_keys_of_the_training_alone_are_left_out(tmp_path, trained):
     assert read_config(folder) == AgentConfig(algorithm="PPO", options=SMALL)
 
 
-def untrained(folder, **config):
+def untrained_agent(folder, **config):
     """The folder of an agent of PPO that has learned nothing."""
     network = PPO("MlpPolicy", make(**config["options"]), n_steps=8, batch_size=4, seed=0, device="cpu").policy
     return str(write_agent(folder, network, **{**config, "options": {**SMALL, **config["options"]}}))
@@ -145,7 +156,7 @@ def untrained(folder, **config):
 @pytest.fixture
 def ppo(tmp_path):
     options = {"action": "increment"}
-    return untrained(tmp_path / "ppo", options=options, layout=agent.layout_of(make(**options).unwrapped.episodes))
+    return untrained_agent(tmp_path / "ppo", options=options, layout=agent.layout_of(make(**options).unwrapped.episodes))
 
 
 @pytest.mark.cases(
@@ -182,7 +193,7 @@ LOOKS = {"observation": ["target_error"]}
 )
 def test_an_agent_says_once_it_is_loaded_that_it_was_trained_otherwise(tmp_path, task, trained, judged, said):
     usual = {"action": "increment", "preview": [0.1, 0.2]}
-    folder = untrained(tmp_path / "own", task=task, options={**usual, **trained})
+    folder = untrained_agent(tmp_path / "own", task=task, options={**usual, **trained})
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always", agent.TrainingWarning)
         load_policy(folder, make(**usual, **judged))

@@ -2,10 +2,13 @@
 
 from types import SimpleNamespace
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
+from soft_tendon_env.control import ControllerOutput
 from soft_tendon_env.envs import IDS
+from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, make_policy
 from soft_tendon_env.policies.protocol import STATELESS_CALLS
 from soft_tendon_env.tools.configuration import ConfigurationError
@@ -14,8 +17,43 @@ PREVIEW = (0.02, 0.04, 0.1)
 SINGLE_PRECISION = {"rtol": 1e-6, "atol": 2e-6}
 
 
+class Probe:
+    """A controller that keeps the inputs and memories it is given, asks for tensions that depend on all of them, and counts."""
+
+    def __init__(self):
+        self.weights, self.seen = np.arange(1.0, 4.0), []
+
+    def act(self, now, memory=None):
+        self.seen.append((now, memory))
+        told = (now.q, now.q_dot, now.tip_pose, now.tension, now.reference.tip_pose, now.reference.tip_position, now.reference.q)
+        phase = (memory or 0) + sum(values.sum() for values in told if values is not None)
+        return ControllerOutput(0.5 + 1.5 * (1.0 + np.sin(self.weights * phase)), (memory or 0) + 1)
+
+
+def probed(env):
+    """A policy for three tendons and the probe it asks."""
+    probe = Probe()
+    return ControllerPolicy(probe, env), probe
+
+
+def short(kind, id, **options):
+    """Episodes of six steps, in a "single" environment or three rows of Gymnasium ("vector") or "sb3"."""
+    options = {"max_episode_steps": 6, "scene": "three_tendon", "fidelity": "fast", "preview": PREVIEW, **options}
+    if kind == "single":
+        return gym.make(id, **options)
+    return gym.make_vec(id, num_envs=3, **options) if kind == "vector" else make_sb3_vec_env(id, 3, **options)
+
+
+def begun(env):
+    """The first observation, of seed 0."""
+    if isinstance(env, gym.Env | gym.vector.VectorEnv):
+        return env.reset(seed=0)[0]
+    env.seed(0)
+    return env.reset()
+
+
 def assert_told(now, env, row, seconds):
-    """A situation of a row is its episodes'."""
+    """What a controller is told of a row is what its episode has."""
     episodes = env.unwrapped.episodes
     state, pose = episodes.state(row), episodes.arms.reading.tip_pose[row]
     np.testing.assert_allclose(now.q, state.q, **SINGLE_PRECISION)
@@ -40,7 +78,7 @@ def assert_told(now, env, row, seconds):
 
 @pytest.mark.parametrize("kind", ["single", "vector", "sb3"])
 @pytest.mark.parametrize("task", IDS)
-def test_controllers_are_told_what_is_and_do_what_they_decide(short, probed, begun, kind, task):
+def test_controllers_are_told_what_is_and_do_what_they_decide(kind, task):
     env = short(kind, IDS[task])
     inner, rows = env.env if kind == "sb3" else env, 1 if kind == "single" else 3
     policy, probe = probed(env)
@@ -59,7 +97,7 @@ def test_controllers_are_told_what_is_and_do_what_they_decide(short, probed, beg
     assert len(probe.seen) == 5 * rows and np.ptp(asked) > 0.1
 
 
-def test_rows_that_begin_forget_and_the_others_do_not(short, probed, begun):
+def test_rows_that_begin_forget_and_the_others_do_not():
     env = short("vector", IDS["TipPose"])
     policy, probe = probed(env)
     observation = begun(env)
@@ -74,7 +112,7 @@ def test_rows_that_begin_forget_and_the_others_do_not(short, probed, begun):
         policy.predict(observation, state, np.array([True, False]))
 
 
-def test_a_state_that_is_never_given_back_is_warned_of_once(short, probed, begun):
+def test_a_state_that_is_never_given_back_is_warned_of_once():
     env = short("single", IDS["TipPose"])
     policy, _ = probed(env)
     observation = begun(env)
@@ -86,7 +124,7 @@ def test_a_state_that_is_never_given_back_is_warned_of_once(short, probed, begun
     assert len(told) == 1 and told[0].filename == __file__
 
 
-def test_observations_that_say_too_little_are_refused(short, probed):
+def test_observations_that_say_too_little_are_refused():
     _, probe = probed(short("single", IDS["TipPose"]))
     blind = short("single", IDS["TipPose"], observation=("tip_position", "coordinates"))
     with pytest.raises(ConfigurationError, match="observation.*lacks tip_rotation, rates, target_error, preview, which Probe needs"):
@@ -96,7 +134,7 @@ def test_observations_that_say_too_little_are_refused(short, probed):
 
 
 @pytest.mark.parametrize("preview", [(0.04, 0.02), (0.02, 0.02), (0.02, 0.021)])
-def test_preview_times_increase(short, probed, preview):
+def test_preview_times_increase(preview):
     with pytest.raises(ConfigurationError, match=r"it should be times that increase by at least a control period"):
         probed(short("single", IDS["TipPose"], preview=preview))
 
@@ -114,7 +152,7 @@ def test_preview_times_increase(short, probed, preview):
         ("Reach", "predictive", 0.0, (0.02,), None),  # goals do not move
     ],
 )
-def test_a_preview_that_lacks_what_a_controller_looks_at_is_refused(short, task, controller, latency, preview, told):
+def test_a_preview_that_lacks_what_a_controller_looks_at_is_refused(task, controller, latency, preview, told):
     env = short("single", IDS[task], preview=preview)
     if told is None:
         make_policy(controller, env, latency=latency)

@@ -35,7 +35,7 @@ def test_another_arm_than_is_believed_in_is_tracked(regime, name, most):
     assert position_error(env, policy) < most
 
 
-@pytest.mark.parametrize("latency", [0.0, 0.055])
+@pytest.mark.parametrize("latency", [pytest.param(0.0, marks=pytest.mark.slow), 0.055])
 def test_a_latency_that_nobody_told_is_found_and_made_up_for(latency):
     env, policy = made("adaptive:predictive@fast", regime="tip", randomize={"latency": latency}, seconds=3.0)
     assert position_error(env, policy) < 2e-3
@@ -47,6 +47,7 @@ def test_a_latency_that_nobody_told_is_found_and_made_up_for(latency):
     assert state[0].estimate.latency == pytest.approx(latency, abs=0.01)
 
 
+@pytest.mark.slow
 def test_errors_of_the_arm_are_allowed_for():
     """Stiffness and damping that are wrong, payload, gains and noise together."""
     wrong = {"stiffness": 1.2, "damping": 0.6, "payload": 0.02, "tension_gain": [0.9, 1.1], "latency": 0.015, "noise": NOISE}

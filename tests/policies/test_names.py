@@ -1,4 +1,4 @@
-"""Names of policies: which of the three each is, what they need to observe, and what is refused."""
+"""Names of policies: which of the three each is, and what is refused."""
 
 import pytest
 

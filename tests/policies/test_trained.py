@@ -19,17 +19,14 @@ BARS = {
 }
 
 
-SHIPPED = sorted(path.parent for path in TRAINED.glob("*/*/weights.pt"))
+SHIPPED = sorted((path.parent.parent.name, path.parent.name) for path in TRAINED.glob("*/*/weights.pt"))
 
 
-@pytest.fixture(scope="module", params=SHIPPED, ids=lambda folder: f"{folder.parent.name}/{folder.name}")
-def agent(request):
-    """Name and task of an agent that ships."""
-    return request.param.parent.name, request.param.name
-
-
-def test_it_brings_the_arm_where_it_should_be(agent):
-    name, task = agent
+@pytest.mark.parametrize(
+    "name, task",
+    [pytest.param(*agent, marks=[] if agent == (shipped_as("agent", "TipPose"), "TipPose") else pytest.mark.slow) for agent in SHIPPED],
+)
+def test_agents_that_ship_bring_the_arm_where_it_should_be(name, task):
     options = policy_options(name, task, {})
     policy = load_agent(name, gym.make(IDS[task], **options))
     envs = gym.make_vec(IDS[task], num_envs=len(EVALUATION_SEEDS), **options)

@@ -67,9 +67,9 @@ def test_what_is_not_that_of_the_judged_episode_has_no_effect(monkeypatch, cheat
 def test_the_environment_of_its_own_is_that_of_the_arm_that_everybody_knows(rows):
     options = {**ARM, "target": "hold", "history": 1, "control_period": 0.04, "tension_limits": (0.0, 2.0)}
     env = gym.make_vec(IDS["TipPose"], num_envs=2, **options) if rows else gym.make(IDS["TipPose"], **options)
-    own = policy_environment(env)
-    one, other = episodes_of(own), episodes_of(env)
-    assert own.observation_space == env.observation_space and own.action_space == env.action_space
+    known = policy_environment(env)
+    one, other = episodes_of(known), episodes_of(env)
+    assert known.observation_space == env.observation_space and known.action_space == env.action_space
     assert one.period == 0.04 and np.array_equal(one.limits, other.limits) and one.model.scene == other.model.scene
     assert one.options.randomize.noise == other.options.randomize.noise and not one.options.randomize.numbers
     assert one.options.target is None

@@ -1,10 +1,10 @@
-"""The wrappers hand the right samples to the file; the files of these tests only remember what they were given."""
+"""Wrappers hand the right samples to the file, which only remembers them here, and episodes are collected as they happened."""
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.recording import RecordRollout, VectorRecordRollout, wrappers
+from soft_tendon_env.recording import RecordRollout, VectorRecordRollout, collect, wrappers
 from soft_tendon_env.registration import IDS
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast", "max_episode_steps": 5}
@@ -104,3 +104,32 @@ def test_rows_are_recorded_in_every_mode(mode, samples, file):
     first = {arm: rollout for arm, rollout, _ in reversed(file.written)}
     assert [first[f"row_{row}"].title for row in range(2)] == [f"episode 0, target random, seed {7 + row}" for row in range(2)]
     np.testing.assert_array_equal(first["row_1"].action[1:], np.tile(-ACTION, (samples[0] - 1, 1)))
+
+
+STEPS = 6
+
+
+@pytest.fixture
+def env():
+    return gym.make("TendonRod-Shape-v0", fidelity="fast", max_episode_steps=STEPS)
+
+
+def actions(seed=0):
+    return iter(np.random.default_rng(seed).uniform(-1.0, 0.0, (100, 10)).astype(np.float32))
+
+
+def test_an_episode_is_collected_as_it_happened(env):
+    given = actions()
+    rollout = collect(env, lambda observation: next(given), seed=3)
+    assert rollout.samples == STEPS + 1 and rollout.title == "seed 3"
+    again, given = env.unwrapped, actions()
+    _, info = env.reset(seed=3)
+    for sample in range(STEPS + 1):
+        if sample:
+            _, reward, _, _, info = env.step(next(given))
+            assert rollout.scalars["reward"][sample] == reward
+        assert rollout.scalars["backbone_error"][sample] == info["backbone_error"]
+        np.testing.assert_array_equal(rollout.strain[sample], again.state.strain)
+        np.testing.assert_array_equal(rollout.tip_pose[sample], again.episodes.arms.reading.tip_pose[0])
+        np.testing.assert_array_equal(rollout.target_backbone[sample], again.episodes.target_backbone[0])
+        np.testing.assert_array_equal(rollout.tension[sample], again.episodes.tension[0])

@@ -1,7 +1,5 @@
 """Robots for tests: an arm that answers as it is told to, and environments for it."""
 
-import threading
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -92,11 +90,3 @@ def drawing():
         return env
 
     return make
-
-
-@pytest.fixture
-def gate():
-    """An event for whoever hangs, set at the end of a test."""
-    event = threading.Event()
-    yield event
-    event.set()

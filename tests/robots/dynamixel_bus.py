@@ -56,7 +56,7 @@ class Bus:
     """Motors by their ids, on a pseudo-terminal with the name `port`. `silent`: ids that do not answer any more."""
 
     def __init__(self, positions):
-        self.motors = {own: Motor(position) for own, position in positions.items()}
+        self.motors = {number: Motor(position) for number, position in positions.items()}
         self.silent = set()
         self._master, slave = pty.openpty()
         tty.setraw(self._master)
@@ -84,20 +84,20 @@ class Bus:
 
     def _take(self, frame):
         assert crc(frame[:-2]) == struct.unpack("<H", frame[-2:])[0]
-        own, instruction, body = frame[4], frame[7], frame[8:-2]
+        number, instruction, body = frame[4], frame[7], frame[8:-2]
         for motor in self.motors.values():
             motor.heard = time.perf_counter() if not motor.has_stopped else motor.heard
-        if own not in (*self.motors, EVERYBODY):
+        if number not in (*self.motors, EVERYBODY):
             return
         address, size = struct.unpack_from("<HH", body) if len(body) >= 4 else (0, 0)
         if instruction == READ:
-            self._answer(own, self.motors[own].read(address, size))
+            self._answer(number, self.motors[number].read(address, size))
         elif instruction == WRITE:
-            for motor in self.motors.values() if own == EVERYBODY else [self.motors[own]]:
+            for motor in self.motors.values() if number == EVERYBODY else [self.motors[number]]:
                 if struct.unpack_from("<H", body)[0] == WATCHDOG:
                     motor.heard = time.perf_counter()
                 motor.write(struct.unpack_from("<H", body)[0], body[2:])
-            self._answer(own, b"")
+            self._answer(number, b"")
         elif instruction == SYNC_READ:
             for each in body[4:]:
                 self._answer(each, self.motors[each].read(address, size))
@@ -105,8 +105,8 @@ class Bus:
             for place in range(4, len(body), 1 + size):
                 self.motors[body[place]].write(address, body[place + 1 : place + 1 + size])
 
-    def _answer(self, own, data):
-        if own == EVERYBODY or own in self.silent or own not in self.motors:
+    def _answer(self, number, data):
+        if number == EVERYBODY or number in self.silent or number not in self.motors:
             return
-        frame = HEADER + bytes([own]) + struct.pack("<H", len(data) + 4) + bytes([STATUS, 0]) + data
+        frame = HEADER + bytes([number]) + struct.pack("<H", len(data) + 4) + bytes([STATUS, 0]) + data
         os.write(self._master, frame + struct.pack("<H", crc(frame)))

@@ -14,7 +14,7 @@ ELASTIC = {"scene": "three_tendon", "effects.tendon_elasticity": {"stiffness": 1
 LATE = {"scene": "three_tendon", "effects.actuators": {"time_constant": 0.02, "delay": 0.04}}
 
 
-def moved(env, seed=3, steps=40):
+def play_episode(env, seed=3, steps=40):
     """Observations and errors of position of an episode with random actions."""
     first, info = env.reset(seed=seed)
     found = [(first, info["position_error"])]
@@ -40,10 +40,10 @@ def test_a_simulated_robot_moves_as_the_arm_of_an_environment(scene, drawn, task
     robot = SimulatedRobot(scene=scene, fidelity="fast", sensors=3, randomize=drawn, real_time=False)
     real = RobotEnv(gym.make(f"TendonRod-{task}-v0", **options), robot, settle=0.0)
     assert real.observation_space == alike.observation_space and real.action_space == alike.action_space
-    for (expected, error), (found, own) in zip(moved(alike), moved(real), strict=True):
+    for (expected, error), (found, distance) in zip(play_episode(alike), play_episode(real), strict=True):
         expected, found = (flat["observation"] if isinstance(flat, dict) else flat for flat in (expected, found))
         np.testing.assert_allclose(found, expected, atol=1e-6)
-        assert own == pytest.approx(error, abs=1e-9)
+        assert distance == pytest.approx(error, abs=1e-9)
     assert real.stopped.slack and not real.stopped.failures
 
 

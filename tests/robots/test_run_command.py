@@ -70,15 +70,6 @@ def test_whoever_presses_ctrl_c_is_told_how_the_tendons_went(tmp_path, capsys):
     assert re.search(rf"written: {out}\ninterrupted: tendons slack after \d+ ms\n\n$", said.out)
 
 
-def test_a_log_that_is_there_is_refused_before_anything_moves(tmp_path, capsys):
-    out = tmp_path / "run.csv"
-    out.write_text("hold,time\n")
-    with pytest.raises(SystemExit) as exit:
-        main(["run", "no policy", "--out", str(out)])
-    assert exit.value.code == 2 and "is there already, and no log is overwritten" in capsys.readouterr().err
-    assert out.read_text() == "hold,time\n"
-
-
 def test_robots_of_this_folder_are_found(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.chdir(tmp_path)

@@ -108,7 +108,9 @@ def test_a_run_is_not_cut_short_without_a_word(arm_of_test, drawing, pulling):
 
 
 @pytest.mark.parametrize("what", ["read", "write", "policy"])
-def test_the_watchdog_lets_go_where_something_hangs(what, arm_of_test, drawing, pulling, gate):
+def test_the_watchdog_lets_go_where_something_hangs(what, arm_of_test, drawing, pulling):
+    gate = threading.Event()
+
     def hang(count):
         if count == 10:
             gate.wait(20.0)
@@ -155,7 +157,7 @@ def test_the_end_of_the_interpreter_lets_go():
     assert [float(line) for line in ended.stdout.splitlines() if re.fullmatch(r"[0-9.]+", line)][-1] == 0.0
 
 
-def posed(at=(0.3, 0.0, 0.0), turned=(1.0, 1.0, 1.0), row=(0.0, 0.0, 0.0, 1.0)):
+def measurement_of_a_tip(at=(0.3, 0.0, 0.0), turned=(1.0, 1.0, 1.0), row=(0.0, 0.0, 0.0, 1.0)):
     """Measurement of a tip."""
     return Measurement(1.0, tip_pose=np.vstack([np.column_stack([np.diag(turned), at]), row]), tendon_length=np.zeros(3))
 
@@ -165,10 +167,10 @@ def posed(at=(0.3, 0.0, 0.0), turned=(1.0, 1.0, 1.0), row=(0.0, 0.0, 0.0, 1.0)):
     [
         (Measurement(1.0, tip_pose=np.full((4, 4), np.nan), tendon_length=np.zeros(3)), "measurement.tip_pose should be finite"),
         (Measurement(1.0, tip_pose=np.eye(4), tendon_length=np.zeros(2)), "measurement.tendon_length should have shape (3,), not (2,)"),
-        (posed(row=[0.1, 0.0, 0.2, 1.0]), "is no pose [[R, r], [0, 0, 0, 1]] with a rotation R, by 0.2"),
-        (posed(turned=[1.0, -1.0, 1.0]), "by 2"),
-        (posed(at=(180.0, 90.0, 0.0)), "puts the tip 201 m from the base, and the arm reaches 0.375 m: is it in m"),
-        (posed()._replace(time="12:30"), "measurement.time should be a finite number of seconds"),
+        (measurement_of_a_tip(row=[0.1, 0.0, 0.2, 1.0]), "is no pose [[R, r], [0, 0, 0, 1]] with a rotation R, by 0.2"),
+        (measurement_of_a_tip(turned=[1.0, -1.0, 1.0]), "by 2"),
+        (measurement_of_a_tip(at=(180.0, 90.0, 0.0)), "puts the tip 201 m from the base, and the arm reaches 0.375 m: is it in m"),
+        (measurement_of_a_tip()._replace(time="12:30"), "measurement.time should be a finite number of seconds"),
     ],
 )
 def test_measurements_that_cannot_be_stop_the_robot(measured, cause, arm_of_test, drawing):

@@ -45,11 +45,6 @@ def test_paper_tendons_follow_the_papers_table():
         np.testing.assert_allclose(tendon_offset(scene, tendon, x)[0], np.column_stack(yz), atol=1e-16)
 
 
-def test_unknown_name_lists_the_scenes_that_ship():
-    with pytest.raises(ConfigurationError, match="'papr': .*did you mean 'paper'\\? valid: catheter, four_tendon, .*two_segment_six"):
-        load_scene("papr")
-
-
 @pytest.mark.cases(
     "content, message",
     [

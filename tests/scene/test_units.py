@@ -17,11 +17,11 @@ MM = {"length": 1e3, "radius": 1e3, "offset": 1e3}
 
 def arm(base, factor):
     """A straight arm with three tendons; its numbers times factors by name."""
-    own = {name: value * factor.get(name, 1.0) for name, value in base.items()}
-    segment = {"length": own["length"], "radius": own["radius"], "young_modulus": own["modulus"], "density": own["density"]}
+    numbers = {name: value * factor.get(name, 1.0) for name, value in base.items()}
+    segment = {"length": numbers["length"], "radius": numbers["radius"], "young_modulus": numbers["modulus"], "density": numbers["density"]}
     around = np.arange(3) * 2.0 * np.pi / 3.0
-    offsets = own["offset"] * np.stack([np.cos(around), np.sin(around)], axis=1)
-    tendons = [{"routing": {"type": "straight", "offset": at.tolist()}, "tension_limits": [0.0, own["limit"]]} for at in offsets]
+    offsets = numbers["offset"] * np.stack([np.cos(around), np.sin(around)], axis=1)
+    tendons = [{"routing": {"type": "straight", "offset": at.tolist()}, "tension_limits": [0.0, numbers["limit"]]} for at in offsets]
     return Scene.parse({"name": "arm", "segments": [{**segment, "poisson_ratio": 0.4, "damping": 0.0}], "tendons": tendons}, "arm")
 
 
@@ -74,4 +74,4 @@ def test_scenes_that_ship_get_none_and_models_say_it_once():
     assert [name for name in scene_names() if said(load_scene(name))] == []
     with pytest.warns(UnitsWarning, match="is it MPa") as caught:
         build_model(arm(SILICONE, {"modulus": 1e-6}))
-    assert len([own for own in caught if own.category is UnitsWarning]) == 1
+    assert len([warning for warning in caught if warning.category is UnitsWarning]) == 1

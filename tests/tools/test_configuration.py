@@ -1,4 +1,4 @@
-"""Configurations: errors name the source, the key, the value and what is allowed; overrides by dotted keys."""
+"""Configurations, lengths and tables from files: errors name the source, the key, the value and what is allowed."""
 
 from typing import Annotated, Literal
 
@@ -7,7 +7,8 @@ import pytest
 from pydantic import Field
 
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, override, parsed_changes, read_toml
-from soft_tendon_env.tools.types import Positive, TimeStep
+from soft_tendon_env.tools.tables import read_table
+from soft_tendon_env.tools.types import Positive, TimeStep, is_length, length_text, read_length
 
 
 class Round(Configuration):
@@ -87,3 +88,33 @@ def test_files_that_cannot_be_read_are_named(tmp_path, content, said):
         path.write_bytes(content)
     with pytest.raises(ConfigurationError, match=f"{path}: {said}"):
         read_toml(path)
+
+
+@pytest.mark.cases(
+    "text, metres", [("1mm", 1e-3), ("0.05 cm", 5e-4), ("2e-1mm", 2e-4), (" 3 m ", 3.0), ("50um", 5e-5), ("1.25mm", 1.25e-3)]
+)
+def test_lengths_are_read_and_what_is_written_reads_back(text, metres):
+    assert is_length(text) and read_length(text) == pytest.approx(metres) == read_length(length_text(metres))
+
+
+@pytest.mark.cases("text", ("1", "mm", "-1mm", "0mm", "1 inch", "nanmm", "1e999m", "standard", ""))
+def test_what_is_no_length_is_refused(text):
+    with pytest.raises(ValueError, match="should be a positive length with its unit"):
+        read_length(text)
+
+
+@pytest.mark.cases("text", ["a,b\n1,2\n", "# made by us\n\na; b\n1; 2\n#\n", "a\tb\n1\t2\n\t\n"])
+def test_dialects(tmp_path, text):
+    path = tmp_path / "table.csv"
+    path.write_text(text)
+    where, header, ((row, cells),) = table = read_table(path)
+    assert header == ["a", "b"] and cells == ["1", "2"] and table.numbers([("b", 0.001)]) == [[0.002]]
+    line = text.splitlines().index(next(line for line in text.splitlines() if line.startswith("a"))) + 1
+    assert where.startswith(f"{path}, line {line} ") and row == f"{path}, line {line + 1}"
+
+
+@pytest.mark.cases("text, said", [("a,b\n1\n", "line 2: there are 1 cells"), ('a,b\n1,2\n"1,2\n', "line 3 cannot be read")])
+def test_tables_that_cannot_be_read_are_refused(tmp_path, text, said):
+    (tmp_path / "table.csv").write_text(text)
+    with pytest.raises(ValueError, match=said):
+        read_table(tmp_path / "table.csv")

@@ -30,12 +30,13 @@ def has_module(run):
     return "xml.dom.minicompat" in sys.modules
 
 
+@pytest.mark.slow
 def test_processes_import_a_users_own_modules(monkeypatch):
     monkeypatch.setenv(VARIABLE, "xml.dom.minicompat")
     assert run_all(has_module, range(3), 2, "imports") == [True] * 3
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_an_error_comes_through_and_ends_the_others(workers):
     with pytest.raises(ValueError, match="^x is -1: it should be at least 0$"):
         run_all(square, [1, -1, *range(1000)], workers, "squares")

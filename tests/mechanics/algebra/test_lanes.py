@@ -55,7 +55,7 @@ def reductions(x, sums, out):
         out[3 + i] = lane(a, i)
 
 
-def reduced(x):
+def reduce_pack(x):
     sums, out = np.empty(LANES), np.empty(3 + LANES)
     reductions(np.array(x), sums, out)
     return sums, out
@@ -64,7 +64,7 @@ def reduced(x):
 @pytest.mark.cases("seed", range(3))
 def test_sums_and_extremes_agree_with_numpy(seed):
     x = np.random.default_rng(seed).normal(size=LANES)
-    sums, out = reduced(x)
+    sums, out = reduce_pack(x)
     np.testing.assert_allclose(sums, np.cumsum(x), rtol=0, atol=4e-16 * np.abs(x).sum())
     np.testing.assert_allclose(out[0], x.sum(), rtol=0, atol=4e-16 * np.abs(x).sum())
     np.testing.assert_array_equal(out[1:], [x.max(), x.min(), *x])
@@ -76,5 +76,5 @@ def test_extremes_are_nan_if_any_lane_is(where, others):
     x = np.full(LANES, others)
     x[where] = np.nan
     with np.errstate(invalid="ignore"):
-        _, out = reduced(x)
+        _, out = reduce_pack(x)
     assert np.isnan(out[1]) and np.isnan(out[2])

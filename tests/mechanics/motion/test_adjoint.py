@@ -17,7 +17,7 @@ SCENES = {
     "lagging actuators": {"effects.actuators": {"time_constant": 0.03, "rate_limit": 500.0}},
     "tendons that rub": {"effects.tendon_friction": {"coefficient": 0.2}},
     "elastic tendons": {"effects.tendon_elasticity": {"stiffness": 500.0, "displacement_limits": [0.0, 0.01]}},
-    "explicit": {"strain": {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z", "stretch"], "order": 1, "span": "rod"}]}},
+    "explicit": {"strain": {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z"], "order": 2, "span": "rod"}]}},
 }
 ERRORS = {
     ("loads inside", "q_dot"): 0.1,
@@ -50,12 +50,12 @@ def moving_rows(build, changes, threads=1, rows=ROWS):
     return arms, unit * rng.uniform(1.0, 4.0, (rows, 1, 3))
 
 
-def drawn(arms, names, parts=1):
+def random_cotangents(arms, names, parts=1):
     """Random cotangents of some names, in the units of the arm."""
     rng, cotangents, unit = np.random.default_rng(1), arms.make_cotangents(parts), arms.model.coordinate_scale()
     for name in names:
-        own = getattr(cotangents, name)
-        own[:] = rng.normal(size=own.shape) / {"q": unit, "q_dot": 30.0 * unit}.get(name, 1.0)
+        values = getattr(cotangents, name)
+        values[:] = rng.normal(size=values.shape) / {"q": unit, "q_dot": 30.0 * unit}.get(name, 1.0)
     return cotangents
 
 
@@ -83,7 +83,7 @@ def test_adjoint_is_near_differences(build, scene):
     tape, members, rng, unit = arms.make_tape(), np.arange(ROWS), np.random.default_rng(2), arms.model.coordinate_scale()
     arms.step(command, members, None, tape)
     pose = arms.reading.tip_pose.copy()
-    given, found = drawn(arms, (*STATE, *READ)), drawn(arms, (*STATE, *READ))
+    given, found = random_cotangents(arms, (*STATE, *READ)), random_cotangents(arms, (*STATE, *READ))
     arms.adjoint(tape, members, found)
     for name, scale in (("q", unit), ("q_dot", 30.0 * unit), ("command", 0.3 * command)):
         direction = scale * rng.normal(size=getattr(found, name).shape)
@@ -92,51 +92,8 @@ def test_adjoint_is_near_differences(build, scene):
         changes = {key: (ends[0][key] - ends[1][key]) / 2e-4 for key in ends[0]}
         changes["tip_pose"] = as_twists(changes["tip_pose"], pose)
         expected = sum((getattr(given, key) * change).reshape(ROWS, -1).sum(axis=1) for key, change in changes.items())
-        own = (getattr(found, name) * direction).reshape(ROWS, -1).sum(axis=1)
-        assert np.linalg.norm(own - expected) < ERRORS.get((scene, name), 0.03) * np.linalg.norm(expected), name
-
-
-@pytest.mark.parametrize("scene", ["bare", "loads inside", "explicit", "turning base"])
-def test_positions_along_the_backbone_go_back_exactly(build, scene):
-    """Over no time, against central differences: along each coordinate, and none by rates."""
-    base = {"effects.moving_base": {"angular_velocity": 2.0}}
-    arms, command = moving_rows(build, SCENES.get(scene, base))
-    start, at_once = {name: getattr(arms.rows, name).copy() for name in KEPT}, np.zeros((ROWS, 1))
-    tape, found, weight = arms.make_tape(), drawn(arms, ["backbone_position"]), drawn(arms, ["backbone_position"]).backbone_position
-    arms.step(command, np.arange(ROWS), at_once, tape)
-    arms.adjoint(tape, np.arange(ROWS), found)
-    for j, unit in enumerate(np.broadcast_to(arms.model.coordinate_scale(), arms.model.coordinate_count)):
-        moved = 1e-3 * unit * np.eye(arms.model.coordinate_count)[j]
-        ends = [after(arms, start, command, way, q=moved, durations=at_once)["backbone_position"] for way in (1.0, -1.0)]
-        expected = ((ends[0] - ends[1]) * weight).sum(axis=(1, 2)) / 2.0
-        np.testing.assert_allclose(found.q @ moved, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
-    assert not found.q_dot.any()
-
-
-def test_commands_behind_a_delay_and_a_lag_act_later(build):
-    """Commands of the first of four periods, of which the tip is read after the last."""
-    arms, command = moving_rows(build, {"effects.actuators": {"delay": 0.033, "time_constant": 0.03}})
-    members, rng = np.arange(ROWS), np.random.default_rng(4)
-    start = {name: getattr(arms.rows, name).copy() for name in KEPT}
-    commands, direction = command + rng.normal(size=(4, *command.shape)), rng.normal(size=command.shape)
-
-    def height(way, tapes):
-        for name, values in start.items():
-            getattr(arms.rows, name)[:] = values
-        for own, tape in zip(commands, tapes, strict=True):
-            arms.step(own + (way * direction if own is commands[0] else 0.0), members, None, tape)
-        return arms.reading.tip_pose[:, 2, 3].copy()
-
-    commands = list(commands)
-    expected = (height(1e-3, [None] * 4) - height(-1e-3, [None] * 4)) / 2e-3
-    tapes, cotangents = [arms.make_tape() for _ in commands], arms.make_cotangents()
-    height(0.0, tapes)
-    cotangents.tip_pose[:, 3:] = arms.reading.tip_pose[:, 2, :3]
-    for tape in tapes[::-1]:
-        arms.adjoint(tape, members, cotangents)
-        cotangents.tip_pose[:] = 0.0
-    found = (cotangents.command * direction).sum(axis=(1, 2))
-    np.testing.assert_allclose(found, expected, atol=0.03 * np.abs(expected).max())
+        slope = (getattr(found, name) * direction).reshape(ROWS, -1).sum(axis=1)
+        assert np.linalg.norm(slope - expected) < ERRORS.get((scene, name), 0.03) * np.linalg.norm(expected), name
 
 
 @pytest.mark.parametrize(
@@ -150,7 +107,7 @@ def test_commands_behind_a_delay_and_a_lag_act_later(build):
 )
 def test_adjoint_is_finite_where_motion_is_not_smooth(build, changes, command):
     arms, _ = moving_rows(build, changes)
-    members, tape, cotangents = np.arange(ROWS), arms.make_tape(), drawn(arms, (*STATE, *READ))
+    members, tape, cotangents = np.arange(ROWS), arms.make_tape(), random_cotangents(arms, (*STATE, *READ))
     held = np.full((ROWS, 1, 3), command)
     for _ in range(20):
         arms.step(held, members, None, tape)
@@ -161,7 +118,7 @@ def test_adjoint_is_finite_where_motion_is_not_smooth(build, changes, command):
 
 def test_what_has_no_adjoint_is_named(build):
     arms, command = moving_rows(build, {})
-    tape, members, cotangents = arms.make_tape(), np.arange(ROWS), drawn(arms, STATE)
+    tape, members, cotangents = arms.make_tape(), np.arange(ROWS), random_cotangents(arms, STATE)
     arms.step(command, members, None, tape)
     arms.set_model(2, arms.model.with_numbers({"segments.*.young_modulus": 1.1e6}))
     with pytest.raises(ValueError, match="row 2 has got another arm"):

@@ -99,22 +99,6 @@ def test_the_coordinates_chase_the_tensions(name, changes, build, random_state):
     np.testing.assert_allclose(drive, terms.stiffness @ (q - rest), atol=1e-12 * np.abs(terms.elastic_force).max())
 
 
-@pytest.mark.parametrize(("name", "changes"), FEW)
-def test_drive_is_the_pull_less_the_elastic_force_and_the_damping(name, changes, build, random_state, workspace_at):
-    """What the time steps read is B u - K - D q_dot, with the very B, K and D of `terms`."""
-    model = build(name, changes)
-    q, q_dot = random_state(model, 16)
-    u = np.random.default_rng(1).uniform(0, 5, model.tendon_count)
-    terms = model.terms(q, q_dot)
-    damped = terms.damping @ q_dot
-    drive = workspace_at(model, q, q_dot, u).drive
-    largest = max(np.abs(terms.elastic_force).max(), np.abs(damped).max())
-    np.testing.assert_allclose(drive, terms.actuation @ u - terms.elastic_force - damped, rtol=0, atol=1e-12 * largest)
-    assert np.abs(damped).max() > 1e-3 * largest
-    at_rest, pulled = workspace_at(model, q, tension=u).drive, terms.actuation @ u - terms.elastic_force
-    np.testing.assert_allclose(at_rest, pulled, rtol=0, atol=1e-12 * np.abs(terms.elastic_force).max())
-
-
 @pytest.mark.parametrize("name", ("paper", "four_tendon", "paper_48dof"))
 def test_stiffness_is_the_jacobian_of_the_drive(name, build, random_state):
     """At rest for the statics-based strain; everywhere for an explicit basis, which needs to know the tension.

@@ -38,7 +38,7 @@ def with_effects(model, *parameters):
     return model.arm.replaced(effects=EffectTable(parameters, [np.zeros(0) for _ in parameters]))
 
 
-def evaluated(arm, q):
+def evaluate_at(arm, q):
     """The workspace after an evaluation without tensions."""
     work = make_workspace(arm)
     work.xi[:] = arm.rod.reference_strain
@@ -59,7 +59,7 @@ def evaluated(arm, q):
 )
 def test_the_effects_of_the_table_act_in_order(build, effects, result):
     model = build("four_tendon")
-    assert evaluated(with_effects(model, *effects), np.zeros(model.coordinate_count)).wrench[0] == result
+    assert evaluate_at(with_effects(model, *effects), np.zeros(model.coordinate_count)).wrench[0] == result
 
 
 def test_parameters_that_do_not_fit_their_class_are_refused():
@@ -80,4 +80,4 @@ def test_a_pickled_table_finds_its_kernels(build):
     text = pickle.dumps(arm)
     assert str(int(arm.effects.wrench[0])).encode() not in text
     copy = pickle.loads(text)
-    assert evaluated(copy, np.zeros(model.coordinate_count)).wrench[0] == 23.0
+    assert evaluate_at(copy, np.zeros(model.coordinate_count)).wrench[0] == 23.0

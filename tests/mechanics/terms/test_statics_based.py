@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
+from soft_tendon_env.mechanics.motion.equilibrium import strain_is_continuous
 from soft_tendon_env.mechanics.terms.evaluate import configure
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_rest, strain_has_margin
 from soft_tendon_env.mechanics.terms.statics_newton import ANY, solve_statics, strain_tension
 from soft_tendon_env.mechanics.workspace import make_workspace
+from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.grid import screw_matrices
+from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import segment_index, tendon_ends, tendon_offset
 from soft_tendon_env.scene.strain import STRAINS
 
@@ -89,7 +92,7 @@ def test_rigid_strains_stay_exactly_zero(strains, build, random_state, workspace
         assert not values[..., rigid].any() and values[..., ~rigid].any()
 
 
-def guessed(model, q, guess):
+def solve_from_guess(model, q, guess):
     """solve_statics from a guess: what it returns, and the strain."""
     work = make_workspace(model.arm)
     work.xi[:] = guess
@@ -107,17 +110,28 @@ def test_strong_pulls_and_pushes(tension, reaches, build):
     block, reached = configure(model.arm, q, TOLERANCE, work)
     assert (block == -1 and reached == 1.0) if reaches else (0 <= block < 2 * model.arm.rod.packs and 0 < reached < 1)
     if not reaches:  # what is left in work.xi is the strain at the part that was reached
-        np.testing.assert_array_equal(guessed(model, reached * q, work.xi)[0], -1)
+        np.testing.assert_array_equal(solve_from_guess(model, reached * q, work.xi)[0], -1)
 
 
-def is_firm(model, tension):
+def has_margin(model, tension):
     return bool(strain_has_margin(model.arm, model.rest_coordinates(tension), 1e-6, make_workspace(model.arm)))
 
 
-def test_strains_near_the_limit_of_a_push_are_not_firm(build):
-    """A single straight tendon pushes its section over at 320 N; pulls are firm as far as they have a strain."""
+def test_strains_near_the_limit_of_a_push_have_no_margin(build):
+    """A single straight tendon pushes its section over at 320 N; pulls have a margin as far as they have a strain."""
     model = build("paper", COARSE)
     one = np.eye(10)[0]
-    assert [is_firm(model, push * one) for push in (-100.0, -280.0, -315.0, -330.0, -1e4)] == [True, True, False, False, False]
+    assert [has_margin(model, push * one) for push in (-100.0, -280.0, -315.0, -330.0, -1e4)] == [True, True, False, False, False]
     assert strain_from_rest(model.arm, -315.0 * one, TOLERANCE, make_workspace(model.arm))[0] == -1
-    assert [is_firm(model, pull * one) for pull in (0.0, 100.0, 250.0, 300.0, 1e4)] == [True, True, True, False, False]
+    assert [has_margin(model, pull * one) for pull in (0.0, 100.0, 250.0, 300.0, 1e4)] == [True, True, True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "continuous"),
+    [(0.0, 60.0, True), (-100.0, -280.0, True), (-280.0, -330.0, False)],
+    ids=("a pull has one strain", "a push on its branch", "a push past the end of its branch"),
+)
+def test_a_strain_is_continuous_up_to_the_end_of_its_branch(start, end, continuous):
+    arm = build_model(load_scene("paper")).arm
+    first = np.eye(10)[0]
+    assert strain_is_continuous(arm, start * first, end * first, make_workspace(arm)) is continuous

@@ -1,25 +1,62 @@
-"""Linear map of a period: its formula, forward as a Jacobian and transposed."""
+"""Linearised forces and the linear map of a period: against differences of all terms of the motion, and against its formula."""
 
 import numpy as np
 import pytest
 
 from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated, evaluate_force
+from soft_tendon_env.mechanics.motion.force_gradient import GradientMemory, force_gradient
+from soft_tendon_env.mechanics.motion.implicit_euler import start_matrices
 from soft_tendon_env.mechanics.motion.period_map import add_jacobian, make_plan, matrices_of_motion, transposed_map
-from soft_tendon_env.mechanics.motion.scratch import make_scratch
+from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.mechanics.motion.status import OK
+from soft_tendon_env.mechanics.workspace import sizes_of, zeros
 from soft_tendon_env.model.simulation import Simulation
+from soft_tendon_env.model.step_control import step_method
 
-PERIOD = 0.02
-GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.005}
+GRAVITY = {"effects.gravity.acceleration": [3.0, 0.0, -9.81], "effects.tip_load.mass": 0.005}
 SCENES = {
     "bare": {},
     "gravity and payload": GRAVITY,
     "loads inside": {**GRAVITY, "strain.include_loads": True},
-    "fluid": {"effects.fluid.density": 1000.0},
+    "fluid": {**GRAVITY, "effects.fluid": {"density": 1000.0}},
+    "stiffening": {"effects.nonlinear_elasticity": {"bending": 5.0, "stretch": 0.05}},
+    "moving base": {"effects.moving_base": {"amplitude": [0.0, 0.01, 0.0], "angular_amplitude": 0.2, "frequency": 2.0}},
+    "explicit": {"strain": {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z"], "order": 1, "span": "rod"}]}},
 }
+TIME = 0.1  # [s], at which the base moves
 
 
 @pytest.mark.parametrize("scene", SCENES)
+def test_gradient_is_that_of_all_terms(build, scene):
+    model = build("three_tendon", {"quadrature.intervals": 4, **SCENES[scene]})
+    rng, unit, n, u = np.random.default_rng(0), model.coordinate_scale(), model.coordinate_count, np.array([1.0, 3.0, 2.0])
+    q, v, a, w = (scale * unit * rng.normal(size=n) for scale in (0.3, 3.0, 30.0, 1.0))
+
+    def power(q, v):
+        terms = model.terms(q, v, time=TIME)
+        force = terms.actuation @ u - terms.elastic_force - terms.damping @ v - terms.bias + terms.external_force
+        return w @ (force - terms.mass @ a)
+
+    def gradient(x, y):
+        steps = 1e-4 * np.diag(unit)
+        return np.array([(power(q + x * step, v + y * step) - power(q - x * step, v - y * step)) / 2e-4 for step in steps]) / unit
+
+    scratch, memory = make_scratch(model.arm, 1), zeros(GradientMemory, sizes_of(model.arm))
+    motion = Motion(q, v, model.packed_strain(q), np.zeros(0), np.array([TIME]))
+    scratch.work.xi[:] = motion.xi
+    evaluate_force(model.arm, step_method(model)._replace(strain_tolerance=1e-12), u, q, v, motion.state, TIME, scratch)
+    start_matrices(model.arm, scratch)
+    memory.w[:], memory.a[:] = w, a
+    damping = scratch.first.damping @ w
+    force_gradient(model.arm, u, motion, 2e-3, True, scratch.work, memory)
+    for found, expected in ((memory.by_q, gradient(1.0, 0.0)), (memory.by_rate - damping, gradient(0.0, 10.0) / 10.0)):
+        np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+
+
+PERIOD = 0.02
+
+
+@pytest.mark.parametrize("scene", ["bare", "gravity and payload", "loads inside", "fluid"])
 def test_map_is_that_of_the_extrapolated_linearly_implicit_step(scene, build):
     simulation = Simulation(build("three_tendon", {"quadrature.intervals": 4, **SCENES[scene]}))
     rng = np.random.default_rng(0)
