@@ -32,4 +32,9 @@ def register_environment(task: str, max_episode_steps: int = MAX_EPISODE_STEPS) 
 def register_environments() -> None:
     """Registers the ids of the tasks that ship: one per file of `envs/tasks`, `tip_pose.py` for TipPose, none of which is imported."""
     for file in pkgutil.iter_modules([TASK_FILES]):
-        register_environment("".join(word.capitalize() for word in file.name.split("_")))
+        register_environment(task_of_file(file.name))
+
+
+def task_of_file(name: str) -> str:
+    """Name of the task of a file of that name, without its ending."""
+    return "".join(word.capitalize() for word in name.split("_"))

@@ -1,4 +1,7 @@
-"""`soft-tendon accuracy`: what accuracy costs in time on an arm, against full physics, and the cheapest setting for a tolerance."""
+"""`soft-tendon accuracy`: what accuracy costs in time on an arm, against full physics, and the cheapest setting for a tolerance.
+
+`soft-tendon fields`: an arm's own passive strain fields, from snapshots of full physics (proper orthogonal decomposition).
+"""
 
 from pathlib import Path
 from typing import Any
@@ -8,9 +11,12 @@ from pydantic import Field
 
 from soft_tendon_env.accuracy import calibration, pareto
 from soft_tendon_env.accuracy.fidelity import PRESETS, build_model
+from soft_tendon_env.accuracy.proper_orthogonal_fields import KINDS, fields_path, make_passive_fields
 from soft_tendon_env.accuracy.settings import Setting
+from soft_tendon_env.accuracy.test_inputs import USUAL
 from soft_tendon_env.cli.errors import is_installed, mistakes, writable_folder
 from soft_tendon_env.cli.options import ArmSettings
+from soft_tendon_env.cli.scenes import coordinate_count
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.tables import markdown_table, number, write_csv
 from soft_tendon_env.scene.file import save_scene
@@ -28,7 +34,17 @@ class Accuracy(ArmSettings):
     out: str = Field(default="out/accuracy", description="folder for the table, the picture and the scene")
 
 
-def run(settings: Accuracy) -> None:
+class Fields(ArmSettings):
+    """Make the passive strain fields of an arm's own from simulated motions (POD), and report how accurate the arm is with them.
+
+    The loads of the scene, and smaller ones in all directions, act on half of the motions each.
+    """
+
+    out: str | None = Field(default=None, description="the .json file to write; by default in the user's cache, where every scene finds it")
+    within: GivenLength | None = Field(default=None, description="tolerance of the tip, such as 1mm, to report the fewest fields for")
+
+
+def run_accuracy(settings: Accuracy) -> None:
     """Calibrate, print, draw and write. Raises ConfigurationError where no setting is within the tolerance."""
     with mistakes():
         scene, tolerance, out = settings.changed_scene(), settings.within, writable_folder(Path(settings.out))
@@ -76,3 +92,30 @@ def write_recommended(setting: Setting, scene: Scene, fields: PassiveFields | No
         found = found.replace({"strain.passive.file": path.with_suffix(SUFFIX).name})
     save_scene(found, path)
     print(f"cheapest: {setting.name}, {setting.intervals} intervals per piece, tolerance {1e6 * setting.tolerance:.3g} um\nwritten: {path}")
+
+
+def run_fields(settings: Fields) -> None:
+    """Make, write and report."""
+    with mistakes():
+        scene, out = settings.changed_scene(), settings.out
+        if out is not None and not out.endswith(".json"):
+            raise ValueError(f"--out is {out}: it should be the path of a .json file, such as {scene.name}{SUFFIX}")
+    found, path = make_passive_fields(scene), fields_path(scene) if out is None else Path(out)
+    found.save(path)
+    bare = {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders)}
+    print(f"written: {path}\n\n{report(scene, found, coordinate_count(scene.replace({'strain': bare})))}")
+    if settings.within is not None:
+        count = found.needed(settings.within, USUAL)
+        file = "" if out is None else f', file = "{path.name}"'
+        entry = f'passive = {{ type = "snapshots", fields = {count}{file} }}'
+        print(f"\n{'no number of fields is enough' if count is None else f'In the scene, under [strain]: {entry}'}")
+
+
+def report(scene: Scene, fields: PassiveFields, own: int) -> str:
+    """Table of the errors by number of fields; the arm has `own` coordinates without any."""
+    rows = []
+    for i, count in enumerate(np.array(fields.errors["fields"], dtype=int)):
+        errors = [number(1e3 * fields.errors[kind][i]) for kind in KINDS]
+        rows.append((str(own + count), str(count), f"{fields.singular_values[count - 1]:.2g}" if count else "-", *errors))
+    intro = f"{scene.name}, digest {fields.digest}. Errors: largest distance of the tip from full physics on other motions."
+    return f"{intro}\n\n{markdown_table(('coordinates', 'fields', 'singular value', *(f'{kind} [mm]' for kind in KINDS)), rows)}"

@@ -26,18 +26,18 @@ class Arena(Benchmark):
     write_docs: str | None = Field(default=None, description="file in which tables go between <!-- arena TASK --> and its end")
     out: str = Field(default="out/arena", description="folder for results")
 
+    @staticmethod
+    def read_file(given: Mapping[str, Any]) -> dict[str, Any]:
+        """Tables of the file of --config, checked, with the entrants of --policies in place of its own. Raises ConfigurationError."""
+        path = Path(given.get("config", "published"))
+        shipped = configs_folder() / f"{path}.toml"
+        path = path if path.exists() or not shipped.exists() else shipped
+        table = {**read_toml(path), **({"entrants": [{"policy": policy} for policy in given["policies"]]} if "policies" in given else {})}
+        Benchmark.parse(table, str(path))
+        return table
 
-def read_file(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Tables of the file of --config, checked, with the entrants of --policies in place of its own. Raises ConfigurationError."""
-    path = Path(given.get("config", "published"))
-    shipped = configs_folder() / f"{path}.toml"
-    path = path if path.exists() or not shipped.exists() else shipped
-    table = {**read_toml(path), **({"entrants": [{"policy": policy} for policy in given["policies"]]} if "policies" in given else {})}
-    Benchmark.parse(table, str(path))
-    return table
 
-
-def run(settings: Arena) -> None:
+def run_arena(settings: Arena) -> None:
     """Play what is missing, print and write."""
     with mistakes():
         require("pictures")

@@ -26,7 +26,7 @@ class Doctor(Configuration):
     scene: str = Field(default="paper", description="a shipped scene's name, or the path of a TOML file")
 
 
-def run(settings: Doctor) -> None:
+def run_doctor(settings: Doctor) -> None:
     """Run all checks, and go on after one that fails."""
     versions = [f"{name} {importlib.metadata.version(name)}" for name in ("numpy", "scipy", "numba", "gymnasium", "pydantic")]
     print(f"{'soft_tendon_env':<16} in {Path(__file__).parents[1]}; Python {platform.python_version()}, {', '.join(versions)}")

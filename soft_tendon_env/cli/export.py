@@ -28,7 +28,7 @@ class Export(Configuration):
     out: str = Field(default="out/agent.onnx", description="file of the agent")
 
 
-def run(settings: Export) -> None:
+def run_export(settings: Export) -> None:
     """Export, check, print and write. Raises UserError where the file is another policy than the agent."""
     path = Path(settings.out)
     with mistakes():

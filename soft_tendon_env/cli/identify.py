@@ -27,7 +27,7 @@ class Identify(ArmSettings):
     out: str = Field(default="out/identified", description="folder for scene.toml, markers.toml and estimate.json")
 
 
-def run(settings: Identify) -> None:
+def run_identify(settings: Identify) -> None:
     """Identify, print and write."""
     with mistakes():
         scene, out = settings.changed_scene(), writable_folder(Path(settings.out))

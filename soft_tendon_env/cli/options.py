@@ -4,7 +4,7 @@ Options that are not given are left to a file, or to the class's defaults. What 
 """
 
 import types
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from typing import Annotated, Any, Required, TypedDict, TypeVar, get_args, get_origin
@@ -53,8 +53,8 @@ def from_set() -> Iterator[None]:
         raise ConfigurationError(error.problems, "--set") from error
 
 
-def read(command: str, kind: type[Kind], arguments: Sequence[str], file: Callable[[Given], Given] = lambda given: {}) -> Kind:
-    """The configuration that a command line says; `file` reads the values that a file has, which the options given override.
+def read(command: str, kind: type[Kind], arguments: Sequence[str]) -> Kind:
+    """The configuration that a command line says; `kind.read_file`, if there is one, reads values that the options given override.
 
     Ends the process with help, or with status 2 where tyro refuses the arguments. Raises Mistake.
     """
@@ -64,7 +64,8 @@ def read(command: str, kind: type[Kind], arguments: Sequence[str], file: Callabl
     about = " ".join((kind.__doc__ or "").partition("Attributes:")[0].split())
     given: Given = tyro.cli(_arguments(kind), prog=f"soft-tendon {command}", description=about, args=list(arguments))
     with mistakes():
-        values = {**file(given), **{name: value for name, value in given.items() if name in kind.model_fields}}
+        file = kind.read_file(given) if hasattr(kind, "read_file") else {}
+        values = {**file, **{name: value for name, value in given.items() if name in kind.model_fields}}
         if "options" in kind.model_fields:
             table = deepcopy(values.get("options", {})) | {name: given[name] for name in given if name in SHORTCUTS and name != "set"}
             with from_set():

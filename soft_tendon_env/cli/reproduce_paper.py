@@ -23,7 +23,7 @@ class ReproducePaper(Configuration):
     out: str = Field(default="out/paper", description="folder of pictures and numbers")
 
 
-def run(settings: ReproducePaper) -> None:
+def run_reproduce_paper(settings: ReproducePaper) -> None:
     """Draw, print and write."""
     with mistakes():
         require("pictures")

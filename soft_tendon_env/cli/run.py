@@ -44,7 +44,7 @@ class Run(EpisodeSettings):
     out: str = Field(default="out/run.csv", description="log, a new .csv file")
 
 
-def run(settings: Run) -> None:
+def run_run(settings: Run) -> None:
     """Run, print and write. Raises UserError where the robot was stopped before the end."""
     out, task = Path(settings.out), settings.task
     with mistakes(), ExitStack() as on_error:

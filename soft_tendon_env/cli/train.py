@@ -1,24 +1,29 @@
-"""`soft-tendon train`: one training of Stable-Baselines3 or of RLlib, as a configuration says."""
+"""`soft-tendon train`, `sweep` and `tune`: one training of Stable-Baselines3 or RLlib, several with their learning curves, and searches
+for the best parameters with Optuna."""
 
+import signal
+import sys
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.evaluation.provenance import machine
+from soft_tendon_env.learning import sweep
 from soft_tendon_env.learning.config import Training, config_names, find_config, read_training
 from soft_tendon_env.tools.configuration import Configuration
-from soft_tendon_env.tools.parallel import ray_cluster
+from soft_tendon_env.tools.parallel import ray_cluster, run_all
 
-STOPPED = "stopped: the same command with --resume goes on from the last checkpoint, if there is one"
+SEARCH = "tune_"  # beginning of the names of searches in configs/
 ENGINE = "Stable-Baselines3 in one process, or RLlib with environments in processes of their own (PPO alone)"
 
 
 class Train(Configuration):
     """Train an agent with Stable-Baselines3 or RLlib; the folder's best/ is a policy for every other command."""
 
+    STOPPED: ClassVar[str] = "stopped: the same command with --resume goes on from the last checkpoint, if there is one"
     config: str = Field(description=f"a training that ships ({', '.join(config_names())}), or the path of a TOML file")
     seed: int | None = Field(default=None, ge=0, description="seed of networks, arms and exploration; by default the configuration's")
     set: tuple[str, ...] = Field(default=(), description="overrides of the file, such as steps=20_000 options.fidelity=fast")
@@ -29,29 +34,40 @@ class Train(Configuration):
     cluster: str | None = Field(default=None, description='address of a Ray cluster for RLlib, or "auto"; by default one of its own')
 
 
-def run(settings: Train) -> None:
+class Tune(Configuration):
+    """Search for the best parameters of a training or a controller."""
+
+    config: str = Field(description=f"a search that ships ({', '.join(config_names(SEARCH))}), or the path of a TOML file")
+    trials: int | None = Field(default=None, ge=1, description="number of trials of the study, overrides the file")
+    set: tuple[str, ...] = Field(default=(), description="overrides of the file, such as seconds=2.0")
+    workers: int = Field(default=1, ge=1, description="trials side by side")
+    cluster: str | None = Field(default=None, description='address of a Ray cluster that runs them, or "auto"; its machines see the folder')
+    out: str | None = Field(default=None, description="folder for results, which machines may share (default: out/tune/CONFIG)")
+
+
+def run_train(settings: Train) -> None:
     """Train, and say what is done."""
     with ExitStack() as stack:
         with mistakes():
             if settings.engine == "sb3" and (given := {"runners", "cluster"} & settings.model_fields_set):
                 raise ValueError("\n".join(f"--{name} is for --engine rllib" for name in sorted(given)))
             require("agents" if settings.engine == "sb3" else "rllib")
-            from soft_tendon_env.learning import train
             from soft_tendon_env.learning.monitor import TrainingCallback
+            from soft_tendon_env.learning.train import checkpoint_to_resume, learn, model_of
 
             path = find_config(settings.config)
             training = read_training(path, settings.set, **({} if settings.seed is None else {"seed": settings.seed}))
             folder = Path("out", "runs", path.stem, f"seed_{training.seed}") if settings.out is None else Path(settings.out)
-            checkpoint = train.checkpoint_to_resume(folder, training, settings.resume, settings.engine)
+            checkpoint = checkpoint_to_resume(folder, training, settings.resume, settings.engine)
             if settings.engine == "sb3":
-                model = train.model_of(training, checkpoint)
+                model = model_of(training, checkpoint)
                 callback = TrainingCallback(training, writable_folder(folder), checkpoint)
             else:
                 learning = rllib_training(settings, training, folder, checkpoint, stack)
         print(f"{training.algorithm} on {training.task}, {training.steps} steps, seed {training.seed}, into {folder}; {machine()}")
         if settings.resume and checkpoint is None:
             print(f"nothing to resume: {folder} has no checkpoint, the training begins at step 0")
-        train.learn(model, callback) if settings.engine == "sb3" else learning.learn()
+        learn(model, callback) if settings.engine == "sb3" else learning.learn()
 
 
 def rllib_training(settings: Train, training: Training, folder: Path, checkpoint: Path | None, stack: ExitStack) -> Any:
@@ -61,3 +77,38 @@ def rllib_training(settings: Train, training: Training, folder: Path, checkpoint
     make_config(training, settings.runners)
     stack.enter_context(ray_cluster(settings.cluster, settings.runners, f"{settings.runners} runners"))
     return RllibTraining(training, writable_folder(folder), settings.runners, checkpoint)
+
+
+def run_sweep(settings: sweep.Sweep) -> None:
+    """Train, print and draw. Exit status 1 where a run failed."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # `kill` stops the runs too
+    with mistakes():
+        require("agents", "pictures", *(["rllib"] if settings.cluster else []))
+        jobs = [] if settings.only_plot else settings.jobs()
+        writable_folder(Path(settings.out))
+        from soft_tendon_env.learning.curves import show_curves
+
+        errors = run_all(sweep.run_job, jobs, settings.workers, "sweep", cluster=settings.cluster) if jobs else []
+        is_shown = show_curves(settings.folders)
+    failed = [(job.folder, error) for job, error in zip(jobs, errors, strict=True) if error is not None]
+    for folder, text in failed:
+        print(f"\nfailed: {folder}\n{text}", file=sys.stderr)
+    if failed or not is_shown:
+        sys.exit(1)
+
+
+def run_tune(settings: Tune) -> None:
+    """Search, print and write."""
+    with mistakes():
+        require("tuning", *(["rllib"] if settings.cluster else []))
+        from soft_tendon_env.tuning import study
+        from soft_tendon_env.tuning.search import read_search
+
+        path = find_config(settings.config, SEARCH)
+        search = read_search(path, settings.set, **({} if settings.trials is None else {"trials": settings.trials}))
+        folder = writable_folder(Path("out", "tune", path.stem) if settings.out is None else Path(settings.out))
+        work = study.Work(search, folder)
+        study.open_study(work)
+    print(f"{search.trials} trials of {path.stem} into {folder}; {machine()}")
+    with mistakes():
+        study.tune(work, settings.workers, settings.cluster)

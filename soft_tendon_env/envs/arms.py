@@ -54,6 +54,7 @@ class Arms:
         self._models = [model] * rows
         self.ratio = np.ones((rows, n))
         self._changes = np.zeros(rows, dtype=np.int64)  # of each row's arm
+        self._durations = np.full((rows, self.substeps), control.step)  # of the usual commands of a period
         self._no_tape = make_tape(model.arm, 0, 0)
         self._adjoint_memory: list[AdjointMemory] | None = None
 
@@ -71,8 +72,8 @@ class Arms:
         integrator step. A tape of `make_tape` keeps what `adjoint` needs; the motion is the same. begins: False where the first command
         is the last one of the step before."""
         if durations is None:
-            durations = np.empty(command.shape[:2])
-            durations.fill(self._scheme.control.step)
+            is_usual = command.shape[1] == self.substeps
+            durations = self._durations if is_usual else np.full(command.shape[:2], self._scheme.control.step)
         held, kept = np.ascontiguousarray(durations), self._no_tape if tape is None else tape
         if tape is not None:
             tape.material[members] = self._changes[members]

@@ -136,10 +136,10 @@ class Episodes:
         found = {}
         for row in members.tolist() if given else ():
             own, target = given[row], self._usual.target
-            if own.state is not None and not self._simulated:
-                raise ConfigurationError([Problem((), "should have no state: robots begin at rest")], "options")
-            if own.state is not None and not self.options.randomize.numbers:
-                checked_motion(self.model, own.state)
+            if own.state is not None:
+                self._refuse_states_of_robots()
+                if not self.options.randomize.numbers:
+                    checked_motion(self.model, own.state)
             if (wanted := own.goal or own.target) is not None:
                 check_target(wanted, self.task, self.model.scene)
                 target = self._draws.settled(wanted)
@@ -165,6 +165,18 @@ class Episodes:
             if self._sensors is not None:  # after the target, which is the same with and without noise
                 self._sensors.begin(row, int(generator.integers(2**63)))
         self._observe(members)
+
+    def set_state(self, row: int, state: State) -> None:
+        """Put a row into a state, and observe it there, with the noise of this control period. Raises TypeError or ValueError."""
+        self._refuse_states_of_robots()
+        self._put({row: checked_motion(self.arms.model_of(row), state)})
+        self._observe(self._all[:0])
+        if self.history is not None:
+            self.history.correct(self.present, self.step_count, row)
+
+    def _refuse_states_of_robots(self) -> None:
+        if not self._simulated:
+            raise ConfigurationError([Problem((), "should have no state: robots begin at rest")], "options")
 
     def _put(self, motions: dict[int, tuple[Motion, float]]) -> None:
         """Put rows into motions, each with the step [s] to try next."""

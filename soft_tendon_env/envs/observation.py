@@ -96,7 +96,7 @@ def _strain_unit(units: Units) -> Array:
 _twist_unit, _error_unit = _pairs(5.0, 5.0), _pairs(0.5, 0.1)
 
 
-GROUPS: Mapping[str, Group] = {
+GROUPS: dict[str, Group] = {
     "coordinates": Group("generalised coordinates q", lambda o: o.q, lambda u: u.q, of_arm=True),
     "rates": Group("their rates", lambda o: o.q_dot, lambda u: 10.0 * u.q, of_arm=True),
     "tip_position": Group("tip position, world frame", lambda o: o.tip_pose[:, :3, 3], lambda u: u.length, of_arm=True),
@@ -125,7 +125,7 @@ GROUPS: Mapping[str, Group] = {
     "last_action": Group("the last action", lambda o: o.action, bound=1.0, of_arm=True),
     "command": Group("tensions asked for last", lambda o: o.command, lambda u: u.tension, 1.0, of_arm=True),
 }
-"""The groups that every task has, by the name that options use."""
+"""The groups that every task has, by the name that options use; one of your own can be added before environments are made."""
 
 HISTORY = "history"  # the slice of an observation after all groups, if it has a history
 CHANGE = 0.1  # unit of a group's changes in a history, as a share of the group's own
@@ -189,6 +189,10 @@ class History:
         self.frames[moved, 1:] = self.frames[moved, :-1]
         self.frames[moved, 0] = present[moved][:, self._kept]
         self.frames[begun] = present[begun][:, None, self._kept]
+
+    def correct(self, present: NDArray[np.float32], step_count: NDArray[np.int64], row: int) -> None:
+        """Take what is observed now of a row in place of what was observed before in this control period."""
+        self.frames[row, : 1 if step_count[row] else None] = present[row, self._kept]
 
     @property
     def changes(self) -> NDArray[np.float32]:

@@ -17,7 +17,7 @@ from soft_tendon_env.envs.tracking import GoalReward, Weight, weights_of
 from soft_tendon_env.model.state import State
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene, TensionLimits, extrapolation_columns, rod_length, scene_to_dict
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, shown
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, not_registered, shown
 from soft_tendon_env.tools.types import Array, NotNegative, Positive
 
 MOST_AHEAD = 10_000  # control periods by which a preview looks ahead: every row keeps its target for that long
@@ -30,7 +30,7 @@ def _target_by_name(target: Any) -> Any:
     if not isinstance(settings, dict):
         return target
     if (kind := str(settings.get("type"))) not in TARGETS:
-        raise ConfigurationError([Problem(("type",), f"is {shown(settings.get('type'))}: {not_among(kind, TARGETS)}")])
+        raise ConfigurationError([Problem(("type",), f"is {shown(settings.get('type'))}: {not_registered(kind, TARGETS)}")])
     return TARGETS[kind](**settings)
 
 

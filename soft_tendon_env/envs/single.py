@@ -93,7 +93,8 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """One control period. Raises ValueError or TypeError for an action of wrong shape or type or with NaN, before anything changes."""
-        self._refuse("step", self._begun)
+        if self.closed or not self._begun:
+            self._refuse("step", self._begun)
         self.episodes.step(checked_array("action", action, (self.episodes.model.tendon_count,))[None])
         if self._renderer is not None:
             self._renderer.step(ONE)
@@ -105,8 +106,14 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
 
     @property
     def state(self) -> State:
-        """A copy of the arm's state, as `Simulation` has it."""
+        """A copy of the arm's state, as `Simulation` has it. Setting it puts the arm there, in mid-episode too: the target, commands on
+        their way, noise and past observations of the episode stay. Raises TypeError, ValueError where it is not one of this arm."""
         return self.episodes.state(0)
+
+    @state.setter
+    def state(self, state: State) -> None:
+        self._refuse("state", self._begun)
+        self.episodes.set_state(0, state)
 
     def target_at(self, times: ArrayLike) -> TargetSamples:
         """The episode's target at times (m,) [s] from its beginning, past or future."""

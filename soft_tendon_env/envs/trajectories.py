@@ -30,8 +30,11 @@ class TargetTrajectories:
         self._course: list[Course] = [FixedPose(np.eye(4))] * rows  # until they begin
         self._first = np.zeros(rows, dtype=np.int64)  # control period of the course at which the episode begins
         self._until = np.zeros(rows, dtype=np.int64)  # what has been sampled of each, of which the tables hold the last
+        self._periods_left = 0  # in which no row can run out
         sizes = [6, model.coordinate_count, model.tendon_count, 3 * self._stations] if shapes else [6, 0, 0, 0]
         self._sizes, self._borders = sizes, np.cumsum(sizes).tolist()
+        flat = np.empty((rows, len(ahead), 0))
+        self._no_shapes = () if shapes else (flat, flat, np.empty((rows, len(ahead), self._stations, 3)))
         self._table = TargetTable(
             pose=np.tile(np.eye(4), (rows, self._room, 1, 1)),
             other=np.zeros((rows, self._room, self._borders[-1])),  # twist, q, tendon lengths and positions of the stations
@@ -40,11 +43,12 @@ class TargetTrajectories:
 
     def begin(self, row: int, course: Course, first: int = 0) -> None:
         """A new target for a row, from control period `first` of its course on."""
-        self._course[row], self._first[row], self._until[row] = course, first, 0
+        self._course[row], self._first[row], self._until[row], self._periods_left = course, first, 0, 0
 
     def prepare(self, step_count: Indices, members: Indices) -> None:
-        """Sample on, where the rows `members` have run out."""
-        if np.minimum.reduce(self._until - step_count) > self._longest:
+        """Sample on, where the rows `members` have run out, which are a control period on at the most since the last call."""
+        self._periods_left -= 1
+        if self._periods_left > 0:
             return
         due = members[step_count[members] + self._longest >= self._until[members]].tolist()
         times = []
@@ -59,6 +63,7 @@ class TargetTrajectories:
             others = [part[:, :size] for part, size in zip(parts, self._sizes, strict=True)]
             self._table.pose[row, place], self._table.other[row, place] = samples.tip_pose, np.concatenate(others, axis=1)
             self._until[row] += len(own)
+        self._periods_left = int(np.min(self._until - step_count)) - self._longest
 
     def at(self, row: int, times: Array) -> TargetSamples:
         """A row's target at times (m,) [s] from the beginning of its episode."""
@@ -97,7 +102,7 @@ class TargetTrajectories:
         pose, other, error = np.empty((rows, m, 4, 4)), np.empty((rows, m, self._borders[-1])), np.empty((rows, m, 6))
         off = np.empty((2, rows))
         targets_ahead(self._table, step_count, tip_pose, pose, other, error, off)
-        return self._targets(pose, other), error, off
+        return TargetSamples(pose, other, *self._no_shapes) if self._no_shapes else self._targets(pose, other), error, off
 
     def until(self, step_count: Indices, periods: int) -> TargetSamples:
         """The targets (rows, 1 + periods, ..) of now and of the periods ahead. Raises ValueError beyond the longest preview."""

@@ -111,6 +111,11 @@ def not_among(name: str, valid: Iterable[str]) -> str:
     return (f"did you mean {close[0]!r}? " if close else "") + f"valid: {', '.join(valid)}"
 
 
+def not_registered(name: str, valid: Iterable[str]) -> str:
+    """The end of a message about an unknown name of what users can register: as `not_among`, and what to do about one of their own."""
+    return f"{not_among(name, valid)}; to use one of your own, import its module first (on the command line: --import MODULE)"
+
+
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """The tables of a TOML file. Raises ConfigurationError where it cannot be read or is not TOML."""
     try:

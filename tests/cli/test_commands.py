@@ -1,6 +1,5 @@
 """Every command once, at its smallest: what it prints and what it leaves."""
 
-import importlib
 import os
 import subprocess
 import sys
@@ -11,7 +10,7 @@ import pytest
 
 from soft_tendon_env.accuracy import calibration, proper_orthogonal_fields
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
-from soft_tendon_env.cli.main import COMMANDS, register_command
+from soft_tendon_env.cli.main import COMMANDS, register_command, shipped_command
 from soft_tendon_env.compiler.compilation import cache_folder
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.evaluation import demo
@@ -100,7 +99,7 @@ def test_help_has_every_option_with_a_text(command, capsys, monkeypatch, name):
     from soft_tendon_env.cli import options
 
     monkeypatch.setenv("COLUMNS", "300")
-    kind = importlib.import_module(f"soft_tendon_env.cli.{name.replace('-', '_')}").run.__annotations__["settings"]
+    kind = shipped_command(name)[1]
     with pytest.raises(SystemExit, match="0"):
         command(name, "--help")
     printed, texts = " ".join(capsys.readouterr().out.split()), options.descriptions(kind)

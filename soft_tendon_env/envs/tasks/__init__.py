@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from soft_tendon_env.envs.observation import GROUPS, Group
 from soft_tendon_env.envs.targets import TARGETS
 from soft_tendon_env.envs.tracking import OWN_TERMS, TERMS, Term, Tracking, TrackingError, register_reward_term
-from soft_tendon_env.registration import MAX_EPISODE_STEPS, register_environment
-from soft_tendon_env.tools.configuration import not_among
+from soft_tendon_env.registration import MAX_EPISODE_STEPS, register_environment, task_of_file
+from soft_tendon_env.tools.configuration import not_among, not_registered
 
 STATIONS = 20  # places along the backbone at which shapes are compared, the tip the last
 
@@ -95,7 +95,7 @@ def task_of_class(name: str, suffix: str, module: str) -> Task:
     """The registered task of the class `<task><suffix>`. Raises AttributeError, as modules do for what they do not have."""
     task = name.removesuffix(suffix)
     if not name.endswith(suffix) or task not in TASKS:
-        raise AttributeError(f"module {module!r} has no attribute {name!r}; registered tasks: {', '.join(TASKS)}")
+        raise AttributeError(f"module {module!r} has no attribute {name!r}; of tasks, {not_registered(task, TASKS)}")
     return TASKS[task]
 
 
@@ -104,7 +104,9 @@ def __getattr__(name: str) -> Task:
     return task_of_class(name, "", __name__)
 
 
-for _module in pkgutil.iter_modules(__path__):
-    importlib.import_module(f"{__name__}.{_module.name}")
+for _file in pkgutil.iter_modules(__path__):
+    importlib.import_module(f"{__name__}.{_file.name}")
+    if (_task := task_of_file(_file.name)) not in TASKS:  # whose id Gymnasium has from the file's name
+        raise ImportError(f"envs/tasks/{_file.name}.py should register the task {_task!r}, as tip_pose.py does TipPose: rename one")
 
 __all__ = ["STATIONS", "TASKS", "TIP", "Task", "Tracking", "TrackingError", "register_reward_term", "register_task", "task_of_class"]
