@@ -23,8 +23,8 @@ def register_environment(task: str, max_episode_steps: int = MAX_EPISODE_STEPS) 
         registry.pop(id, None)
         register(
             id,
-            entry_point=f"soft_tendon_env.envs.single:{task}Env",
-            vector_entry_point=f"soft_tendon_env.envs.vector:{task}VectorEnv",
+            entry_point=f"soft_tendon_env.envs.environments:{task}Env",
+            vector_entry_point=f"soft_tendon_env.envs.environments:{task}VectorEnv",
             max_episode_steps=max_episode_steps,
         )
 

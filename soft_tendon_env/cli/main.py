@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeVar, get_type_hints
 
 from soft_tendon_env.tools.configuration import not_among
-from soft_tendon_env.tools.extensions import import_extensions
+from soft_tendon_env.tools.parallel import import_extensions
 
 COMMANDS: dict[str, str] = {
     "demo": "controllers and the shipped agent side by side: a table, a picture, a recording",
@@ -32,8 +32,13 @@ COMMANDS: dict[str, str] = {
     "effects": "list the effects that a scene can have, with their parameters and units",
     "doctor": "check the installation: versions, extras, kernel cache, one step of every task of a scene, whose kernels it compiles",
 }
-MODULES = {"evaluate": "compare", "record": "compare", "effects": "scenes", "fields": "accuracy", "sweep": "train", "tune": "train"}
-"""Modules of commands that do not have one of their own name."""
+MODULES = {
+    "play": ("demo", "evaluate", "compare", "arena", "record", "reproduce-paper"),
+    "train": ("train", "sweep", "tune"),
+    "robots": ("export", "run"),
+    "arms": ("fields", "accuracy", "identify"),
+    "scenes": ("scenes", "effects", "doctor"),
+}
 PROGRAM = "soft-tendon"
 IMPORT = "--import"
 STOPPED = "stopped: the same command goes on from what is kept"
@@ -84,8 +89,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def shipped_command(name: str) -> tuple[Callable[[Any], None], Any]:
     """The function of a command that ships, and the class of its options."""
-    name = name.replace("-", "_")
-    run = getattr(importlib.import_module(f"soft_tendon_env.cli.{MODULES.get(name, name)}"), f"run_{name}")
+    module = next(module for module, names in MODULES.items() if name in names)
+    run = getattr(importlib.import_module(f"soft_tendon_env.cli.{module}"), f"run_{name.replace('-', '_')}")
     return run, get_type_hints(run)["settings"]
 
 

@@ -5,20 +5,16 @@ Options that are not given are left to a file, or to the class's defaults. What 
 
 import types
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from copy import deepcopy
-from typing import Annotated, Any, Required, TypedDict, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Literal, Required, TypedDict, TypeVar, get_args, get_origin
 
 import docstring_parser
 import tyro
-from pydantic import Field
 from pydantic.fields import FieldInfo
 
 from soft_tendon_env.cli.errors import Mistake, mistakes
-from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Key, dotted, override, parsed_changes
-from soft_tendon_env.tools.types import GivenLength
 
 Kind = TypeVar("Kind", bound=Configuration)
 Given = Mapping[str, Any]
@@ -29,19 +25,6 @@ SHORTCUTS = {
     "set": "environment's options by dotted keys, values as in TOML: randomize.stiffness=1.1 control_period=0.01",
 }
 """Options in place of a field `options`, the table of an environment's options."""
-
-
-class ArmSettings(Configuration):
-    """The arm that a command is about."""
-
-    scene: str = Field(description="a shipped scene's name, or the path of a TOML file")
-    set: tuple[str, ...] = Field(default=(), description="changes of the scene, such as effects.gravity.acceleration=[0,0,-9.81]")
-
-    def changed_scene(self) -> Scene:
-        """The scene with the changes of --set. Raises ConfigurationError, ValueError."""
-        scene = load_scene(self.scene)
-        with from_set():
-            return scene.replace(parsed_changes(self.set)) if self.set else scene
 
 
 @contextmanager
@@ -65,11 +48,14 @@ def read(command: str, kind: type[Kind], arguments: Sequence[str]) -> Kind:
     given: Given = tyro.cli(_arguments(kind), prog=f"soft-tendon {command}", description=about, args=list(arguments))
     with mistakes():
         file = kind.read_file(given) if hasattr(kind, "read_file") else {}
-        values = {**file, **{name: value for name, value in given.items() if name in kind.model_fields}}
+        values = {**file, **{name: _value(kind.model_fields[name], value) for name, value in given.items() if name in kind.model_fields}}
         if "options" in kind.model_fields:
-            table = deepcopy(values.get("options", {})) | {name: given[name] for name in given if name in SHORTCUTS and name != "set"}
+            chosen = {name: given[name] for name in given if name in SHORTCUTS and name != "set"}
+            changes, table = parsed_changes(given.get("set", ())), deepcopy(values.get("options", {})) | chosen
+            if twice := next((name for name in chosen if name in changes), None):
+                raise ValueError(f"--set has {twice}, and so has --{twice}: give it once")
             with from_set():
-                override(table, parsed_changes(given.get("set", ())))
+                override(table, changes)
             values |= {"options": table} if table else {}
         try:
             return kind(**values)
@@ -82,18 +68,40 @@ def _arguments(kind: type[Configuration]) -> Any:
     table, helps = dict[str, Any](), descriptions(kind)
     for name, field in kind.model_fields.items():
         if name == "options":
-            table |= {key: _option(tuple[str, ...] if key == "set" else str, f"--{key}", text, "") for key, text in SHORTCUTS.items()}
+            table |= {key: _option(None, f"--{key}", text, "", key == "set") for key, text in SHORTCUTS.items()}
         elif not is_table(field):
-            option = _option(_plain(field.annotation), flag(kind, name), helps.get(name, ""), _default(field))
+            option = _option(field, flag(kind, name), helps.get(name, ""), _default(field), _values_of(field)[1])
             table[name] = Required[option] if field.is_required() else option
     return TypedDict(kind.__name__, table, total=False)  # type: ignore[operator]
 
 
-def _option(annotation: Any, flag: str, text: str, default: str) -> Any:
-    if flag.startswith("--"):
-        return Annotated[annotation, tyro.conf.arg(name=flag.removeprefix("--"), help=text, help_behavior_hint=default)]
-    about = tyro.conf.arg(metavar=flag.upper(), help=text, help_behavior_hint=default)
-    return tyro.conf.Positional[Annotated[annotation, about]]  # type: ignore[misc]
+def _option(field: FieldInfo | None, flag: str, text: str, default: str, several: bool) -> Any:
+    """An option, or an argument without dashes. All but switches come as texts, of which `_value` makes numbers."""
+    kind = str if field is None else _values_of(field)[0]
+    shown = {int: "INT", float: "FLOAT"}.get(kind, "{" + ",".join(map(str, get_args(kind))) + "}" if get_origin(kind) is Literal else "STR")
+    annotation: Any = bool if kind is bool else tuple[str, ...] if several else str
+    if not flag.startswith("--"):
+        about = tyro.conf.arg(metavar=flag.upper(), help=text, help_behavior_hint=default)
+        return tyro.conf.Positional[Annotated[annotation, about]]
+    metavar = None if kind is bool else f"[{shown} [{shown} ...]]" if several else shown
+    return Annotated[annotation, tyro.conf.arg(name=flag.removeprefix("--"), metavar=metavar, help=text, help_behavior_hint=default)]
+
+
+def _value(field: FieldInfo, given: Any) -> Any:
+    """The value of an option, with texts that are numbers as such, unless it is of texts; the class itself refuses others."""
+    if isinstance(given, tuple):
+        return tuple(_value(field, text) for text in given)
+    for number in (int, float) if isinstance(given, str) and _values_of(field)[0] is not str else ():
+        with suppress(ValueError):
+            return number(given)
+    return given
+
+
+def _values_of(field: FieldInfo) -> tuple[Any, bool]:
+    """Type of the values of an option, without None and bounds, and whether it takes several."""
+    choices = get_args(field.annotation)
+    kind = choices[0] if choices[1:] in ((types.NoneType,), (...,)) else field.annotation
+    return (get_args(kind)[0] if get_origin(kind) is Annotated else kind), choices[1:] == (...,)
 
 
 def _as_given(kind: type[Configuration], key: Key, given: Given) -> str:
@@ -123,13 +131,6 @@ def is_table(field: FieldInfo) -> bool:
     """Whether a field is a table or an array of tables, which has no option."""
     members = get_args(field.annotation)[:1]
     return get_origin(field.annotation) is dict or any(isinstance(kind, type) and issubclass(kind, Configuration) for kind in members)
-
-
-def _plain(annotation: Any) -> Any:
-    """Type of an option that may be left out: without None, and a text in place of a length with its unit."""
-    choices = get_args(annotation)
-    plain = choices[0] if choices[1:] == (types.NoneType,) else annotation
-    return str if plain == GivenLength else plain
 
 
 def _default(field: FieldInfo) -> str:

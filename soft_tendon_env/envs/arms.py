@@ -78,7 +78,7 @@ class Arms:
         if tape is not None:
             tape.material[members] = self._changes[members]
         own, scheme = self._batch, self._scheme if begins else self._goes_on
-        self.share(lambda part, scratch: batch.step_rows(own, scheme, part, command, held, scratch, kept), members, HEAD_START)
+        self.map_rows(lambda part, scratch: batch.step_rows(own, scheme, part, command, held, scratch, kept), members, HEAD_START)
 
     def make_tape(self, parts: int = 1) -> Tape:
         """A tape for `step`, of one period with so many parts: commands that follow on one another within it."""
@@ -114,7 +114,7 @@ class Arms:
             self._adjoint_memory = [make_adjoint_memory(self.model.arm, rate) for _ in range(self.threads)]
         memories = {id(scratch): memory for scratch, memory in zip(self._scratch, self._adjoint_memory, strict=True)}
         own = self._batch, self._scheme, tape
-        self.share(lambda part, scratch: adjoint_rows(*own, part, cotangents, scratch, memories[id(scratch)]), members, HEAD_START)
+        self.map_rows(lambda part, scratch: adjoint_rows(*own, part, cotangents, scratch, memories[id(scratch)]), members, HEAD_START)
         failed = members[cotangents.status[members] != OK]
         if failed.size:
             cause = MESSAGES[int(cotangents.status[failed[0]])]
@@ -127,9 +127,9 @@ class Arms:
             held = np.broadcast_to(0.0 if tension is None else tension, (members.size, self.model.tendon_count))
             commands[members] = [self._models[row].command(*own) for row, *own in zip(members.tolist(), held, q, strict=True)]
         self.rows.q[members], self.rows.q_dot[members], self.rows.step[members] = q, 0.0, self._scheme.control.step
-        self.share(lambda part, scratch: batch.place_rows(self._batch, part, commands, scratch.work), members)
+        self.map_rows(lambda part, scratch: batch.place_rows(self._batch, part, commands, scratch.work), members)
 
-    def share(self, work: Callable[[Indices, Scratch], None], members: Indices, head_start: int = 0) -> None:
+    def map_rows(self, work: Callable[[Indices, Scratch], None], members: Indices, head_start: int = 0) -> None:
         """Split the rows among the threads; this one takes `head_start` more, which it does while the others wake up."""
         if self.threads == 1 or members.size < self.threads + head_start:
             work(members, self._scratch[0])
@@ -153,13 +153,13 @@ class Arms:
         arm, where = self.model.arm, self.places if places is None else places
         q, q_dot = np.ascontiguousarray(q), np.ascontiguousarray(q_dot)  # kernels are compiled for such
         reading, good = batch.make_reading(arm, where, len(q)), np.zeros(len(q), dtype=bool)
-        self.share(lambda part, scratch: batch.read_samples(arm, where, q, q_dot, part, scratch.work, reading, good), np.arange(len(q)))
+        self.map_rows(lambda part, scratch: batch.read_samples(arm, where, q, q_dot, part, scratch.work, reading, good), np.arange(len(q)))
         return reading, good
 
-    def are_firm(self, q: Array) -> NDArray[np.bool_]:
+    def have_margin(self, q: Array) -> NDArray[np.bool_]:
         """Whether the scene's arm has firm strains, see mechanics.strain, at coordinates q (samples, n): (samples,)."""
         q, firm = np.ascontiguousarray(q), np.zeros(len(q), dtype=bool)
-        self.share(lambda part, scratch: batch.are_firm(self.model.arm, q, part, scratch.work, firm), np.arange(len(q)))
+        self.map_rows(lambda part, scratch: batch.are_firm(self.model.arm, q, part, scratch.work, firm), np.arange(len(q)))
         return firm
 
     def set_model(self, row: int, model: Model) -> None:

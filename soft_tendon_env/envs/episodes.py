@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.envs.actuation import Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
-from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, stress_free_strain, units_of
+from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, Units, stress_free_strain
 from soft_tendon_env.envs.options import (
     GOAL_BOUND,
     Options,
@@ -88,7 +88,7 @@ class Episodes:
         self.step_count: Indices = np.zeros(rows, dtype=np.int64)
         self.errors = {error.name: np.full(rows, np.nan) for error in task.errors}
         self.diverged, self.terms = np.zeros(rows, dtype=bool), dict[str, Array]()
-        self.target, error, _ = self._courses.now_and_ahead(self.step_count, reading.tip_pose)
+        self.target, error, _ = self.trajectories.now_and_ahead(self.step_count, reading.tip_pose)
         self.observed = self._seen(reading, error)
         self.history = History(rows, options.history, self.layout.kept) if options.history else None
 
@@ -96,11 +96,11 @@ class Episodes:
         """Make what episodes begin with: starts and targets."""
         ahead = [0, *(round(time / self.period) for time in options.preview)]
         self.ahead = self.period * np.array(ahead, dtype=np.float64)
-        self._courses = TargetTrajectories(self.arms, self.period, ahead, task.shapes)
+        self.trajectories = TargetTrajectories(self.arms, self.period, ahead, task.shapes)
         self.starts = starts = Starts(options, self.arms)
         self.limits, self.start_tension, self.start_command = starts.limits, starts.tension, starts.command
         self.threshold = THRESHOLD * self.model.length if options.threshold is None else options.threshold
-        self._draws = TargetDraws(starts.setting, self._courses, self.period, self.threshold if task.goal else 0.0)
+        self._draws = TargetDraws(starts.setting, self.trajectories, self.period, self.threshold if task.goal else 0.0)
         self._usual = Beginning(self._draws.settled(options.target or TARGETS[task.target](type=task.target)))
         if self.size >= MANY and self.model.scene.effects.contact is None:  # among obstacles a motion can take seconds
             self._draws.fill_bank(self._usual.target)
@@ -122,8 +122,8 @@ class Episodes:
     @cached_property
     def layout(self) -> Layout:
         """The layout of observations."""
-        groups = groups_of(self.options, self.task)
-        return Layout(groups, units_of(self.model, self._strongest), self.observed, self.options.history)
+        units = Units(self.model.length, self.model.coordinate_scale(), self._strongest)
+        return Layout(groups_of(self.options, self.task), units, self.observed, self.options.history)
 
     def __getstate__(self) -> dict[str, Any]:
         """All but what is found again, whose functions have no names. Raises TypeError."""
@@ -215,9 +215,9 @@ class Episodes:
 
     def _observe(self, members: Indices) -> None:
         """Compare the arms with their targets, after the rows `members` moved on."""
-        self._courses.prepare(self.step_count, members)
+        self.trajectories.prepare(self.step_count, members)
         reading = self.arms.reading
-        self.target, error, off = self._courses.now_and_ahead(self.step_count, reading.tip_pose)
+        self.target, error, off = self.trajectories.now_and_ahead(self.step_count, reading.tip_pose)
         measured: Reading | Measured = reading
         measured_error = error
         if self._sensors is not None:
@@ -249,13 +249,9 @@ class Episodes:
         """Rewards (...) of goals (..., 3) [m]. Raises ValueError for goals of other shapes."""
         return goal_reward(goal_distance(achieved, desired), self.options.reward == "dense", self.threshold)
 
-    def target_at(self, row: int, times: Array) -> TargetSamples:
-        """A row's target at times (m,) [s] from the beginning of its episode."""
-        return self._courses.at(row, times)
-
     def target_ahead(self, periods: int) -> TargetSamples:
         """The targets of all rows (rows, 1 + periods, ..) now and in the periods ahead. Raises ValueError beyond the longest preview."""
-        return self._courses.until(self.step_count, periods)
+        return self.trajectories.until(self.step_count, periods)
 
     @property
     def target_pose(self) -> Array:

@@ -16,7 +16,6 @@ from soft_tendon_env.envs.kernels import scale_and_clip
 from soft_tendon_env.envs.randomization import Measured
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.mechanics.motion.batch import Reading
-from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene, segment_index
 from soft_tendon_env.tools.types import Array
 
@@ -199,11 +198,6 @@ class History:
         """Past less present, a new array (rows, periods * m), the latest period first."""
         changes = (self.frames[:, 1:] - self.frames[:, :1]) / np.float32(CHANGE)
         return changes.reshape(len(changes), -1)
-
-
-def units_of(model: Model, tension: Array) -> Units:
-    """The units of a model, for tensions up to `tension` (n_a,) [N]."""
-    return Units(model.length, model.coordinate_scale(), tension)
 
 
 def stress_free_strain(scene: Scene, arc_length: Array) -> Array:

@@ -163,11 +163,6 @@ class TrackingError:
     value: Callable[[Tracking], Array]
     of_length: bool = False
 
-    @property
-    def as_term(self) -> Term:
-        """The reward term that falls with it."""
-        return Term(self.name, self.scale, self.of_length)
-
 
 def norm(vectors: Array) -> Array:
     """Euclidean norms (...) of vectors (..., k)."""

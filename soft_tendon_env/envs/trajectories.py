@@ -55,7 +55,7 @@ class TargetTrajectories:
         for row in due:
             start, count = self._until[row], CHUNK if self._until[row] else FIRST_CHUNK + self._longest
             times.append(self._first[row] + np.arange(start, start + count))
-        sampled = self._sampled([self._course[row] for row in due], [self._period * own for own in times])
+        sampled = self.sample([self._course[row] for row in due], [self._period * own for own in times])
         for row, own, samples in zip(due, times, sampled, strict=True):
             place = (own - self._first[row]) % self._room
             positions = samples.backbone[..., :3, 3].reshape(len(own), -1)
@@ -67,13 +67,9 @@ class TargetTrajectories:
 
     def at(self, row: int, times: Array) -> TargetSamples:
         """A row's target at times (m,) [s] from the beginning of its episode."""
-        return self._sampled([self._course[row]], [times + self._period * self._first[row]])[0]
+        return self.sample([self._course[row]], [times + self._period * self._first[row]])[0]
 
-    def tip_position(self, course: Course, time: float) -> Array:
-        """Tip position (3,) [m] of a course at a time [s]."""
-        return self._sampled([course], [np.array([time])])[0].tip_pose[0, :3, 3]
-
-    def _sampled(self, courses: list[Course], times: list[Array]) -> list[TargetSamples]:
+    def sample(self, courses: list[Course], times: list[Array]) -> list[TargetSamples]:
         """Every course at its times (m,); coordinates are pushed through the kinematics all together. Raises StrainLimitError."""
         found = {i: course.sample(times[i]) for i, course in enumerate(courses) if isinstance(course, PoseCourse)}
         motions = {i: course.coordinates(times[i]) for i, course in enumerate(courses) if not isinstance(course, PoseCourse)}
@@ -174,4 +170,5 @@ class TargetDraws:
 
     def _distance(self, course: Course, first: int, tip: Array) -> float:
         """Distance [m] from the tip (3,) to where a course begins, as it is observed."""
-        return float(np.linalg.norm(self._trajectories.tip_position(course, self._period * first).astype(np.float32) - tip))
+        start = self._trajectories.sample([course], [np.array([self._period * first])])[0].tip_pose[0, :3, 3]
+        return float(np.linalg.norm(start.astype(np.float32) - tip))

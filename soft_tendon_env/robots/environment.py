@@ -13,8 +13,8 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import ArrayLike
 
+from soft_tendon_env.envs.environments import TendonRodEnv
 from soft_tendon_env.envs.episodes import episodes_of
-from soft_tendon_env.envs.single import TendonRodEnv
 from soft_tendon_env.evaluation.play import play_steps
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.robots.clock import Timing

@@ -9,7 +9,7 @@ import numpy as np
 
 from soft_tendon_env.tools.checks import checked_array, checked_number
 from soft_tendon_env.tools.configuration import shown
-from soft_tendon_env.tools.extensions import look_in_this_folder
+from soft_tendon_env.tools.parallel import look_in_this_folder
 from soft_tendon_env.tools.types import Array
 
 Unit = Literal["N", "m"]

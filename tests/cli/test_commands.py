@@ -15,7 +15,7 @@ from soft_tendon_env.compiler.compilation import cache_folder
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.evaluation import demo
 from soft_tendon_env.scene.file import SHIPPED
-from soft_tendon_env.tools import user_cache
+from soft_tendon_env.tools import files
 
 ARM = ("--scene", "three_tendon", "--fidelity", "fast")
 SHORT = ("--seconds", "0.2", "--skip", "0.1")
@@ -63,7 +63,7 @@ def small(monkeypatch, tmp_path):
 
     monkeypatch.chdir(tmp_path)
     cache_folder()  # of kernels, which stays as it is
-    monkeypatch.setattr(user_cache, "cache_parents", lambda: [tmp_path / "cache"])
+    monkeypatch.setattr(files, "cache_parents", lambda: [tmp_path / "cache"])
     for name, value in (("RUNS", 1), ("TESTS", 1), ("COUNTS", (0, 3))):
         monkeypatch.setattr(proper_orthogonal_fields, name, value)
     monkeypatch.setattr(calibration, "usual_inputs", lambda scene: [motion_tensions(scene, "redrawn", 0, 0.2)])

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from soft_tendon_env.cli import arena
+from soft_tendon_env.cli import play
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.evaluation.benchmark import TARGET, Benchmark, misfit
@@ -159,7 +159,7 @@ def test_policies_are_left_out_where_they_cannot_play(tmp_path):
 def test_the_published_comparison_can_be_played(monkeypatch):
     """Who is left out has no files, or observes too much."""
     monkeypatch.chdir(ROOT)
-    published = arena.Arena(**arena.Arena.read_file({}))
+    published = play.Arena(**play.Arena.read_file({}))
     cells, notes = published.cells()
     assert {"printed law", "MPC, filter for exact sensors", "MPC, told", "DAgger"} <= {label.policy for label in cells}
     assert published.episodes == 100 and {cell.seconds for cell in cells.values()} == {4.0}

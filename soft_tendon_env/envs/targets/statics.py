@@ -121,7 +121,7 @@ class StaticCourse(ShapeCourse):
         self._added = None if rests_at_tensions(setting.model) else self._loaded(setting)
         pulls = margin > 1.0 and setting.limits.min() >= 0.0  # so that there is a strain, and one alone, between knots too
         places = tension.knots if pulls else self.places
-        if not (firm := setting.arms.are_firm(margin * self.coordinates(places)[0])).all():
+        if not (firm := setting.arms.have_margin(margin * self.coordinates(places)[0])).all():
             raise NoEquilibrium(tension(places[~firm][:1])[0][0], "the section is about to give way")
 
     @property

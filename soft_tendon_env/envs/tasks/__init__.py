@@ -53,7 +53,7 @@ class Task:
     @property
     def terms(self) -> dict[str, Term]:
         """The reward terms that the task has, by name."""
-        return {**OWN_TERMS, **{error.term: error.as_term for error in self.errors}, **TERMS}
+        return {**OWN_TERMS, **{error.term: Term(error.name, error.scale, error.of_length) for error in self.errors}, **TERMS}
 
     @property
     def observable(self) -> dict[str, Group]:

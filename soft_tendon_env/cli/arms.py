@@ -1,7 +1,5 @@
-"""`soft-tendon accuracy`: what accuracy costs in time on an arm, against full physics, and the cheapest setting for a tolerance.
-
-`soft-tendon fields`: an arm's own passive strain fields, from snapshots of full physics (proper orthogonal decomposition).
-"""
+"""`soft-tendon accuracy`: what accuracy costs in time on an arm, against full physics, and the cheapest setting for a tolerance. `fields`:
+passive strain fields of an arm from snapshots of full physics (POD). `identify`: its parameters from measured marker positions."""
 
 from pathlib import Path
 from typing import Any
@@ -15,16 +13,32 @@ from soft_tendon_env.accuracy.proper_orthogonal_fields import KINDS, fields_path
 from soft_tendon_env.accuracy.settings import Setting
 from soft_tendon_env.accuracy.test_inputs import USUAL
 from soft_tendon_env.cli.errors import is_installed, mistakes, writable_folder
-from soft_tendon_env.cli.options import ArmSettings
+from soft_tendon_env.cli.options import from_set
 from soft_tendon_env.cli.scenes import coordinate_count
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.tables import markdown_table, number, write_csv
-from soft_tendon_env.scene.file import save_scene
+from soft_tendon_env.identification.identify import FIDELITY, identify, save_estimate, summary
+from soft_tendon_env.identification.recordings import SHARE
+from soft_tendon_env.scene.file import load_scene, save_scene
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields
 from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.tools.configuration import Configuration, parsed_changes
 from soft_tendon_env.tools.types import GivenLength, length_text
 
 HEADER = ("strain field", "coordinates", "intervals", "tolerance [um]", "evaluations", "CPU [ms]", "model [ms]", "tip [mm]")
+
+
+class ArmSettings(Configuration):
+    """The arm that a command is about."""
+
+    scene: str = Field(description="a shipped scene's name, or the path of a TOML file")
+    set: tuple[str, ...] = Field(default=(), description="changes of the scene, such as effects.gravity.acceleration=[0,0,-9.81]")
+
+    def changed_scene(self) -> Scene:
+        """The scene with the changes of --set. Raises ConfigurationError, ValueError."""
+        scene = load_scene(self.scene)
+        with from_set():
+            return scene.replace(parsed_changes(self.set)) if self.set else scene
 
 
 class Accuracy(ArmSettings):
@@ -119,3 +133,31 @@ def report(scene: Scene, fields: PassiveFields, own: int) -> str:
         rows.append((str(own + count), str(count), f"{fields.singular_values[count - 1]:.2g}" if count else "-", *errors))
     intro = f"{scene.name}, digest {fields.digest}. Errors: largest distance of the tip from full physics on other motions."
     return f"{intro}\n\n{markdown_table(('coordinates', 'fields', 'singular value', *(f'{kind} [mm]' for kind in KINDS)), rows)}"
+
+
+DATA = "CSV files: a row a hold (hold, tension_i or displacement_i, MARKER_x, MARKER_y, MARKER_z) or, with time, a sample of a motion"
+KEYS = "keys such as segments.*.young_modulus or markers.*.offset; KEY=LOW..HIGH with bounds"
+HELD_OUT = "held-out recordings that judge the fit: a share, 0 for none, or a column that marks them"
+
+
+class Identify(ArmSettings):
+    """Identify an arm from measured marker positions: parameters of its scene by least squares, judged on held-out data."""
+
+    data: tuple[str, ...] = Field(min_length=1, description=DATA)
+    markers: str = Field(description="TOML file: markers' places on the arm, frame and columns", json_schema_extra={"flag": "--markers"})
+    parameters: tuple[str, ...] = Field(min_length=1, description=KEYS, json_schema_extra={"flag": "--parameters"})
+    held_out: str = Field(default=SHARE, description=HELD_OUT)
+    noise: GivenLength | None = Field(default=None, description="standard deviation of a marker's coordinate, such as 0.5mm")
+    fidelity: str = Field(default=FIDELITY, description="of the fitted model: fast, standard, fine, scene or a length such as 1mm")
+    out: str = Field(default="out/identified", description="folder for scene.toml, markers.toml and estimate.json")
+
+
+def run_identify(settings: Identify) -> None:
+    """Identify, print and write."""
+    with mistakes():
+        scene, out = settings.changed_scene(), writable_folder(Path(settings.out))
+        options = {name: getattr(settings, name) for name in ("held_out", "fidelity", "noise")}
+        found = identify(scene, settings.data, settings.markers, settings.parameters, **options)
+    print(summary(found))
+    for path in save_estimate(found, out):
+        print(f"written: {path}")
