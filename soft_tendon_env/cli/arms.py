@@ -78,8 +78,8 @@ def run_accuracy(settings: Accuracy) -> None:
     records = [record(*cost) for cost in costs]
     bar = number(1e3 * max(filter(np.isfinite, found.reference.tip_errors), default=np.nan))
     print(f"{scene.name}: largest distance from full physics on {len(inputs)} motions, per simulated second; {machine()}.")
-    values = [[*row.values()] for row in records]
-    cells = [[*map(str, own[:3]), f"{1e6 * own[3]:.3g}", f"{own[4]:.0f}", *(number(1e3 * value) for value in own[5:])] for own in values]
+    rows = [[*row.values()] for row in records]
+    cells = [[*map(str, row[:3]), f"{1e6 * row[3]:.3g}", f"{row[4]:.0f}", *(number(1e3 * value) for value in row[5:])] for row in rows]
     print(f"Error bar of the reference: {bar} mm at the tip.\n\n{markdown_table(HEADER, cells)}\n")
     write_csv(out / f"{scene.name}.csv", records)
     if is_installed("pictures"):
@@ -125,12 +125,12 @@ def run_fields(settings: Fields) -> None:
         print(f"\n{'no number of fields is enough' if count is None else f'In the scene, under [strain]: {entry}'}")
 
 
-def report(scene: Scene, fields: PassiveFields, own: int) -> str:
-    """Table of the errors by number of fields; the arm has `own` coordinates without any."""
+def report(scene: Scene, fields: PassiveFields, bare: int) -> str:
+    """Table of the errors by number of fields; the arm has `bare` coordinates without any."""
     rows = []
     for i, count in enumerate(np.array(fields.errors["fields"], dtype=int)):
         errors = [number(1e3 * fields.errors[kind][i]) for kind in KINDS]
-        rows.append((str(own + count), str(count), f"{fields.singular_values[count - 1]:.2g}" if count else "-", *errors))
+        rows.append((str(bare + count), str(count), f"{fields.singular_values[count - 1]:.2g}" if count else "-", *errors))
     intro = f"{scene.name}, digest {fields.digest}. Errors: largest distance of the tip from full physics on other motions."
     return f"{intro}\n\n{markdown_table(('coordinates', 'fields', 'singular value', *(f'{kind} [mm]' for kind in KINDS)), rows)}"
 

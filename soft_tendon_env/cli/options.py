@@ -18,13 +18,12 @@ from soft_tendon_env.tools.configuration import Configuration, ConfigurationErro
 
 Kind = TypeVar("Kind", bound=Configuration)
 Given = Mapping[str, Any]
-SHORTCUTS = {
+SHORTCUTS = {  # options in place of a field `options`, the table of an environment's options
     "scene": "environment's scene: a shipped scene's name, or the path of a TOML file",
     "fidelity": "environment's fidelity: fast, standard, fine, scene or a length such as 1mm",
     "target": "environment's target: random, hold, circle or ramp; by default the task's",
     "set": "environment's options by dotted keys, values as in TOML: randomize.stiffness=1.1 control_period=0.01",
 }
-"""Options in place of a field `options`, the table of an environment's options."""
 
 
 @contextmanager
@@ -37,10 +36,8 @@ def from_set() -> Iterator[None]:
 
 
 def read(command: str, kind: type[Kind], arguments: Sequence[str]) -> Kind:
-    """The configuration that a command line says; `kind.read_file`, if there is one, reads values that the options given override.
-
-    Ends the process with help, or with status 2 where tyro refuses the arguments. Raises Mistake.
-    """
+    """The configuration that a command line says; `kind.read_file`, if there is one, reads values that the options given override. Ends
+    the process with help, or with status 2 where tyro refuses the arguments. Raises Mistake."""
     names = [word.partition("=")[0] for word in arguments if word.startswith("--")]
     if twice := next((name for name in names if names.count(name) > 1), None):  # of which tyro would take the last alone
         raise Mistake(f"{twice} is given twice: give it once, with all its values behind it")
@@ -48,7 +45,8 @@ def read(command: str, kind: type[Kind], arguments: Sequence[str]) -> Kind:
     given: Given = tyro.cli(_arguments(kind), prog=f"soft-tendon {command}", description=about, args=list(arguments))
     with mistakes():
         file = kind.read_file(given) if hasattr(kind, "read_file") else {}
-        values = {**file, **{name: _value(kind.model_fields[name], value) for name, value in given.items() if name in kind.model_fields}}
+        fields = {name: field for name, field in kind.model_fields.items() if name in given}
+        values = {**file, **{name: _value(_values_of(field)[0], given[name]) for name, field in fields.items()}}
         if "options" in kind.model_fields:
             chosen = {name: given[name] for name in given if name in SHORTCUTS and name != "set"}
             changes, table = parsed_changes(given.get("set", ())), deepcopy(values.get("options", {})) | chosen
@@ -68,30 +66,29 @@ def _arguments(kind: type[Configuration]) -> Any:
     table, helps = dict[str, Any](), descriptions(kind)
     for name, field in kind.model_fields.items():
         if name == "options":
-            table |= {key: _option(None, f"--{key}", text, "", key == "set") for key, text in SHORTCUTS.items()}
+            table |= {key: _option(str, key == "set", f"--{key}", text, "") for key, text in SHORTCUTS.items()}
         elif not is_table(field):
-            option = _option(field, flag(kind, name), helps.get(name, ""), _default(field), _values_of(field)[1])
+            option = _option(*_values_of(field), flag(kind, name), helps.get(name, ""), _default(field))
             table[name] = Required[option] if field.is_required() else option
     return TypedDict(kind.__name__, table, total=False)  # type: ignore[operator]
 
 
-def _option(field: FieldInfo | None, flag: str, text: str, default: str, several: bool) -> Any:
+def _option(kind: Any, several: bool, flag: str, text: str, default: str) -> Any:
     """An option, or an argument without dashes. All but switches come as texts, of which `_value` makes numbers."""
-    kind = str if field is None else _values_of(field)[0]
-    shown = {int: "INT", float: "FLOAT"}.get(kind, "{" + ",".join(map(str, get_args(kind))) + "}" if get_origin(kind) is Literal else "STR")
     annotation: Any = bool if kind is bool else tuple[str, ...] if several else str
     if not flag.startswith("--"):
         about = tyro.conf.arg(metavar=flag.upper(), help=text, help_behavior_hint=default)
         return tyro.conf.Positional[Annotated[annotation, about]]
+    shown = "{" + ",".join(map(str, get_args(kind))) + "}" if get_origin(kind) is Literal else kind.__name__.upper()
     metavar = None if kind is bool else f"[{shown} [{shown} ...]]" if several else shown
     return Annotated[annotation, tyro.conf.arg(name=flag.removeprefix("--"), metavar=metavar, help=text, help_behavior_hint=default)]
 
 
-def _value(field: FieldInfo, given: Any) -> Any:
+def _value(kind: Any, given: Any) -> Any:
     """The value of an option, with texts that are numbers as such, unless it is of texts; the class itself refuses others."""
     if isinstance(given, tuple):
-        return tuple(_value(field, text) for text in given)
-    for number in (int, float) if isinstance(given, str) and _values_of(field)[0] is not str else ():
+        return tuple(_value(kind, text) for text in given)
+    for number in (int, float) if isinstance(given, str) and kind is not str else ():
         with suppress(ValueError):
             return number(given)
     return given

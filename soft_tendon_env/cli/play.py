@@ -21,7 +21,7 @@ from soft_tendon_env.evaluation.summaries import summarise
 from soft_tendon_env.policies.names import Agent, PolicyName
 from soft_tendon_env.recording import RerunFile
 from soft_tendon_env.tools.configuration import Configuration, read_toml
-from soft_tendon_env.tools.files import configs_folder
+from soft_tendon_env.tools.files import CONFIGS
 from soft_tendon_env.tools.parallel import check_cluster
 
 CONFIG = "TOML file with the keys of Comparison, such as configs/compare.toml, which other options override"
@@ -70,8 +70,7 @@ def run_evaluate(settings: Evaluate) -> None:
 def run_compare(settings: Compare) -> None:
     """Compare, print and write, task by task."""
     with mistakes():
-        markers = [f"compare {task}" for task in settings.tasks]
-        page = Page(settings.write_docs, markers)
+        page = Page(settings.write_docs, [f"compare {task}" for task in settings.tasks])
     for task, text in play(settings, settings.tasks, settings.policies, settings.out).items():
         page.write(f"compare {task}", text)
 
@@ -109,7 +108,7 @@ def run_record(settings: Record) -> None:
     with mistakes():
         require("recording")
         arms = comparison.shared_arms(settings, task, every_file(agents_of(task, settings.policies)))
-        cells = {name: comparison.make_cell(settings, settings.seeds, task, name, own, NOMINAL) for name, own in arms.items()}
+        cells = {name: comparison.make_cell(settings, settings.seeds, task, name, arm, NOMINAL) for name, arm in arms.items()}
         players = {name: comparison.alone(cell).open() for name, cell in cells.items()}
         comparison.print_caveats(settings, {task: arms})
         file = RerunFile(out)
@@ -133,7 +132,7 @@ class Arena(Benchmark):
     def read_file(given: Mapping[str, Any]) -> dict[str, Any]:
         """Tables of the file of --config, checked, with the entrants of --policies in place of its own. Raises ConfigurationError."""
         path = Path(given.get("config", "published"))
-        shipped = configs_folder() / f"{path}.toml"
+        shipped = CONFIGS / f"{path}.toml"
         path = path if path.exists() or not shipped.exists() else shipped
         table = {**read_toml(path), **({"entrants": [{"policy": policy} for policy in given["policies"]]} if "policies" in given else {})}
         Benchmark.parse(table, str(path))
@@ -187,10 +186,10 @@ def run_demo(settings: Demo) -> None:
         agents = {name: Agent(policy, demo.TASK).training for policy, name in settings.policies.items() if policy not in known}
     described = {name: agents.get(name) or known[policy].description for policy, name in settings.policies.items()}
     print("\n".join(f"{name:<24} {text}" for name, text in described.items()), "\n")
-    tables = demo.run_demo(settings, file, out)
-    print(f"{tables}\n\n{demo.NOTES}\n")
+    shown = demo.run_demo(settings, file, out)
+    print(f"{shown}\n\n{demo.NOTES}\n")
     trained = "; ".join(f"{name}: {text}" for name, text in agents.items())
-    page.write("demo", f"Episodes of {settings.seconds:g} s. {trained}.\n\n{tables}\n\n{demo.NOTES}")
+    page.write("demo", f"Episodes of {settings.seconds:g} s. {trained}.\n\n{shown}\n\n{demo.NOTES}")
     print(comparison.opening_hint(out / "demo.rrd"))
 
 

@@ -25,7 +25,6 @@ from soft_tendon_env.tools.configuration import Configuration, not_registered
 from soft_tendon_env.tools.files import read_text
 from soft_tendon_env.tools.messages import first_line
 
-INTERVALS = 6  # of a piece of the rod: how many coordinates there are does not depend on them
 NAME = "a scene that ships, or the path of a TOML file; by default a table of those that ship"
 
 
@@ -55,7 +54,7 @@ def run_scenes(settings: Scenes) -> None:
 
 def coordinate_count(scene: Scene) -> int:
     """How many coordinates the strain of a scene has."""
-    return make_strain(scene, make_grid(scene, INTERVALS)).size
+    return make_strain(scene, make_grid(scene, 6)).size  # it does not depend on the intervals
 
 
 def run_effects(settings: Effects) -> None:
@@ -78,10 +77,7 @@ def describe_effect(name: str, effect: type[Effect]) -> str:
 
 
 class Doctor(Configuration):
-    """Check the installation: versions, extras, kernel cache, and one step of every task. Exit status 1 if something is broken.
-
-    The steps compile what the scene needs, so that its first use need not wait.
-    """
+    """Check versions, extras, kernel cache and a step of every task, which compiles its kernels. Exit status 1 if something is broken."""
 
     scene: str = Field(default="paper", description="a shipped scene's name, or the path of a TOML file")
 

@@ -6,10 +6,8 @@ Every registered task has the classes `<name>Env` and `<name>VectorEnv` in envir
 from soft_tendon_env.envs.environments import TendonRodEnv, TendonRodVectorEnv, environment_class, vector_environment_class
 from soft_tendon_env.envs.options import Options, ResetOptions
 from soft_tendon_env.envs.targets import TARGETS, Target, register_target
-from soft_tendon_env.envs.tasks import TASKS, Task, register_reward_term, register_task
-from soft_tendon_env.envs.tasks.reach import REACH
-from soft_tendon_env.envs.tasks.shape import SHAPE
-from soft_tendon_env.envs.tasks.tip_pose import TIP_POSE
+from soft_tendon_env.envs.tasks import REACH, SHAPE, TASKS, TIP_POSE, Task, register_task
+from soft_tendon_env.envs.tracking import register_reward_term
 from soft_tendon_env.registration import IDS
 
 TipPoseEnv, TipPoseVectorEnv = environment_class(TIP_POSE), vector_environment_class(TIP_POSE)

@@ -77,8 +77,8 @@ class Arms:
         held, kept = np.ascontiguousarray(durations), self._no_tape if tape is None else tape
         if tape is not None:
             tape.material[members] = self._changes[members]
-        own, scheme = self._batch, self._scheme if begins else self._goes_on
-        self.map_rows(lambda part, scratch: batch.step_rows(own, scheme, part, command, held, scratch, kept), members, HEAD_START)
+        rows, scheme = self._batch, self._scheme if begins else self._goes_on
+        self.map_rows(lambda part, scratch: batch.step_rows(rows, scheme, part, command, held, scratch, kept), members, HEAD_START)
 
     def make_tape(self, parts: int = 1) -> Tape:
         """A tape for `step`, of one period with so many parts: commands that follow on one another within it."""
@@ -93,7 +93,7 @@ class Arms:
         table = self.model.arm.effects
         if table.remembers:
             sizes = np.diff(table.first_state)
-            name = next(own for i, own in enumerate(self.model.acting) if sizes[i] and i != table.transmission.filter)
+            name = next(effect for i, effect in enumerate(self.model.acting) if sizes[i] and i != table.transmission.filter)
             text = "has internal states that follow the motion of the arm, through which there is no adjoint"
             raise ValueError(f"effects.{name} {text}; Simulation.linearize has them")
 
@@ -113,8 +113,8 @@ class Arms:
             rate = linear_rate(self.model)
             self._adjoint_memory = [make_adjoint_memory(self.model.arm, rate) for _ in range(self.threads)]
         memories = {id(scratch): memory for scratch, memory in zip(self._scratch, self._adjoint_memory, strict=True)}
-        own = self._batch, self._scheme, tape
-        self.map_rows(lambda part, scratch: adjoint_rows(*own, part, cotangents, scratch, memories[id(scratch)]), members, HEAD_START)
+        motions = self._batch, self._scheme, tape
+        self.map_rows(lambda part, scratch: adjoint_rows(*motions, part, cotangents, scratch, memories[id(scratch)]), members, HEAD_START)
         failed = members[cotangents.status[members] != OK]
         if failed.size:
             cause = MESSAGES[int(cotangents.status[failed[0]])]
@@ -125,7 +125,7 @@ class Arms:
         commands = np.zeros((self.size, self.model.tendon_count))
         if self.model.arm.effects.transmission.acts:
             held = np.broadcast_to(0.0 if tension is None else tension, (members.size, self.model.tendon_count))
-            commands[members] = [self._models[row].command(*own) for row, *own in zip(members.tolist(), held, q, strict=True)]
+            commands[members] = [self._models[row].command(*start) for row, *start in zip(members.tolist(), held, q, strict=True)]
         self.rows.q[members], self.rows.q_dot[members], self.rows.step[members] = q, 0.0, self._scheme.control.step
         self.map_rows(lambda part, scratch: batch.place_rows(self._batch, part, commands, scratch.work), members)
 

@@ -285,7 +285,7 @@ def _checked_seeds(seed: Any, rows: int) -> list[int | None]:
     if isinstance(seed, list | tuple | np.ndarray) and np.ndim(seed):
         if len(seed) != rows:
             raise ValueError(f"seed should be an int or a list of {rows}, not of {len(seed)}")
-        return [None if own is None else checked_count(f"seed[{i}]", own, 0) for i, own in enumerate(seed)]
+        return [None if one is None else checked_count(f"seed[{i}]", one, 0) for i, one in enumerate(seed)]
     first = checked_count("seed", seed, 0)
     return [first + i for i in range(rows)]
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.envs.actuation import Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
+from soft_tendon_env.envs.kernels import closeness
 from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, Units, stress_free_strain
 from soft_tendon_env.envs.options import (
     GOAL_BOUND,
@@ -30,7 +31,7 @@ from soft_tendon_env.envs.randomization import Measured, Sensors
 from soft_tendon_env.envs.starts import Drawn, Starts
 from soft_tendon_env.envs.targets import TARGETS, Course, Target, TargetSamples
 from soft_tendon_env.envs.tasks import STATIONS, Task
-from soft_tendon_env.envs.tracking import Reward, Tracking, Weight, goal_distance, goal_reward, norm
+from soft_tendon_env.envs.tracking import HALF, Reward, Tracking, goal_distance, norm, weights_of
 from soft_tendon_env.envs.trajectories import TargetDraws, TargetTrajectories
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
@@ -77,7 +78,7 @@ class Episodes:
         starts = self._make_draws(options, task)
         self._make_actuation(options, rows)
         if task.goal is None:
-            given = options.reward if isinstance(options.reward, dict) else {name: Weight(weight=own) for name, own in task.reward.items()}
+            given = options.reward if isinstance(options.reward, dict) else weights_of(task.reward)
             self._reward_terms = Reward(given, task.terms, self._strongest, model.length)
         noise = options.randomize.noise
         self._sensors = Sensors(noise, rows, model.tendon_count, self.sensors.size) if noise != SensorNoise() else None
@@ -135,15 +136,15 @@ class Episodes:
         """How those of the rows `members` begin that are given options. Raises ConfigurationError, TypeError, ValueError."""
         found = {}
         for row in members.tolist() if given else ():
-            own, target = given[row], self._usual.target
-            if own.state is not None:
+            options, target = given[row], self._usual.target
+            if options.state is not None:
                 self._refuse_states_of_robots()
                 if not self.options.randomize.numbers:
-                    checked_motion(self.model, own.state)
-            if (wanted := own.goal or own.target) is not None:
+                    checked_motion(self.model, options.state)
+            if (wanted := options.goal or options.target) is not None:
                 check_target(wanted, self.task, self.model.scene)
                 target = self._draws.settled(wanted)
-            found[row] = Beginning(target, own.state)
+            found[row] = Beginning(target, options.state)
         return found
 
     def begin(self, members: Indices, generators: Sequence[np.random.Generator], beginnings: Mapping[int, Beginning] | None = None) -> None:
@@ -154,8 +155,8 @@ class Episodes:
             drawn[row] = self.starts.begin(row, generator)
             self.actuation.begin(row, generator, command)
         motions = {row: checked_motion(drawn[row].model, how.state) for row, how, _ in rows if how.state is not None}
-        tensions, commands = (np.tile(own, (members.size, 1)) for own in (self.start_tension, command))
-        self.arms.place(members, np.array([own.rest for own in drawn.values()]), tensions)
+        tensions, commands = (np.tile(start, (members.size, 1)) for start in (self.start_tension, command))
+        self.arms.place(members, np.array([start.rest for start in drawn.values()]), tensions)
         self.step_count[members] = 0
         self._keep(members, tensions, commands, self.actions.action(commands, commands), np.zeros_like(commands))
         if motions:
@@ -210,7 +211,7 @@ class Episodes:
     def _keep(self, members: Indices, *new: Array) -> None:
         """Keep tension, command, action and its change (members, n_a) of the rows `members`, in new arrays."""
         before = self.tension, self._applied, self._action, self._action_change
-        parts = (_replaced(old, members, own) for old, own in zip(before, new, strict=True))
+        parts = (_replaced(old, members, value) for old, value in zip(before, new, strict=True))
         self.tension, self._applied, self._action, self._action_change = parts
 
     def _observe(self, members: Indices) -> None:
@@ -246,8 +247,9 @@ class Episodes:
         return Observed(self.arms, measured, error, self.target, self._action, self.actuation.command, self._rest_values)
 
     def goal_reward(self, achieved: ArrayLike, desired: ArrayLike) -> Array:
-        """Rewards (...) of goals (..., 3) [m]. Raises ValueError for goals of other shapes."""
-        return goal_reward(goal_distance(achieved, desired), self.options.reward == "dense", self.threshold)
+        """Rewards (...) of goals (..., 3) [m]: 1 within the threshold, else 0, or if dense 1/2 at HALF thresholds. Raises ValueError."""
+        distance, is_dense = goal_distance(achieved, desired), self.options.reward == "dense"
+        return np.asarray(closeness(distance, HALF * self.threshold) if is_dense else distance <= self.threshold, dtype=np.float64)
 
     def target_ahead(self, periods: int) -> TargetSamples:
         """The targets of all rows (rows, 1 + periods, ..) now and in the periods ahead. Raises ValueError beyond the longest preview."""

@@ -148,8 +148,8 @@ class Layout:
                 raise ValueError(f"the observation group {name!r} should have values of shape ({len(observed.q)}, size), not {shape}")
         self.groups, size = groups, [shape[1] for shape in shapes.values()]
         ends = np.cumsum(size).tolist()
-        self.slices = {name: slice(end - own, end) for name, end, own in zip(groups, ends, size, strict=True)}
-        unit = np.concatenate([np.resize(group.unit(units), own) for group, own in zip(groups.values(), size, strict=True)])
+        self.slices = {name: slice(end - width, end) for name, end, width in zip(groups, ends, size, strict=True)}
+        unit = np.concatenate([np.resize(group.unit(units), width) for group, width in zip(groups.values(), size, strict=True)])
         self.scale, self.bound = 1.0 / unit, np.repeat([group.bound for group in groups.values()], size)
         self.kept = np.flatnonzero(np.repeat([group.of_arm for group in groups.values()], size))
         if history:

@@ -150,9 +150,9 @@ def resolved_scene(options: Options) -> Scene:
     tendons = range(0 if options.tension_limits is None else len(scene.tendons))
     changes: dict[str, Any] = {f"tendons.{i}.tension_limits": options.tension_limits for i in tendons}
     ends: dict[str, float] = {}
-    for own in options.randomize.ranges(scene):
-        if re.fullmatch(r"segments\..*\.(young_modulus|damping)", own.name):
-            ends |= own.changes(own.least if own.name.endswith("damping") else own.greatest)
+    for drawn in options.randomize.ranges(scene):
+        if re.fullmatch(r"segments\..*\.(young_modulus|damping)", drawn.name):
+            ends |= drawn.changes(drawn.least if drawn.name.endswith("damping") else drawn.greatest)
     with contextlib.suppress(ConfigurationError):  # an end that cannot be is told with its key, when the arms are drawn
         if ends and (columns := extrapolation_columns(scene.replace(ends))) != extrapolation_columns(scene):
             changes["integrator.columns"] = columns
@@ -173,8 +173,8 @@ def given_scene(scene: Any) -> Scene:
 
 def sensor_places(options: Options, scene: Scene) -> Array:
     """Arc lengths (s,) [m] of the strain sensors."""
-    own = options.sensors
-    return rod_length(scene) * (np.arange(own) + 0.5) / own if isinstance(own, int) else np.array(own, dtype=np.float64)
+    sensors = options.sensors
+    return rod_length(scene) * (np.arange(sensors) + 0.5) / sensors if isinstance(sensors, int) else np.array(sensors, dtype=np.float64)
 
 
 def groups_of(options: Options, task: Task) -> dict[str, Group]:

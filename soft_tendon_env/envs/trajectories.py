@@ -55,14 +55,14 @@ class TargetTrajectories:
         for row in due:
             start, count = self._until[row], CHUNK if self._until[row] else FIRST_CHUNK + self._longest
             times.append(self._first[row] + np.arange(start, start + count))
-        sampled = self.sample([self._course[row] for row in due], [self._period * own for own in times])
-        for row, own, samples in zip(due, times, sampled, strict=True):
-            place = (own - self._first[row]) % self._room
-            positions = samples.backbone[..., :3, 3].reshape(len(own), -1)
+        sampled = self.sample([self._course[row] for row in due], [self._period * periods for periods in times])
+        for row, periods, samples in zip(due, times, sampled, strict=True):
+            place = (periods - self._first[row]) % self._room
+            positions = samples.backbone[..., :3, 3].reshape(len(periods), -1)
             parts = samples.tip_twist, samples.q, samples.tendon_length, positions
             others = [part[:, :size] for part, size in zip(parts, self._sizes, strict=True)]
             self._table.pose[row, place], self._table.other[row, place] = samples.tip_pose, np.concatenate(others, axis=1)
-            self._until[row] += len(own)
+            self._until[row] += len(periods)
         self._periods_left = int(np.min(self._until - step_count)) - self._longest
 
     def at(self, row: int, times: Array) -> TargetSamples:
@@ -76,9 +76,9 @@ class TargetTrajectories:
         if motions:
             q, q_dot = (np.concatenate(parts) for parts in zip(*motions.values(), strict=True))
             read, start = self._read(q, q_dot), 0
-            for i, (own, _) in motions.items():
-                found[i] = TargetSamples(*(field[start : start + len(own)] for field in read))
-                start += len(own)
+            for i, (shape, _) in motions.items():
+                found[i] = TargetSamples(*(field[start : start + len(shape)] for field in read))
+                start += len(shape)
         return [found[i] for i in range(len(courses))]
 
     def _read(self, q: Array, q_dot: Array) -> TargetSamples:

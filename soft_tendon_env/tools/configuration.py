@@ -88,8 +88,8 @@ def plain(value: Any) -> Any:
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     if isinstance(value, Mapping):
-        return {plain(key): plain(own) for key, own in value.items()}
-    return [plain(own) for own in value] if isinstance(value, list | tuple) else value
+        return {plain(key): plain(entry) for key, entry in value.items()}
+    return [plain(entry) for entry in value] if isinstance(value, list | tuple) else value
 
 
 def dotted(key: Key) -> str:
@@ -140,20 +140,17 @@ def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
 def _set(node: Any, parts: list[str], value: Any, where: str) -> None:
     """Set the key of these parts in the table or array that stands at `where`."""
     part, *below = parts
-    own, path = (
-        [*map(str, node if isinstance(node, dict) else range(len(node)))] if isinstance(node, dict | list) else [],
-        f"{where}.{part}",
-    )
+    keys = [*node] if isinstance(node, dict) else [str(i) for i in range(len(node))] if isinstance(node, list) else None
     problem = None
-    if not isinstance(node, dict | list):
+    if keys is None:
         problem = f"{where[1:]} is {shown(node)}, not a table"
-    elif part == "*" and not own:
+    elif part == "*" and not keys:
         problem = f"{where[1:]} is empty"
-    elif isinstance(node, list) and part not in ("*", *own):
-        problem = f"{part!r} is no position in {where[1:]}; valid: 0 to {len(own) - 1}"
+    elif isinstance(node, list) and part not in ("*", *keys):
+        problem = f"{part!r} is no position in {where[1:]}; valid: 0 to {len(node) - 1}"
     if problem:
-        raise ConfigurationError([Problem((".".join([path, *below])[1:],), f"cannot be set: {problem}")])
-    for key in own if part == "*" else [part]:
+        raise ConfigurationError([Problem((f"{where}.{'.'.join(parts)}"[1:],), f"cannot be set: {problem}")])
+    for key in keys or () if part == "*" else [part]:
         place: Any = int(key) if isinstance(node, list) else key
         if below:
             _set(node.setdefault(place, {}) if isinstance(node, dict) else node[place], below, value, f"{where}.{key}")

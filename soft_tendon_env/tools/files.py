@@ -21,7 +21,6 @@ from soft_tendon_env.tools.messages import describe, first_line
 
 PACKAGE = Path(__file__).parents[1]
 UNREADABLE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, MemoryError, OSError, TypeError, ValueError, LookupError)
-"""Errors of NumPy and zipfile for files that are empty, cut, altered or no archives at all."""
 
 
 def read_text(path: Path, errors: str = "strict") -> str:
@@ -51,7 +50,7 @@ def read_arrays(path: str | Path, what: str) -> dict[str, NDArray[Any]]:
     try:
         with zipfile.ZipFile(io.BytesIO(content)), np.load(io.BytesIO(content), allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
-    except UNREADABLE as error:
+    except UNREADABLE as error:  # what NumPy and zipfile raise for files that are empty, cut, altered or no archives at all
         raise ValueError(f"{path} holds no {what}, or was damaged: {first_line(error)}") from error
 
 
@@ -91,14 +90,12 @@ def check_digests(folder: Path, files: Mapping[str, str], source: Path) -> None:
             raise ValueError(f"{path} is not the file that {source} was written with: it was cut or changed, or is of another training")
 
 
-def configs_folder() -> Path:
-    """Folder of the configurations that ship."""
-    return shipped_folder("learning/configs", "configs")
-
-
 def shipped_folder(inside: str, beside: str) -> Path:
     """Folder of files that ship: `inside` the package in a wheel (force-include in pyproject.toml), `beside` it in a clone."""
     return PACKAGE / inside if (PACKAGE / inside).is_dir() else PACKAGE.parent / beside
+
+
+CONFIGS = shipped_folder("learning/configs", "configs")  # the configurations that ship
 
 
 def cache_parents() -> list[Path]:
@@ -117,14 +114,17 @@ def data_folders(name: str) -> list[Path]:
 
 def new_data_folder(name: str) -> Path:
     """The first of these folders that can be written, created when missing. Raises OSError where there is none."""
-    refused = []
+    refused = ""
     for parent in cache_parents():
-        folder = parent / "soft_tendon_env" / name
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            tempfile.TemporaryFile(dir=folder).close()  # a folder can exist and yet not be writable
+            return make_writable(parent / "soft_tendon_env" / name)
         except OSError as error:
-            refused.append(f"{parent} cannot be used ({error.strerror})")
-        else:
-            return folder
-    raise OSError(errno.EROFS, f"{', '.join(refused)}; set NUMBA_CACHE_DIR to a folder that can be written")
+            refused += f"{parent} cannot be used ({error.strerror}); "
+    raise OSError(errno.EROFS, f"{refused}set NUMBA_CACHE_DIR to a folder that can be written")
+
+
+def make_writable(folder: Path) -> Path:
+    """The folder, created when missing. Raises OSError where no file can be written in it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    tempfile.TemporaryFile(dir=folder).close()  # a folder can exist and yet not be writable
+    return folder

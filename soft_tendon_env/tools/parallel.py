@@ -99,12 +99,12 @@ def ray_cluster(address: str | None, processors: int, what: str) -> Iterator[Non
     except ImportError as error:
         raise ValueError('needs Ray: pip install "soft_tendon_env[rllib]"') from error
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # it would report to its makers
-    own: dict[str, Any] = {} if address else {"num_cpus": max(processors, os.cpu_count() or 1), "include_dashboard": False}
+    local: dict[str, Any] = {} if address else {"num_cpus": max(processors, os.cpu_count() or 1), "include_dashboard": False}
     try:
         if address is not None and ":" in address:  # Ray itself tries for minutes
             host, _, port = address.removeprefix("ray://").rpartition(":")
             socket.create_connection((host, int(port)), timeout=CONNECTING).close()
-        ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **own)
+        ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **local)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
         raise ValueError(f"Ray cannot be reached at {address or 'this machine'}: {first_line(error)}") from error
     try:

@@ -10,12 +10,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.envs import IDS, TASKS, TipPoseEnv, single, vector
+from soft_tendon_env.envs import IDS, TASKS, TipPoseEnv, environments
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.targets import Course, Target, register_target
 from soft_tendon_env.envs.targets.shipped import FixedPose
-from soft_tendon_env.envs.tasks import register_task
-from soft_tendon_env.envs.tasks.tip_pose import TIP_POSE
+from soft_tendon_env.envs.tasks import TIP_POSE, register_task
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -33,7 +32,7 @@ def test_ids_are_known_without_the_environments():
 def test_every_task_has_its_classes_and_its_id(name):
     task = TASKS[name]
     assert task.id == IDS[name] and gym.spec(task.id).max_episode_steps == 500
-    one, many = getattr(single, f"{name}Env"), getattr(vector, f"{name}VectorEnv")
+    one, many = getattr(environments, f"{name}Env"), getattr(environments, f"{name}VectorEnv")
     assert one.task is many.task is task and one.__doc__ == task.description
     assert hasattr(one, "compute_reward") == hasattr(many, "compute_reward") == (name == "Reach")
     assert pickle.loads(pickle.dumps(one)) is one and pickle.loads(pickle.dumps(many)) is many
@@ -78,7 +77,7 @@ class Near(Target):
 
 
 def test_a_target_from_outside_is_an_option(forgotten):
-    with pytest.raises(ConfigurationError, match="target.type is 'near': valid: circle, hold, out_of_reach, ramp, random"):
+    with pytest.raises(ConfigurationError, match="target.type is 'near': valid: circle, hold, ramp, random"):
         Options(target="near")
     assert register_target(Near) is Near and register_target(Near) is Near
     for given in ({"type": "near", "distance": 0.2}, Near(distance=0.2)):

@@ -59,11 +59,6 @@ class Tensions:
         return tension, np.zeros_like(tension)
 
 
-def nearest_to_zero(limits: Array) -> Array:
-    """The tensions (n_a,) within limits (n_a, 2) that are nearest to zero."""
-    return np.clip(0.0, limits[:, 0], limits[:, 1])
-
-
 def shape_course(
     target: DrawnShapes, generator: np.random.Generator, setting: Setting, motion: Callable[[Array], Tensions] = Tensions, count: int = 1
 ) -> "StaticCourse":
