@@ -72,10 +72,7 @@ class Configuration(BaseModel):
 
 
 def _frozen(value: Any) -> Any:
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, os.PathLike):
-        value = os.fspath(value)
+    value = plain(value) if isinstance(value, np.ndarray | np.generic | os.PathLike) else value
     return tuple(value) if isinstance(value, list) else value
 
 

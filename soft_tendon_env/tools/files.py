@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from soft_tendon_env.tools.messages import describe, first_line
 
 PACKAGE = Path(__file__).parents[1]
-UNREADABLE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, MemoryError, OSError, TypeError, ValueError, LookupError)
 
 
 def read_text(path: Path, errors: str = "strict") -> str:
@@ -50,7 +49,7 @@ def read_arrays(path: str | Path, what: str) -> dict[str, NDArray[Any]]:
     try:
         with zipfile.ZipFile(io.BytesIO(content)), np.load(io.BytesIO(content), allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
-    except UNREADABLE as error:  # what NumPy and zipfile raise for files that are empty, cut, altered or no archives at all
+    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, MemoryError, OSError, TypeError, ValueError, LookupError) as error:
         raise ValueError(f"{path} holds no {what}, or was damaged: {first_line(error)}") from error
 
 
