@@ -124,10 +124,8 @@ class ResetOptions(Configuration):
 
 
 def reset_options(options: Any, rows: int | None = None) -> dict[int, ResetOptions]:
-    """The options of a reset by row: one value for every key of each of `rows`, None for what is usual; `rows` None: those of row 0.
-
-    Raises ConfigurationError, TypeError where they are no table.
-    """
+    """The options of a reset by row: one value for every key of each of `rows`, None for what is usual; `rows` None: those of row 0. Raises
+    ConfigurationError, TypeError where they are no table."""
     if not isinstance(options, dict | None):
         raise TypeError(f"options should be a dict or None, not {type(options).__name__}")
     allowed = {*ResetOptions.model_fields, *([] if rows is None else [MASK])}

@@ -18,7 +18,7 @@ SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 def course_of(env, seed):
     """The target's motion of a fresh episode, and its tensions as a function of time."""
     env.reset(seed=seed)
-    course = env.episodes._courses._course[0]
+    course = env.episodes.trajectories._course[0]
     return course, lambda times: course.tension(np.atleast_1d(times))[0]
 
 
