@@ -44,7 +44,8 @@ def read(command: str, kind: type[Kind], arguments: Sequence[str]) -> Kind:
     about = " ".join((kind.__doc__ or "").partition("Attributes:")[0].split())
     given: Given = tyro.cli(_arguments(kind), prog=f"soft-tendon {command}", description=about, args=list(arguments))
     with mistakes():
-        file = kind.read_file(given) if hasattr(kind, "read_file") else {}
+        read_file: Any = getattr(kind, "read_file", None)
+        file = read_file(given) if read_file else {}
         fields = {name: field for name, field in kind.model_fields.items() if name in given}
         values = {**file, **{name: _value(_values_of(field)[0], given[name]) for name, field in fields.items()}}
         if "options" in kind.model_fields:
@@ -78,7 +79,7 @@ def _option(kind: Any, several: bool, flag: str, text: str, default: str) -> Any
     annotation: Any = bool if kind is bool else tuple[str, ...] if several else str
     if not flag.startswith("--"):
         about = tyro.conf.arg(metavar=flag.upper(), help=text, help_behavior_hint=default)
-        return tyro.conf.Positional[Annotated[annotation, about]]
+        return tyro.conf.Positional[Annotated[annotation, about]]  # type: ignore[misc]
     shown = "{" + ",".join(map(str, get_args(kind))) + "}" if get_origin(kind) is Literal else kind.__name__.upper()
     metavar = None if kind is bool else f"[{shown} [{shown} ...]]" if several else shown
     return Annotated[annotation, tyro.conf.arg(name=flag.removeprefix("--"), metavar=metavar, help=text, help_behavior_hint=default)]
