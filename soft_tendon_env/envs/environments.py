@@ -192,7 +192,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         Raises ValueError or TypeError for bad seeds and options, before anything changes.
         """
         self._refuse("reset", begun=True)
-        members, seeds, given = self._all, _checked_seeds(seed, self.num_envs), reset_options(options, self.num_envs)
+        members, seeds, given = self._all, _check_seeds(seed, self.num_envs), reset_options(options, self.num_envs)
         if options is not None and MASK in options:
             mask = np.asarray(options[MASK])
             if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
@@ -238,10 +238,10 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
             causes = [self.episodes.cause(row) if failed else None for row, failed in enumerate(terminated.tolist())]
             info |= {"cause": np.array(causes, dtype=object), "_cause": terminated.copy()}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
-            observation, info = self._restarted(observation, info)
+            observation, info = self._restart(observation, info)
         return observation, reward, terminated, truncated, info
 
-    def _restarted(self, observation: Any, info: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+    def _restart(self, observation: Any, info: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         """Reset the ended rows at once; what they ended with goes to final_obs and final_info."""
         ended, final_obs = self._ended.copy(), np.full(self.num_envs, None, dtype=object)
         for row in np.flatnonzero(ended):
@@ -278,7 +278,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
             self._renderer.close()
 
 
-def _checked_seeds(seed: Any, rows: int) -> list[int | None]:
+def _check_seeds(seed: Any, rows: int) -> list[int | None]:
     """A seed for each row, None to go on. Raises TypeError or ValueError."""
     if seed is None:
         return [None] * rows

@@ -102,7 +102,7 @@ class Episodes:
         self.limits, self.start_tension, self.start_command = starts.limits, starts.tension, starts.command
         self.threshold = THRESHOLD * self.model.length if options.threshold is None else options.threshold
         self._draws = TargetDraws(starts.setting, self.trajectories, self.period, self.threshold if task.goal else 0.0)
-        self._usual = Beginning(self._draws.settled(options.target or TARGETS[task.target](type=task.target)))
+        self._usual = Beginning(self._draws.settle(options.target or TARGETS[task.target](type=task.target)))
         if self.size >= MANY and self.model.scene.effects.contact is None:  # among obstacles a motion can take seconds
             self._draws.fill_bank(self._usual.target)
         return starts
@@ -143,7 +143,7 @@ class Episodes:
                     checked_motion(self.model, options.state)
             if (wanted := options.goal or options.target) is not None:
                 check_target(wanted, self.task, self.model.scene)
-                target = self._draws.settled(wanted)
+                target = self._draws.settle(wanted)
             found[row] = Beginning(target, options.state)
         return found
 
@@ -190,7 +190,7 @@ class Episodes:
         for row, (_, step) in motions.items():
             rows.step[row] = step  # as it was
         if self._transmits:
-            self.tension = _replaced(self.tension, members, self.arms.reading.tension[members])
+            self.tension = _replace(self.tension, members, self.arms.reading.tension[members])
 
     def step(self, action: Array, members: Indices | None = None, tape: Tape | None = None) -> None:
         """One control period of the rows `members` (all by default) with actions (rows, n_a), taken as within [-1, 1]; tape: see Arms."""
@@ -211,7 +211,7 @@ class Episodes:
     def _keep(self, members: Indices, *new: Array) -> None:
         """Keep tension, command, action and its change (members, n_a) of the rows `members`, in new arrays."""
         before = self.tension, self._applied, self._action, self._action_change
-        parts = (_replaced(old, members, value) for old, value in zip(before, new, strict=True))
+        parts = (_replace(old, members, value) for old, value in zip(before, new, strict=True))
         self.tension, self._applied, self._action, self._action_change = parts
 
     def _observe(self, members: Indices) -> None:
@@ -295,7 +295,7 @@ class Episodes:
         return state_of(self.arms.model_of(row), motion, float(self.arms.rows.step[row]))
 
 
-def _replaced(values: Array, members: Indices, new: Array) -> Array:
+def _replace(values: Array, members: Indices, new: Array) -> Array:
     """A copy of values (rows, ..) with new ones in the rows `members`."""
     values = values.copy()
     values[members] = new

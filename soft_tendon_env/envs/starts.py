@@ -46,7 +46,7 @@ class Starts:
         self._arms, self._model = arms, arms.model
         self.limits = arms.model.discretisation.tension_limits.copy()
         self.tension = np.clip(0.0, self.limits[:, 0], self.limits[:, 1])
-        self.q, reason = self._settled(arms.model)
+        self.q, reason = self._settle(arms.model)
         if reason:
             raise _problem(("scene",), f"has an arm that cannot begin at rest, under {shown_numbers(self.tension)} N: {reason}")
         self.command = arms.model.command(self.tension, self.q)
@@ -71,7 +71,7 @@ class Starts:
         self._redraws = REDRAWS * any(key.startswith("effects.contact.obstacles.") for drawn in self._ranges for key in drawn.keys)
         soft = np.array([drawn.name.endswith(".young_modulus") for drawn in self._ranges])
         for shares in (np.zeros(soft.size), np.ones(soft.size), 1.0 - soft) if self._ranges and not self._redraws else ():
-            self._made(shares)
+            self._make_arm(shares)
         for number in range(0 if self._model.arm.effects.load or self.q.any() else self._size):
             self._arm(number)
 
@@ -89,17 +89,17 @@ class Starts:
             random = np.random.default_rng([BANK, number])
             for left in range(self._redraws, -1, -1):
                 with contextlib.suppress(*[ConfigurationError] * (left > 0)):
-                    self._bank[number] = self._made(random.random(len(self._ranges)))
+                    self._bank[number] = self._make_arm(random.random(len(self._ranges)))
                     break
         return self._bank[number]
 
-    def _made(self, shares: Array) -> Drawn:
+    def _make_arm(self, shares: Array) -> Drawn:
         """The arm with numbers so far, 0 to 1, between the ends of every range. Raises ConfigurationError."""
         changes: dict[str, float] = {}
         for drawn, share in zip(self._ranges, shares.tolist(), strict=True):
             changes |= drawn.changes(drawn.least + (drawn.greatest - drawn.least) * share)
         model = self._model_with(changes)
-        q, reason = self._settled(model) if model.arm.effects.load or self.tension.any() or self._redraws else (self.q, "")
+        q, reason = self._settle(model) if model.arm.effects.load or self.tension.any() or self._redraws else (self.q, "")
         if reason:
             why = f"cannot begin at rest, under {shown_numbers(self.tension)} N: {reason}"
             raise _problem(("randomize",), f"can make arms that {why}: {_listed(changes)}")
@@ -118,7 +118,7 @@ class Starts:
             raise _problem(("randomize", *key), f"can draw {_listed(changes)}, {why}")
         return model
 
-    def _settled(self, model: Model) -> tuple[Array, str]:
+    def _settle(self, model: Model) -> tuple[Array, str]:
         """Coordinates (n,) at which an arm under the tensions nearest to zero comes to rest, and why it does not; "": it does."""
         rest = static_equilibrium(model, self.tension, settle=True)
         return rest.q, why_inside(model, rest.q) or rest.reason

@@ -130,7 +130,7 @@ class TargetDraws:
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_bank": {}}  # of which every motion can be computed again
 
-    def settled(self, target: Target) -> Target | Course:
+    def settle(self, target: Target) -> Target | Course:
         """The course of a target; one that is drawn as it is. Raises ConfigurationError where it cannot be."""
         return target if target.is_random else target.draw(np.random.default_rng(0), self._setting)
 
@@ -147,7 +147,7 @@ class TargetDraws:
             return
         away = 0.0 if target.begins_at_rest else self._away
         for _ in range(MOST_DRAWS):
-            course, first = self._drawn(target, generator)
+            course, first = self._draw(target, generator)
             if not away or self._distance(course, first, tip) > away:
                 break
         else:
@@ -155,7 +155,7 @@ class TargetDraws:
             warnings.warn(f"{text}: the episode begins solved; choose a smaller threshold, or a larger fraction of tensions", stacklevel=2)
         self._trajectories.begin(row, course, first)
 
-    def _drawn(self, target: Target, generator: np.random.Generator) -> tuple[Course, int]:
+    def _draw(self, target: Target, generator: np.random.Generator) -> tuple[Course, int]:
         """A course, and the control period of it to begin at."""
         if not self._has_bank or target.repeats is None:
             return target.draw(generator, self._setting), 0

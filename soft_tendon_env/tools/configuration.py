@@ -51,7 +51,7 @@ class Configuration(BaseModel):
 
     def __init__(self, /, **values: Any):
         try:
-            super().__init__(**{name: _frozen(value) for name, value in values.items()})
+            super().__init__(**{name: _freeze(value) for name, value in values.items()})
         except ValidationError as error:
             problems = [problem for found in error.errors() for problem in _problems(type(self), found)]
             raise ConfigurationError(problems, type(self).__name__) from None
@@ -71,7 +71,7 @@ class Configuration(BaseModel):
             raise ConfigurationError(error.problems, source) from None
 
 
-def _frozen(value: Any) -> Any:
+def _freeze(value: Any) -> Any:
     value = plain(value) if isinstance(value, np.ndarray | np.generic | os.PathLike) else value
     return tuple(value) if isinstance(value, list) else value
 
