@@ -16,7 +16,7 @@ NEWEST = $(firstword $(foreach minor,14 13 12 11,$(call python,$(minor))))
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test test-all test-lowest test-newest check bench peers derivatives rllib docs tables dist clean
+.PHONY: help demo test test-all test-lowest test-newest check bench peers rllib docs tables dist clean
 
 help: ## list the doors
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s  %s\n", $$1, $$2 }' Makefile
@@ -46,9 +46,6 @@ bench: .venv/.installed-bench ## measure accuracy and speed: a table, a CSV file
 
 peers: .venv-peers/.installed ## measure beside MuJoCo, PyElastica and SoRoMoX, in .venv-peers: tables and a picture in docs/
 	.venv-peers/bin/python benchmarks/peers.py --write-docs
-
-derivatives: .venv-peers/.installed ## measure the cost of derivatives, of SoRoMoX's too, in .venv-peers: a table in docs/
-	.venv-peers/bin/python benchmarks/derivatives.py --soromox --write-docs
 
 rllib: .venv-rllib/.installed ## an environment with Ray and RLlib, .venv-rllib, and the tests that need it
 	.venv-rllib/bin/python -m pytest tests/learning/test_rllib.py tests/tools/test_parallel.py

@@ -1,5 +1,6 @@
 """How the benchmarks measure, print and store."""
 
+import argparse
 import csv
 import os
 import platform
@@ -11,9 +12,31 @@ import matplotlib
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from soft_tendon_env.evaluation.pages import stamp
+from soft_tendon_env.evaluation.pages import Page
+from soft_tendon_env.evaluation.tables import markdown_table as table_of_text
 
 matplotlib.use("Agg")
+APPENDIX = Path(__file__).parent.parent / "docs" / "appendix"
+
+
+def parser_of(doc: str) -> argparse.ArgumentParser:
+    """Parser with the options of all benchmarks whose tables are in the documentation."""
+    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="try the script: few, small and short cases")
+    parser.add_argument("--write-docs", action="store_true", help="write the table, the CSV file and the picture of the documentation too")
+    parser.add_argument("--out", type=Path, default=Path("out"))
+    return parser
+
+
+def folders(arguments: argparse.Namespace) -> list[Path]:
+    """Folders that get the CSV file and the picture."""
+    return [arguments.out, *([APPENDIX] if arguments.write_docs else [])]
+
+
+def write_block(arguments: argparse.Namespace, page: Path, name: str, text: str) -> None:
+    """Print a block of a page, and write it there with --write-docs. Raises as soft_tendon_env.evaluation.pages.Page."""
+    print(f"\n{text}\n")
+    Page(str(page) if arguments.write_docs else None, [name]).write(name, text)
 
 
 def cpu_times(action: Callable[[], object], repeats: int) -> list[float]:
@@ -29,17 +52,7 @@ def cpu_times(action: Callable[[], object], repeats: int) -> list[float]:
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """A table that reads well as it is and as Markdown."""
-    cells = [[str(cell) for cell in row] for row in (header, *rows)]
-    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
-    lines = ["| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |" for row in cells]
-    return "\n".join([lines[0], "|" + "|".join("-" * (width + 2) for width in widths) + "|", *lines[1:]])
-
-
-def write_page(path: Path, title: str, parts: Sequence[str]) -> None:
-    """A page of the docs: its first part, the stamp, the others."""
-    first, *others = parts
-    path.write_text("\n\n".join([f"# {title}", first, stamp(), *(own.strip("\n") for own in others)]) + "\n")
-    print(f"written: {path}")
+    return table_of_text(header, [[*map(str, row)] for row in rows])
 
 
 def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

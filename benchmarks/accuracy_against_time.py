@@ -1,18 +1,12 @@
-"""Tip error against CPU time, for every way of simulating the paper's arm.
+"""Tip error against CPU time, for every way of simulating the paper's arm: a section of docs/appendix/accuracy.md.
 
-    python benchmarks/accuracy_against_time.py [--repeats 3] [--write-docs] [--out out]
+    python benchmarks/accuracy_against_time.py [--repeats 3] [--quick] [--write-docs] [--out out]
 
-- CPU time is that of one `simulate` call over one second of motion on one thread. It includes the table of tensions, checks and a tip
-  pose per step, but no compilation.
-- "To own" is the distance to a converged solution of the same model: 24 intervals per half, third order, 2400 steps.
-- "To full physics" is the distance to a converged reference: the same with polynomials of order 5 for each of the six strains on each
-  half, 72 coordinates.
-- Distances are the largest between tips over the second, compared after every step, or about every 10 ms for shorter steps.
-
-With steps of 40 ms the jump of the tensions at 0.5 s falls in the middle of a step.
+CPU time is that of one `simulate` call over one second on one thread, with the table of tensions, checks and a tip pose per step. Errors
+are largest distances of the tip, after every step, or about every 10 ms for shorter ones. With steps of 40 ms the jump of the tensions at
+0.5 s falls in the middle of a step.
 """
 
-import argparse
 import itertools
 import warnings
 from collections.abc import Iterable
@@ -21,11 +15,11 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import cpu_times, machine, markdown_table, write_csv, write_page, write_picture
+from _results import APPENDIX, cpu_times, folders, markdown_table, parser_of, write_block, write_csv, write_picture
 from _trajectory_input import DURATION, tension_table
 
 import soft_tendon_env as ste
-from soft_tendon_env.model.quadrature import QuadratureWarning, quadrature_estimate
+from soft_tendon_env.model.build import QuadratureWarning, quadrature_estimate
 from soft_tendon_env.scene.scene import extrapolation_columns
 
 MODELS = {"paper": "#d1495b", "paper_16dof": "#edae49", "paper_19dof": "#66a182", "paper_22dof": "#2e6f95", "paper_48dof": "#3d2c5e"}
@@ -36,7 +30,6 @@ COMPARED_EVERY = 0.01  # [s]
 CONVERGED = {"quadrature.intervals": 24, "integrator.columns": 3, "integrator.step": 1 / 2400}
 STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
 FULL_PHYSICS = {"strain": {"type": "explicit", "modes": [{"strains": STRAINS, "order": 5, "span": "piece"}]}}
-DOCS = Path(__file__).parent.parent / "docs" / "appendix"
 
 COLUMN_NAMES = ("model", "coordinates", "columns", "step [ms]", "intervals", "CPU [ms/s]", "to own [mm]", "to full physics [mm]")
 
@@ -56,7 +49,7 @@ class Run:
 
     @property
     def setting(self) -> str:
-        return f"{self.columns} columns, {1e3 * self.step:.4g} ms, {self.intervals} intervals"
+        return f"{self.columns}, {1e3 * self.step:.4g} ms, {self.intervals}"
 
     def row(self) -> tuple[object, ...]:
         numbers = f"{1e3 * self.cpu:.2f}", f"{1e3 * self.own:.3f}", f"{1e3 * self.full:.3f}"
@@ -64,21 +57,15 @@ class Run:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--repeats", type=int, default=3, help="CPU times are the median of so many")
-    parser.add_argument("--quick", action="store_true", help="few settings and coarse references, to try this script")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/appendix/accuracy.md and its picture too")
-    parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
     warnings.simplefilter("ignore", QuadratureWarning)  # what too few intervals do is what is measured
-
     runs = measure_all(arguments.repeats, arguments.quick)
-    report = tables(runs, arguments.repeats)
-    print(report)
-    write_csv(arguments.out / "accuracy_against_time.csv", COLUMN_NAMES, [run.row() for run in runs])
-    draw(runs, arguments.out / "accuracy_against_time.png")
-    if arguments.write_docs:
-        write_docs(report, runs)
+    for folder in folders(arguments):
+        write_csv(folder / "accuracy_against_time.csv", COLUMN_NAMES, [run.row() for run in runs])
+        draw(runs, folder / "accuracy_against_time.png")
+    write_block(arguments, APPENDIX / "accuracy.md", "accuracy against time", table_of(runs))
 
 
 def measure_all(repeats: int, quick: bool) -> list[Run]:
@@ -140,16 +127,12 @@ def front(runs: Iterable[Run], distance: str, nearer: float = 0.95) -> list[Run]
     return best
 
 
-def tables(runs: list[Run], repeats: int) -> str:
-    """The report, as Markdown."""
-    parts = [
-        f"Measured on: {machine()}; median of {repeats}. CPU times are milliseconds per simulated second.",
-        "## What the scenes give as they ship",
-        settings_table([run for run in runs if is_as_shipped(run)]),
-        "## Best settings for full physics, all models together",
-        settings_table(front(runs, "full", 0.75)),
-    ]
-    return "\n\n".join(parts) + "\n"
+def table_of(runs: list[Run]) -> str:
+    """Scenes as they ship, and the best settings of all for the distance to the converged reference."""
+    best = [run for run in front(runs, "full", 0.5) if not is_as_shipped(run)]
+    rows = [("shipped", run) for run in runs if is_as_shipped(run)] + [("best", run) for run in best]
+    header = ("", "model", "columns, step, intervals", "CPU [ms/s]", "to own [mm]", "to reference [mm]")
+    return markdown_table(header, [(kind, run.model, run.setting, *run.row()[-3:]) for kind, run in rows])
 
 
 def is_as_shipped(run: Run) -> bool:
@@ -159,14 +142,9 @@ def is_as_shipped(run: Run) -> bool:
     return shipped == (run.columns, run.step, run.intervals)
 
 
-def settings_table(runs: list[Run]) -> str:
-    header = ("model", "setting", "CPU [ms/s]", "to own [mm]", "to full physics [mm]")
-    return markdown_table(header, [(run.model, run.setting, *run.row()[-3:]) for run in runs])
-
-
 def draw(runs: list[Run], picture: Path) -> None:
     figure, panels = plt.subplots(1, 2, figsize=(13, 5.5), constrained_layout=True)
-    titles = {"own": "From the model's own converged solution", "full": "From full physics (72 coordinates)"}
+    titles = {"own": "From the model's own converged solution", "full": "From the converged reference (72 coordinates)"}
     for axes, (distance, title) in zip(panels, titles.items(), strict=True):
         for name, colour in MODELS.items():
             draw_model(axes, [run for run in runs if run.model == name], distance, colour)
@@ -191,14 +169,6 @@ def draw_model(axes: plt.Axes, runs: list[Run], distance: str, colour: str) -> N
 def milliseconds_and_millimetres(runs: Iterable[Run], distance: str) -> np.ndarray:
     """(2, runs)."""
     return 1e3 * np.array([(run.cpu, getattr(run, distance)) for run in runs]).reshape(-1, 2).T
-
-
-def write_docs(report: str, runs: list[Run]) -> None:
-    """docs/appendix/accuracy.md, as this script's docstring explains it."""
-    explanation = __doc__.split("\n\n", 2)
-    parts = (explanation[0], explanation[2], "![Accuracy against time](accuracy_against_time.png)", report)
-    write_page(DOCS / "accuracy.md", "Accuracy against time", parts)
-    draw(runs, DOCS / "accuracy_against_time.png")
 
 
 if __name__ == "__main__":

@@ -1,34 +1,28 @@
 """CPU time of derivatives relative to a plain step, and their error on every arm that ships and with every effect.
 
-    python benchmarks/derivatives.py [--quick] [--soromox] [--write-docs] [--out out]
+    python benchmarks/derivatives.py [--quick] [--write-docs] [--out out]
 
-Control periods are 20 ms.
+Control periods are 20 ms. docs/explanation/derivatives.md has the paper's arm at every preset; the CSV file has the other arms and the
+effects too, at `standard`.
 
-- Cost, on the paper's arm at every preset: CPU time per row and period on one thread, divided by that of a plain step with its reading.
-  Both are measured in turns; the number is the median ratio. "adjoint" is `Arms.adjoint` of the state and the tip's pose. "of all readings"
-  adds the tip's twist, tendon lengths, strains and their rates. "rollout" is `Simulation.rollout` of a period.
-- Gradient, at the presets "fast" and "standard": cosine between the adjoint's gradient and central differences of the same rollout, and the
-  ratio of their lengths, the least cosine of three rollouts. The gradient is that of a tracking error over 16 periods by all commands,
-  which change by up to 5 % of their range every period (`differentiable.accuracy`), and by up to 20 % for "quick, fast". "-": no
-  adjoint. Where stiff tendons hang slack the motion has kinks, and differences of two step sizes are no nearer to each other.
+- Cost: CPU time per row and period on one thread, divided by that of a plain step with its reading. Both are measured in turns; the number
+  is the median ratio. "adjoint" is `Arms.adjoint` of the state and the tip's pose, "rollout" is `Simulation.rollout` of a period.
+- Gradient: the least cosine, of three rollouts, between the adjoint's gradient and central differences of the same rollout, and the ratio
+  of their lengths. The gradient is that of a tracking error over 16 periods by all commands, which change by up to 5 % of their range
+  every period. "-": no adjoint. Where stiff tendons hang slack the motion has kinks, and differences of two step sizes disagree as much.
 - Linearisation: the largest error of the blocks of `Simulation.rollout` by state and by tension, in percent of the largest entry of those
-  of `Simulation.linearize`, in units of the coordinates, after six periods with other tensions. The larger of the two presets. "-":
-  commands are no tensions.
-
-With --soromox, where the extra `peers` is installed, below the tables: the gradient of a period by SoRoMoX, on the same arm.
+  of `Simulation.linearize`, in units of the coordinates, after six periods with other tensions. "-": commands are no tensions.
 """
 
-import argparse
 import time
 import warnings
 from collections.abc import Callable
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import machine, markdown_table, write_csv, write_page, write_picture
+from _results import APPENDIX, markdown_table, parser_of, write_block, write_csv, write_picture
 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.test_inputs import HOLD, motion_tensions
@@ -40,7 +34,6 @@ from soft_tendon_env.model.simulation import Simulation
 PRESETS = ("fast", "standard", "fine")
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 ARMS: dict[str, dict[str, Any]] = {
-    "bare": {},
     "50 g and gravity": {**GRAVITY, "effects.tip_load.mass": 0.05},
     "in water": {**GRAVITY, "effects.fluid.density": 1000.0},
     "actuators": {"effects.actuators": {"time_constant": 0.03, "delay": 0.02}},
@@ -63,57 +56,38 @@ EFFECTS: dict[str, dict[str, Any]] = {
 SHIPPED = ("paper", "three_tendon", "four_tendon", "helical", "two_segment_six", "catheter", "underwater")
 CASES = [
     *((scene, "as it is", {}) for scene in SHIPPED),
-    *(("paper", name, table) for name, table in ARMS.items() if table),
+    *(("paper", name, table) for name, table in ARMS.items()),
     *(("three_tendon", name, table) for name, table in EFFECTS.items()),
 ]
-CHANGE, QUICK, SEEDS = 0.05, 0.2, 3
+CHANGE, SEEDS = 0.05, 3
 LIVELY = 10  # periods of motion before costs are measured
 SENSORS = (0.25, 0.5, 0.75, 1.0)  # of the length
-COSTS = ("adjoint", "of all readings", "rollout")
-COST_HEADER = ("preset", "arm", "coordinates", "step [us]", *COSTS)
-OF_GRADIENTS = (*(f"{name}, {preset}" for preset in PRESETS[:2] for name in ("cosine", "ratio")), "quick, fast")
-ERROR_HEADER = ("arm", "effect", *OF_GRADIENTS, "by state [%]", "by tension [%]")
+HEADER = ("arm", "effect", "preset", "adjoint", "rollout", "cosine", "ratio", "by state [%]", "by tension [%]")
+PAGE = APPENDIX.parent / "explanation" / "derivatives.md"
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="try the script: one preset of two arms")
-    parser.add_argument("--soromox", action="store_true", help="measure the gradient by SoRoMoX too")
-    parser.add_argument("--write-docs", action="store_true", help=f"write {DOCS.name}")
-    parser.add_argument("--out", type=Path, default=Path("out"))
-    arguments = parser.parse_args()
+    arguments = parser_of(__doc__).parse_args()
     warnings.simplefilter("ignore")
-    presets, arms, cases = (PRESETS[:1], ("bare",), CASES[10:11]) if arguments.quick else (PRESETS, tuple(ARMS), CASES)
-    times, errors = [], []
-    for preset in presets:
-        for arm in arms:
-            model = ste.build_model(ste.load_scene("paper").replace(ARMS[arm]), preset)
-            step, found = costs(model, 3 if arguments.quick else 15)
-            times.append((preset, arm, model.coordinate_count, f"{step:.0f}", *(f"{cost:.1f}" for cost in found)))
-            print(*times[-1], flush=True)
-    for scene, effect, changes in cases:
-        models = [ste.build_model(ste.load_scene(scene).replace(changes), preset) for preset in PRESETS[:2]]
-        away = np.max([rollout_error(model) for model in models], axis=0)
-        percent = ("-" if np.isnan(share) else f"{100.0 * share:.0f}" for share in away)
-        errors.append((scene, effect, *(text for model in models for text in accuracy(model)), accuracy(models[0], QUICK)[0], *percent))
-        print(*errors[-1], flush=True)
-    text = f"{markdown_table(COST_HEADER, times)}\n\n{markdown_table(ERROR_HEADER, errors)}\n" + (of_soromox() if arguments.soromox else "")
-    print(f"\n{machine()}\n\n{text}")
-    if arguments.write_docs:
-        title, _, told = __doc__.split("\n\n", 2)
-        write_page(DOCS, "Cost and error of derivatives", (title, told, text))
-    write_csv(arguments.out / "derivatives.csv", ERROR_HEADER, errors)
-    draw(times, arguments.out / "derivatives.png")
+    cases = [(*CASES[0], preset) for preset in PRESETS] + [(*case, "standard") for case in CASES[1:]]
+    rows = []
+    for scene, effect, changes, preset in cases[:1] if arguments.quick else cases:
+        model = ste.build_model(ste.load_scene(scene).replace(changes), preset)
+        cosine, ratio = accuracy(model)
+        adjoint, rollout = costs(model, 3 if arguments.quick else 15, has_adjoint=cosine != "-")
+        percent = ("-" if np.isnan(share) else f"{100.0 * share:.0f}" for share in rollout_error(model))
+        rows.append((scene, effect, preset, adjoint, rollout, cosine, ratio, *percent))
+        print(*rows[-1], flush=True)
+    write_csv(arguments.out / "derivatives.csv", HEADER, rows)
+    draw(rows, arguments.out / "derivatives.png")
+    write_block(arguments, PAGE, "derivatives", markdown_table(HEADER[2:], [row[2:] for row in rows[: len(PRESETS)]]))
 
 
-DOCS = Path(__file__).parent.parent / "docs" / "appendix" / "derivatives_measured.md"
-
-
-def accuracy(model: Model, change: float = CHANGE) -> tuple[str, str]:
+def accuracy(model: Model) -> tuple[str, str]:
     """Least cosine of a few rollouts, with the ratio of lengths of that one."""
     least, greatest = model.scene.effects.command_limits(np.array([tendon.tension_limits for tendon in model.scene.tendons])).T
     try:
-        found = [gradient_accuracy(model, HOLD, least, greatest, change * (greatest - least), seed) for seed in range(SEEDS)]
+        found = [gradient_accuracy(model, HOLD, least, greatest, CHANGE * (greatest - least), seed) for seed in range(SEEDS)]
     except ValueError:  # effects whose states follow the motion
         return "-", "-"
     return f"{min(found).cosine:.4f}", f"{min(found).ratio:.2f}"
@@ -141,8 +115,8 @@ def placed(model: Model, rows: int) -> Arms:
     return arms
 
 
-def costs(model: Model, repeats: int) -> tuple[float, tuple[float, ...]]:
-    """Microseconds of a plain step with its reading, and what derivatives cost in such steps."""
+def costs(model: Model, repeats: int, has_adjoint: bool) -> list[str]:
+    """Costs of an adjoint and of a rollout in plain steps with their readings; "-": no adjoint."""
     rows = 32
     arms, members, tape = placed(model, rows), np.arange(rows), None
     table = np.stack([motion_tensions(model.scene, "increments", row, (LIVELY + 1) * HOLD) for row in range(rows)])
@@ -152,28 +126,25 @@ def costs(model: Model, repeats: int) -> tuple[float, tuple[float, ...]]:
     simulation.reset(arms.rows.q[0], arms.rows.q_dot[0], effects=arms.rows.state[0], time=float(arms.rows.clock[0, 0]))
     kept = {name: getattr(arms.rows, name).copy() for name in ("q", "q_dot", "xi", "state", "clock", "step")}
     command, tape, cotangents = np.ascontiguousarray(table[:, LIVELY:]), arms.make_tape(), arms.make_cotangents()
-    random, few, many = np.random.default_rng(0), ("q", "q_dot", "tip_pose"), ("tip_twist", "tendon_length", "strain", "strain_rate")
-    drawn = {name: random.normal(size=getattr(cotangents, name).shape) for name in (*few, *many)}
+    random = np.random.default_rng(0)
+    drawn = {name: random.normal(size=getattr(cotangents, name).shape) for name in ("q", "q_dot", "tip_pose")}
 
     def restore() -> None:
         for name, values in kept.items():
             getattr(arms.rows, name)[:] = values
 
-    def give(names: tuple[str, ...]) -> None:
+    def give() -> None:
         for name, values in drawn.items():
-            getattr(cotangents, name)[:] = values if name in names else 0.0
+            getattr(cotangents, name)[:] = values
 
-    def adjoint() -> None:
-        arms.adjoint(tape, members, cotangents)
-
-    ways: tuple[tuple[Callable[[], None], Callable[[], object], int], ...] = (
+    ways: list[tuple[Callable[[], None], Callable[[], object], int]] = [
         (restore, lambda: arms.step(command, members, None, tape), rows),
-        (lambda: give(few), adjoint, rows),
-        (lambda: give((*few, *many)), adjoint, rows),
         (lambda: None, lambda: simulation.rollout(command[0, :1], HOLD), 1),
-    )
+        *([(give, lambda: arms.adjoint(tape, members, cotangents), rows)] if has_adjoint else []),
+    ]
     times = np.array([[timed(*way) for way in ways] for _ in range(repeats + 1)][1:])
-    return 1e6 * float(np.median(times[:, 0])), tuple(np.median(times[:, 1:] / times[:, :1], axis=0).tolist())
+    rollout, *adjoint = (f"{ratio:.1f}" for ratio in np.median(times[:, 1:] / times[:, :1], axis=0))
+    return [*(adjoint or "-"), rollout]
 
 
 def timed(prepare: Callable[[], None], action: Callable[[], object], count: int) -> float:
@@ -184,26 +155,13 @@ def timed(prepare: Callable[[], None], action: Callable[[], object], count: int)
     return (time.thread_time() - started) / count
 
 
-def of_soromox() -> str:
-    """Cost of a gradient by SoRoMoX, in words."""
-    from _peers.soromox_strains import DISTRIBUTION, NAME, gradient_cost
-
-    own = gradient_cost(ste.load_scene("paper"), order=1, step=0.5 * HOLD)
-    period, gradient = (f"{1e6 * seconds:.0f} us" for seconds in (own.period, own.gradient))
-    return (
-        f"\n{NAME} {version(DISTRIBUTION)} on the same arm, bare ({own.coordinates} coordinates, two steps of implicit Euler a period): a "
-        f"period takes {period}, and `jax.grad` of a scalar of its end by state and tensions {gradient}.\n"
-    )
-
-
-def draw(times: list[tuple[Any, ...]], path: Path) -> None:
-    figure, axis = plt.subplots(figsize=(6, 4), constrained_layout=True)
-    for preset in dict.fromkeys(own[0] for own in times):
-        names, adjoint = zip(*((own[1], float(own[4])) for own in times if own[0] == preset), strict=True)
-        axis.plot(names, adjoint, "o-", label=preset)
-    axis.set(ylabel="cost of the adjoint [steps]", ylim=(0.0, None))
-    axis.legend(frameon=False, fontsize=7)
-    axis.grid(alpha=0.3)
+def draw(rows: list[tuple[str, ...]], path: Path) -> None:
+    figure, axis = plt.subplots(figsize=(6, 5), constrained_layout=True)
+    shown = [(f"{scene}, {effect}, {preset}", float(adjoint)) for scene, effect, preset, adjoint, *_ in rows if adjoint != "-"]
+    axis.barh(*zip(*shown, strict=True), color="#2e6f95")
+    axis.invert_yaxis()
+    axis.set(xlabel="cost of the adjoint [steps]")
+    axis.tick_params(labelsize=7)
     write_picture(figure, path)
 
 

@@ -1,18 +1,12 @@
-"""What effects cost, what they take to compile on first use, and how far off a motion is without them.
+"""CPU time of effects, their compilation on first use, and the tip error without them: a section of docs/appendix/speed.md.
 
     python benchmarks/effects.py [--quick] [--write-docs] [--out out]
 
-- Cost: CPU time of one evaluation of the equation of motion of the paper's arm (10 coordinates, 6 intervals per piece) with the effect,
-  divided by the time without any effect. Both are measured in turns; the number is the median ratio. "evaluation" counts all terms of
-  (23). "in a step" counts the terms that a time step computes again in every evaluation, among them the stiffness and damping of the
-  effect but not of the rod.
-- Compilation: CPU time of the first step of that arm in a new process, with everything compiled but the effect, minus the time without
-  the effect.
-- Left out: the largest distance of the tip over 2 s of smooth motion, between a scene that needs the effect and the same scene without it.
+Costs are CPU times of an evaluation of the equation of motion of the paper's arm (10 coordinates, 6 intervals per piece), measured in turns
+and divided by those without effects: medians. The row of loads inside the strain (`strain.include_loads`) is relative to the arm without
+gravity. Compilation is the CPU time of the first step in a new process, everything but the effect compiled, minus that without the effect.
+"""
 
-The row of gravity inside the strain (`strain.include_loads`) has costs relative to the arm without gravity."""
-
-import argparse
 import json
 import os
 import shutil
@@ -26,7 +20,7 @@ from typing import Any, NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 from _in_step import evaluate_force_often
-from _results import markdown_table, write_csv, write_page, write_picture
+from _results import APPENDIX, folders, markdown_table, parser_of, write_block, write_csv, write_picture
 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.test_inputs import HOLD, motion_tensions
@@ -75,11 +69,8 @@ CASES = {
     "tendon_friction": Case({"effects.tendon_friction.coefficient": 0.2}, "three_tendon", {"effects.tendon_friction.coefficient": 0.2}),
 }
 EVERYTHING, INSIDE = "all together", "loads inside"
-INSIDE_HEADER = ("strain", "evaluation", "in a step")
 INTERVALS, EVALUATIONS = 6, 1000
-DOCS = Path(__file__).parent.parent / "docs" / "appendix" / "effects_cost.md"
-SUMMARY = "Cost of the effects: CPU time of an evaluation as a ratio to that without, compilation on first use, and the tip without them."
-HEADER = ("effect", "evaluation", "in a step", "compilation on first use [s]", "scene that needs it", "tip without it off by [mm]")
+HEADER = ("effect", "evaluation", "in a step", "compilation [s]", "scene", "without it [mm]")
 
 FIRST_STEP = """
 import sys, time
@@ -95,11 +86,7 @@ print(time.process_time() - started)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--write-docs", action="store_true", help="write docs/appendix/effects_cost.md")
-    parser.add_argument("--quick", action="store_true", help="try the script: few turns, one effect compiled, short motions")
-    parser.add_argument("--out", type=Path, default=Path("out"))
-    arguments = parser.parse_args()
+    arguments = parser_of(__doc__).parse_args()
     quick = arguments.quick
     together = {key: value for case in CASES.values() for key, value in case.on_paper.items()}
     inside = {**DOWN, "strain.include_loads": True}
@@ -107,19 +94,15 @@ def main() -> None:
     evaluation, in_step = costs(arms, turns=2 if quick else 41)
     compiling = compile_times({name: arms[name] for name in (["gravity"] if quick else [*CASES, EVERYTHING])})
     rows = []
-    for name in (*CASES, EVERYTHING):
+    for name in (*CASES, EVERYTHING, INSIDE):
         seconds = f"{compiling[name]:.1f}" if name in compiling else "-"
         scene = CASES[name].scene if name in CASES else "-"
         off = "-" if scene == "-" else f"{1e3 * left_out(name, CASES[name], 0.1 if quick else 2.0):.3g}"
         rows.append((name, f"{evaluation[name]:.2f}", f"{in_step[name]:.2f}", seconds, scene, off))
-    within = (INSIDE, f"{evaluation[INSIDE]:.2f}", f"{in_step[INSIDE]:.2f}")
-    table = f"{markdown_table(HEADER, rows)}\n\n{markdown_table(INSIDE_HEADER, [within])}"
-    print(f"\n{table}\n")
-    write_csv(arguments.out / "effects.csv", HEADER, rows)
-    draw(evaluation, in_step, arguments.out / "effects.png")
-    if arguments.write_docs:
-        what = __doc__.split("\n\n", 2)[2]
-        write_page(DOCS, "Cost of the effects", (SUMMARY, what, table))
+    for folder in folders(arguments):
+        write_csv(folder / "effects.csv", HEADER, rows)
+        draw(rows, folder / "effects.png")
+    write_block(arguments, APPENDIX / "speed.md", "effects", markdown_table(HEADER, rows))
 
 
 @kernel
@@ -189,14 +172,13 @@ def left_out(name: str, case: Case, seconds: float) -> float:
     return float(np.linalg.norm(tips[0] - tips[1], axis=1).max())
 
 
-def draw(evaluation: dict[str, float], in_step: dict[str, float], path: Path) -> None:
+def draw(rows: list[tuple[str, ...]], path: Path) -> None:
     figure, axes = plt.subplots(figsize=(6, 3), constrained_layout=True)
-    names = [name for name in evaluation if name]
-    places = np.arange(len(names))
-    axes.barh(places - 0.2, [evaluation[name] for name in names], 0.4, color="#2e6f95", label="evaluation")
-    axes.barh(places + 0.2, [in_step[name] for name in names], 0.4, color="#edae49", label="in a step")
+    places = np.arange(len(rows))
+    axes.barh(places - 0.2, [float(row[1]) for row in rows], 0.4, color="#2e6f95", label="evaluation")
+    axes.barh(places + 0.2, [float(row[2]) for row in rows], 0.4, color="#edae49", label="in a step")
     axes.axvline(1.0, color="black", linewidth=0.8)
-    axes.set(yticks=places, yticklabels=names, xlabel="CPU time, without effects = 1", xlim=(0.9, None))
+    axes.set(yticks=places, yticklabels=[row[0] for row in rows], xlabel="CPU time, without effects = 1", xlim=(0.9, None))
     axes.invert_yaxis()
     axes.legend(frameon=False, fontsize=8)
     write_picture(figure, path)

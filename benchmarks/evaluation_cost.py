@@ -3,7 +3,7 @@
     python benchmarks/evaluation_cost.py [--out out]
 
 Least time of several runs of one second (redrawn tensions, 3 columns, steps of 20 ms) over its evaluations, one thread. The numbers of the
-least-squares fit in relative error are printed as they stand in soft_tendon_env/accuracy/settings.py.
+least-squares fit in relative error are printed as they stand in soft_tendon_env/accuracy/pareto.py.
 """
 
 import argparse
@@ -18,7 +18,7 @@ from _results import machine, markdown_table, write_csv, write_picture
 from scipy.optimize import nnls
 
 import soft_tendon_env as ste
-from soft_tendon_env.accuracy.settings import evaluation_cost
+from soft_tendon_env.accuracy.pareto import evaluation_cost
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.model.model import model_on
 

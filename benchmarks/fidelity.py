@@ -1,26 +1,19 @@
-"""Tip error and CPU time per control period of the fidelity presets.
+"""Tip error and CPU time per control period of the fidelity presets: a section of docs/appendix/speed.md.
 
-    python benchmarks/fidelity.py [--scenes paper ...] [--write-docs] [--out out]
+    python benchmarks/fidelity.py [--scenes paper ...] [--quick] [--write-docs] [--out out]
 
-- Tip error: the largest distance of the tip from a converged reference over 2 s, in the worst of three motions of each kind. No passive
-  mode was made from these motions.
-- Kinds of motion (`accuracy/test_inputs.py`): `redrawn`, piecewise-constant random tensions within a quarter of their range, new every
-  100 ms; `increments`, a random walk within a third; `smooth`, sin² of 0.8 Hz within a third; `wild`, full-range random tensions, new
-  every 20 ms.
-- Evaluations of the equation of motion per control period of 20 ms: the mean over the first three kinds.
-- CPU time of one control period in a vector environment with 64 rows, everything included, on one thread, under motions like `redrawn`.
-
-`scene` is each arm as its file says: one coordinate per independent tendon, no passive modes, fixed steps.
+Largest distance of the tip from a converged reference over 2 s, in the worst of three motions of each kind, of which no passive mode was
+made. Evaluations are the mean over the usual kinds. CPU time is that of a vector environment with 64 rows, everything included, on one
+thread, under motions like `redrawn`. `scene` is each arm as its file says: no passive modes, fixed steps.
 """
 
-import argparse
 import time
 from pathlib import Path
 
 import gymnasium as gym
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import markdown_table, write_csv, write_page, write_picture
+from _results import APPENDIX, folders, markdown_table, parser_of, write_block, write_csv, write_picture
 from tqdm import tqdm
 
 import soft_tendon_env as ste
@@ -34,26 +27,26 @@ KINDS = MOTIONS[:4]
 SEEDS = range(100, 103)
 REFERENCE, WILD_REFERENCE = 5e-5, 2e-3  # of the length
 HELD, ROWS, STEPS = 5, 64, 400  # control periods
-DOCS = Path(__file__).parent.parent / "docs" / "appendix" / "fidelity.md"
 HEADER = ("scene", "fidelity", "coordinates", "evaluations", "CPU [us per env step]", *(f"{kind} [mm]" for kind in KINDS))
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--scenes", nargs="+", default=SCENES, choices=SCENES)
-    parser.add_argument("--write-docs", action="store_true", help="write docs/appendix/fidelity.md")
-    parser.add_argument("--quick", action="store_true", help="try the script: one short motion a kind")
-    parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
     seeds, seconds, steps = (SEEDS[:1], 0.2, 2 * HELD) if arguments.quick else (SEEDS, 2.0, STEPS)
     rows = [row for name in tqdm(arguments.scenes, desc="arms", leave=False) for row in measured(name, seeds, seconds, steps)]
-    table = markdown_table(HEADER, rows)
-    print(f"\n{table}\n")
-    write_csv(arguments.out / "fidelity.csv", HEADER, rows)
-    draw(rows, arguments.out / "fidelity.png")
-    if arguments.write_docs:
-        title, _, what = __doc__.split("\n\n", 2)
-        write_page(DOCS, "Fidelity presets", (title, what, table))
+    for folder in folders(arguments):
+        write_csv(folder / "fidelity.csv", HEADER, rows)
+        draw(rows, folder / "fidelity.png")
+    write_block(arguments, APPENDIX / "speed.md", "fidelity", table_of(rows))
+
+
+def table_of(rows: list[tuple[str, ...]]) -> str:
+    """A row for every arm and preset, with the worst error of the usual motions and that of wild ones."""
+    header = ("scene", "fidelity", "coordinates", "evaluations", "CPU [us]", "usual [mm]", "wild [mm]")
+    shown = [(*row[:5], max(row[5 : 5 + len(USUAL)], key=float), row[-1]) for row in rows if row[1] in PRESETS]
+    return markdown_table(header, shown)
 
 
 def measured(name: str, seeds: range, seconds: float, steps: int) -> list[tuple[str, ...]]:

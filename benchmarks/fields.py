@@ -1,19 +1,17 @@
-"""Tip error without passive modes, with Legendre moments, with POD modes, and of explicit polynomials, for every arm that ships.
+"""Tip error of strain fields: no passive modes, Legendre moments, POD modes, explicit polynomials. A section of docs/appendix/accuracy.md.
 
-    python benchmarks/fields.py [--scenes paper ...] [--write-docs] [--out out]
+    python benchmarks/fields.py [--scenes paper ...] [--quick] [--write-docs] [--out out]
 
-The tip error [mm] is the largest distance of the tip from a converged reference over 2 s, with converged time integration, in the worst
-usual motion: `redrawn`, `increments` or `smooth`, see [fidelity](fidelity.md). The coordinates are in brackets. No mode was made from these
-motions. "6 of its own" are six POD modes. Loaded arms have gravity, a payload and a tip force within the loads that their modes were made
-for. The CSV file has every kind of motion."""
+Largest distance of the tip [mm] from a converged reference over 2 s, with converged time integration. No mode was made from these motions.
+Loaded arms have gravity, a payload and a tip force within the loads that their modes were made for.
+"""
 
-import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import markdown_table, write_csv, write_page, write_picture
+from _results import APPENDIX, folders, markdown_table, parser_of, write_block, write_csv, write_picture
 from tqdm import tqdm
 
 import soft_tendon_env as ste
@@ -27,34 +25,25 @@ from soft_tendon_env.scene.scene import Scene, rod_length
 SCENES = ("paper", "four_tendon", "three_tendon", "two_segment_six", "helical")
 KINDS = MOTIONS[:4]
 SEEDS = range(100, 103)
-OWN = (6, 9, 12, 18)
+OWN = (6, 9, 18)
 INTERVALS, STEP, COLUMNS = 16, 0.005, 4
 REFERENCE, WILD_REFERENCE = 5e-5, 2e-3  # of the length
 ANGULAR, STRAINS = ["torsion", "bend_y", "bend_z"], ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
 HEADER = ("scene", "strain fields", "coordinates", *(f"{kind} [mm]" for kind in KINDS))
-LOOKS = {"Legendre": ("#edae49", "s"), "its own": ("#2e6f95", "o"), "explicit": ("#d1495b", "^"), "none": ("black", "x")}
-DOCS = Path(__file__).parent.parent / "docs" / "appendix" / "passive_fields_accuracy.md"
+LOOKS = {"Legendre": ("#edae49", "s"), "POD": ("#2e6f95", "o"), "explicit": ("#d1495b", "^"), "none": ("black", "x")}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--scenes", nargs="+", default=SCENES, choices=SCENES)
-    parser.add_argument("--quick", action="store_true", help="one short motion of a kind, to try this script")
-    parser.add_argument("--write-docs", action="store_true", help=f"write docs/appendix/{DOCS.name}")
-    parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
     seeds, seconds = (SEEDS[:1], 0.2) if arguments.quick else (SEEDS, 2.0)
     cases = [(name, scene) for name in arguments.scenes for scene in (ste.load_scene(name), loaded(name))]
     rows = [row for name, scene in tqdm(cases, desc="arms", leave=False) for row in measured(name, scene, seeds, seconds)]
-    table = by_strain(rows)
-    print(f"{table}\n")
-    write_csv(arguments.out / "fields.csv", HEADER, rows)
-    draw(rows, arguments.out / "fields.png")
-    if arguments.write_docs:
-        title, _, what = __doc__.split("\n\n", 2)
-        picture = f"![Error against coordinates]({DOCS.stem}.png)"
-        write_page(DOCS, "Accuracy of strain fields", (title, picture, f"{what.strip()} Motions of a kind: {len(seeds)}.", table))
-        draw(rows, DOCS.with_suffix(".png"))
+    for folder in folders(arguments):
+        write_csv(folder / "fields.csv", HEADER, rows)
+        draw(rows, folder / "fields.png")
+    write_block(arguments, APPENDIX / "accuracy.md", "strain fields", by_strain(rows))
 
 
 def by_strain(rows: list[tuple[str, ...]]) -> str:
@@ -78,7 +67,7 @@ def strains(scene: Scene) -> Iterator[tuple[str, dict]]:
     yield "Legendre moments 0-2", {"type": "statics_based", "passive": [{"strains": ANGULAR, "order": 2, "span": "rod"}]}
     digest = find_fields(scene).digest
     for count in OWN:
-        yield f"{count} of its own", {"type": "statics_based", "passive": {"type": "snapshots", "fields": count, "digest": digest}}
+        yield f"{count} POD modes", {"type": "statics_based", "passive": {"type": "snapshots", "fields": count, "digest": digest}}
     yield "explicit, order 3", {"type": "explicit", "modes": [{"strains": STRAINS, "order": 3, "span": "piece"}]}
 
 
@@ -97,7 +86,7 @@ def measured(name: str, scene: Scene, seeds: range, seconds: float) -> Iterator[
 
 
 def largest_error(model: ste.Model, inputs: list[np.ndarray], exact: tuple) -> float:
-    """Over the motions that full physics has; inf where the model has one of them not."""
+    """Largest error over the motions that the reference completes; inf where the model does not complete one of them."""
     errors = [distance(tips(model, tensions), reference) for tensions, reference in zip(inputs, exact, strict=True)]
     return max((error for error in errors if not np.isnan(error)), default=np.nan)
 

@@ -1,35 +1,17 @@
 """This package beside MuJoCo, PyElastica and SoRoMoX on the paper's arm: accuracy against CPU time, and abrupt tensions.
 
-    make peers, or python benchmarks/peers.py [--peers own mujoco ...] [--write-docs] [--out out] where the extra `peers` is installed
+    make peers, or python benchmarks/peers.py [--peers own mujoco ...] [--quick] [--write-docs] [--out out] where the extra `peers` is
+    installed
 
-Every simulator gets the same arm (scene `paper`: taper, elasticity, density, Kelvin-Voigt damping, ten tendons, five of them helical, five
-of them half as long as the arm) and the same three inputs of two seconds, tensions held for 20 ms: `smooth` (sines of 0.8 Hz up to 20 N),
-`step` (abrupt, within 20 N) and `redrawn` (piecewise-constant random in 0 to 15 N, new every 100 ms).
-
-**Error** is the largest distance of the tip from a converged reference ("full physics"), compared every 20 ms. The reference has all six
-strains by polynomials of order 5 on each half of the arm, 72 coordinates. This package integrates it with 24 intervals per half, 4
-columns and steps of 0.5 ms. Its error bar is the larger of its distances to order 6 and to steps of 1 ms. The reference is computed by
-this package, but the other simulators approach it too as they are refined, see the tables.
-
-**CPU time** is that of the stepping alone, per simulated second, on one thread, without compilation, with the tip read every 20 ms.
-PyElastica and SoRoMoX are so slow that they simulate the first 0.2 s of each input only. This favours them, because errors grow with
-time. Times of several tolerances can be those of one setting, the cheapest that was tried.
-
-**Models.** Every simulator models the whole arm, without contact and gravity.
-
-- MuJoCo: a chain of bodies with six springs and dampers per joint, and spatial tendons through two sites per body. The bending stiffness
-  depends on the tensions, so that the kinks of the chain cause no error.
-- PyElastica: its rod. It lacks tendons, Kelvin-Voigt damping and this law of the section, which are added as an external forcing.
-- SoRoMoX: its geometric variable strain with polynomials on each half, and threadlike actuators. Explicit solvers would need steps of
-  microseconds, so implicit ones of Diffrax are measured.
-
-The files of benchmarks/_peers say more. The CSV file has every setting of the sweeps, the picture the Pareto front of each simulator."""
+The models, inputs, errors and times that are compared: docs/appendix/peers.md and the files of benchmarks/_peers. The reference has all six
+strains by polynomials of order 5 on each half of the arm, 72 coordinates; this package integrates it with 24 intervals per half, 4 columns
+and steps of 0.5 ms. Its error bar is the larger of its distances to order 6 and to steps of 1 ms.
+"""
 
 import os
 
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")
 
-import argparse
 from collections.abc import Iterable, Iterator
 from importlib import import_module, metadata
 from pathlib import Path
@@ -39,7 +21,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from _peers.own import explicit
 from _peers.simulator import HOLD, Array, Motion, Setting, Simulator
-from _results import machine, markdown_table, write_csv, write_page, write_picture
+from _results import APPENDIX, folders, markdown_table, parser_of, write_block, write_csv, write_picture
 from tqdm import tqdm
 
 import soft_tendon_env as ste
@@ -57,9 +39,8 @@ QUICK = {"strain": explicit(2), "quadrature.intervals": 4}  # in place of full p
 ABRUPT = {"100 N on one tendon": (1,), "150 N on all tendons": tuple(range(1, 11))}
 """Tendons of the hard inputs, held from rest for HARD_SECONDS."""
 HARD_SECONDS = 0.4
-LEVELS = (20.0, 5.0, 2.0, 0.5)
+LEVELS = (10.0, 5.0, 2.0, 0.5)
 """Errors [mm] that the summary asks the cheapest setting for."""
-DOCS = Path(__file__).parent.parent / "docs" / "appendix"
 HEADER = ("simulator", "setting", "input", "simulated [s]", "error [mm]", "CPU [ms/s]", "told")
 
 
@@ -88,24 +69,18 @@ class Measured(NamedTuple):
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--peers", nargs="+", choices=SIMULATORS, default=tuple(SIMULATORS), help="simulators to measure")
-    parser.add_argument("--quick", action="store_true", help="few settings, short inputs and a coarse reference, to try this script")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/appendix/peers.md and its picture too")
-    parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
-
     simulators, missing = load(arguments.peers)
     for name, why in missing.items():
         print(f"{name} is left out: {why}")
     usual, hard = usual_inputs(arguments.quick), hard_inputs(arguments.quick)
     runs = [run for simulator in simulators.values() for run in measure_all(simulator, usual, hard, arguments.quick)]
-    report = tables(runs, {**usual, **hard}, simulators, missing)
-    print(report)
-    write_csv(arguments.out / "peers.csv", HEADER, [run.row() for run in runs])
-    draw(runs, arguments.out / "peers.png")
-    if arguments.write_docs:
-        write_docs(report, runs)
+    for folder in folders(arguments):
+        write_csv(folder / "peers.csv", HEADER, [run.row() for run in runs])
+        draw(runs, folder / "peers.png")
+    write_block(arguments, APPENDIX / "peers.md", "peers", tables(runs, {**usual, **hard}, simulators, missing))
 
 
 def load(names: Iterable[str]) -> tuple[dict[str, Simulator], dict[str, str]]:
@@ -201,23 +176,13 @@ def milliseconds(cpu: float) -> str:
 
 
 def tables(runs: list[Measured], inputs: dict[str, Input], simulators: dict[str, Simulator], missing: dict[str, str]) -> str:
-    """The report, as Markdown."""
+    """The tables of the page, as Markdown."""
     versions = ", ".join(f"{name} {metadata.version(simulator.DISTRIBUTION)}" for name, simulator in simulators.items())
-    parts = [
-        f"Measured on: {machine()}. {versions}. CPU times are milliseconds per simulated second.",
-        *(f"Not measured: {name} ({why})." for name, why in missing.items()),
-        "## The cheapest setting within an error",
-        "CPU time [ms/s] of the cheapest setting within the error; in brackets, how many times that of this package; -: none that was "
-        "tried.",
-        summary(runs, list(simulators)),
-        "## At steps of 10 ms, and under abrupt tensions",
-        "What each does: the largest tip distance to full physics, or what it did instead. Abrupt tensions act on the arm at rest, for "
-        f"{HARD_SECONDS:g} s, or as long as the simulator simulates at all.",
-        hard_table(runs, list(simulators)),
-        "## Full physics",
-        markdown_table(("input", "error bar [mm]"), [(name, millimetres(given.error_bar)) for name, given in inputs.items()]),
-    ]
-    return "\n\n".join(parts) + "\n"
+    bars = ", ".join(f"{name} {millimetres(given.error_bar)} mm" for name, given in inputs.items())
+    left_out = "".join(f" Not measured: {name} ({why})." for name, why in missing.items())
+    return "\n\n".join(
+        [f"{versions}.{left_out}", summary(runs, list(simulators)), hard_table(runs, list(simulators)), f"Error bars: {bars}."]
+    )
 
 
 def summary(runs: list[Measured], simulators: list[str]) -> str:
@@ -240,27 +205,23 @@ def in_times(cpu: float | None, first: float | None) -> str:
     """CPU time [ms/s], and as a multiple of `first` where there is one."""
     if cpu is None:
         return "-"
-    return milliseconds(cpu) if first is None else f"{milliseconds(cpu)} ({cpu / first:,.{int(cpu < 10 * first)}f} times)"
+    return milliseconds(cpu) if first is None else f"{milliseconds(cpu)} ({cpu / first:,.{int(cpu < 10 * first)}f}x)"
 
 
 def hard_table(runs: list[Measured], simulators: list[str]) -> str:
+    """A row per setting: errors on all inputs, or what happened instead."""
     names, rows = (*MOTIONS, *ABRUPT), []
     for simulator in simulators:
         for setting in dict.fromkeys(run.setting for run in runs if run.simulator == simulator and run.input in ABRUPT):
             here = {run.input: run for run in runs if (run.simulator, run.setting) == (simulator, setting)}
             rows.append((simulator, setting, *(outcome(here[name]) for name in names)))
-    return markdown_table(("simulator", "setting", *names), rows)
+    return markdown_table(("simulator", "setting", *(f"{name} [mm]" for name in names)), rows)
 
 
 def outcome(run: Measured) -> str:
-    """What became of a run, in words; of what was told the first sentence."""
-    told = f"told: {run.told.split('. ')[0].rstrip('.')}" if run.told else "told nothing"
-    if run.restarted:
-        return f"went back to its start and on from there, {told}"
-    if np.isinf(run.error):
-        return f"{'stopped' if np.isnan(run.cpu) else 'not finite'}, {told}"
-    distance = "finite" if np.isnan(run.error) else f"{millimetres(run.error)} mm"
-    return f"{distance}, {told}" if run.told else distance
+    """Error [mm] of a run, or a word for what became of it; a star: the simulator said so."""
+    word = "restarted" if run.restarted else "stopped" if np.isinf(run.error) and np.isnan(run.cpu) else millimetres(run.error)
+    return f"{word}{'*' * bool(run.told)}"
 
 
 def draw(runs: list[Measured], picture: Path) -> None:
@@ -277,7 +238,7 @@ def draw(runs: list[Measured], picture: Path) -> None:
         axes.set(xscale="log", yscale="log", xlabel="CPU time per simulated second [ms]", title=name)
         axes.axvline(1e3, color="black", linewidth=0.8, alpha=0.5)
         axes.grid(which="both", alpha=0.2)
-    panels[0].set_ylabel("largest tip distance from full physics [mm], arm of 1 m")
+    panels[0].set_ylabel("largest tip distance from the reference [mm], arm of 1 m")
     panels[0].legend(frameon=False, loc="upper right", fontsize=9)
     figure.suptitle("A dot for every setting, a line through the best of each simulator; right of the vertical line: slower than the arm")
     write_picture(figure, picture, dpi=110)
@@ -286,14 +247,6 @@ def draw(runs: list[Measured], picture: Path) -> None:
 def points(runs: Iterable[Measured]) -> Array:
     """CPU time [ms/s] and error [mm], (2, runs)."""
     return 1e3 * np.array([(run.cpu, run.error) for run in runs]).reshape(-1, 2).T
-
-
-def write_docs(report: str, runs: list[Measured]) -> None:
-    """docs/appendix/peers.md, as this script's docstring explains it."""
-    explanation = __doc__.split("\n\n", 2)
-    parts = (explanation[0], explanation[2], "![Accuracy against CPU time of four simulators](peers.png)", report)
-    write_page(DOCS / "peers.md", "Beside other simulators", parts)
-    draw(runs, DOCS / "peers.png")
 
 
 if __name__ == "__main__":

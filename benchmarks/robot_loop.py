@@ -102,7 +102,7 @@ def row_of(fault: str, arguments: argparse.Namespace, seconds: float) -> tuple[o
     env = gym.make(f"TendonRod-{TASK}-v0", max_episode_steps=steps, **options)
     policy = load_policy(arguments.policy, env)
     rehearse(policy, env)
-    robot = Faulty(**ARM, sensors=options.get("sensors", 0), model_error="stiffness-20%")
+    robot = Faulty(**ARM, sensors=options.get("sensors", 0), randomize={"stiffness": 0.8})
     log = arguments.out / f"robot_{fault.replace(' ', '_')}.csv"
     log.unlink(missing_ok=True)
     real = RobotEnv(env, robot, settle=0.0, log=log)  # it is at rest
@@ -120,7 +120,7 @@ def ended(run: Callable[[], Report], real: RobotEnv) -> Report:
     try:
         return run()
     except (ValueError, KeyboardInterrupt):
-        return Report({}, real.timing, real.stop("it has ended"))
+        return Report({}, real.unwrapped.episodes.arms.pacer.timing, real.stop("it has ended"))
 
 
 def draw(rows: list[tuple[object, ...]], path: Path) -> None:

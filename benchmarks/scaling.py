@@ -1,20 +1,15 @@
-"""How cost grows with the size of the problem, memory per row, and what more cores should give.
+"""Growth of cost with the size of the problem, memory per row, and what more cores should give: a section of docs/appendix/speed.md.
 
     python benchmarks/scaling.py [--quick] [--write-docs] [--out out]
 
-- Exponents: the slope p of log(cost) against log(size), cost ~ size^p, over all sizes and between the last two. One size changes at a
-  time, with its consequences: each tendon of the statics-based strain is a coordinate, and each segment has its own intervals.
-- Evaluation: CPU time of all terms of (23). Env step: CPU time of a row of TipPose for one control period of 20 ms with three columns.
-  Both are the smallest of several turns, in which all sizes are measured one after the other.
+- One size changes at a time, with its consequences: each tendon of the statics-based strain is a coordinate, and each segment has its own
+  intervals. Costs are the smallest CPU times of several turns, in which all sizes are measured one after the other.
+- Exponents: the slope p of log(cost) against log(size), cost ~ size^p.
 - Memory: allocated by Python and NumPy after twenty steps, per row.
-- Cores: predicted from a model of a step of all rows. Python and NumPy take a us + b us per row on one thread. The compiled part takes c
-  us per row, which threads share, at least eight rows each. Threads therefore help until c / threads is smaller than b.
-- a, b and c are measured on one thread. Two threads are measured too; the ratio of their CPU time to that of one thread is the overhead
-  of threads. More cores than this machine has were not measured.
-- Processes share memory bandwidth alone, of which a step needs little, since the data of a row stay in a core's cache. Their rates are
-  predicted to add up."""
+- Cores: predicted. Python and NumPy take a + b per row on one thread, the compiled part c per row, which threads share, at least eight rows
+  each; a, b and c are measured on one thread. Rates of processes are predicted to add up, since they share memory bandwidth alone.
+"""
 
-import argparse
 import itertools
 import json
 import os
@@ -30,7 +25,7 @@ import gymnasium as gym
 import matplotlib.pyplot as plt
 import numpy as np
 from _in_step import evaluate_force_often
-from _results import machine, markdown_table, write_csv, write_page, write_picture
+from _results import APPENDIX, folders, markdown_table, parser_of, write_block, write_csv, write_picture
 
 import soft_tendon_env as ste
 from soft_tendon_env.mechanics.motion.scratch import make_scratch
@@ -49,9 +44,7 @@ EFFECTS = {
 EVALUATIONS = 300
 PERIODS = 50
 CORES = (1, 2, 16, 64)
-MANY = (64, 512, 4096)
-DOCS = Path(__file__).parent.parent / "docs" / "appendix" / "scaling.md"
-SUMMARY = "How cost grows with tendons, segments, coordinates, intervals, effects and rows; memory per row; what more cores should give."
+MANY = 4096
 STATICS_BASED = {"strain": {"type": "statics_based"}}
 
 GROWTH = """
@@ -84,34 +77,23 @@ class Family(NamedTuple):
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="try the script: small sizes, few turns")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/appendix/scaling.md")
-    parser.add_argument("--out", type=Path, default=Path("out"))
-    arguments = parser.parse_args()
+    arguments = parser_of(__doc__).parse_args()
     quick = arguments.quick
     warnings.simplefilter("ignore")
-    rows, curves = [], {}
+    rows, shares = [], {}
     for family in FAMILIES:
         sizes = family.sizes[:2] if quick else family.sizes
-        evaluation, numbers = evaluation_costs(family, sizes, turns=2 if quick else 15)
-        step = [] if family.what == "effects" and quick else step_costs(family, sizes, turns=1 if quick else 5)
-        curves[family.what] = sizes, evaluation
-        rows += [growth_row(f"{family.what}: {numbers}", "evaluation", sizes, evaluation)]
-        rows += [growth_row(f"{family.what}: {numbers}", "env step", sizes, step)] if step else []
-    shares = {fidelity: measured_shares(fidelity, turns=1 if quick else 5) for fidelity in (("fast",) if quick else ("fast", "standard"))}
-    for fidelity, share in shares.items():
-        rows.append(growth_row(f"rows: TipPose, {fidelity}", "step of all rows", share.rows, share.whole))
-    growth = markdown_table(GROWTH_HEADER, rows)
-    memory = memory_table(quick)
-    cores = markdown_table(CORES_HEADER, [row for fidelity, share in shares.items() for row in core_rows(fidelity, share)])
-    print(f"\n{machine()}\n\n{growth}\n\n{memory}\n\n{cores}\n")
-    write_csv(arguments.out / "scaling.csv", GROWTH_HEADER, rows)
-    draw(curves, arguments.out / "scaling.png")
-    if arguments.write_docs:
-        what = __doc__.split("\n\n", 2)[2]
-        law = "\n".join(f"- {fidelity}: {share.law}" for fidelity, share in shares.items())
-        write_page(DOCS, "Scaling", (SUMMARY, what, "## Growth", growth, "## Memory", memory, "## Cores", law, cores))
+        rows += cost_rows(family.what, "evaluation", sizes, evaluation_costs(family, sizes, turns=2 if quick else 15))
+        if family.what != "effects" or not quick:
+            rows += cost_rows(family.what, "env step", sizes, step_costs(family, sizes, turns=1 if quick else 5))
+    for fidelity in ("fast",) if quick else ("fast", "standard"):
+        shares[fidelity] = measured_shares(fidelity, turns=1 if quick else 5)
+        rows += cost_rows(f"rows, {fidelity}", "step of all rows", shares[fidelity].rows, shares[fidelity].whole)
+    for folder in folders(arguments):
+        write_csv(folder / "scaling.csv", HEADER, rows)
+        draw(rows, folder / "scaling.png")
+    tables = (growth_table(rows), memory_table(quick), cores_table(shares))
+    write_block(arguments, APPENDIX / "speed.md", "scaling", "\n\n".join(tables))
 
 
 def straight_arm(tendons: int, segments: int = 1) -> ste.Scene:
@@ -155,23 +137,22 @@ FAMILIES = (
 )
 
 
-def evaluation_costs(family: Family, sizes: Sequence[int], turns: int) -> tuple[list[float], str]:
-    """CPU seconds of an evaluation by size, and the numbers of coordinates and packs."""
+def evaluation_costs(family: Family, sizes: Sequence[int], turns: int) -> list[float]:
+    """CPU seconds of an evaluation by size."""
     ready, best = [], [np.inf] * len(sizes)
     for size in sizes:
         model = model_on(*family.scene(size))
         n, scratch, random = model.coordinate_count, make_scratch(model.arm, 3), np.random.default_rng(0)
         scratch.work.xi[:] = model.arm.rod.reference_strain
         q = random.uniform(0.0, 1.0, n) * 0.1 * model.coordinate_scale()
-        ready.append((model, (model.arm, np.full(model.tendon_count, 1.0), q, 0.1 * random.normal(size=n), scratch)))
-        evaluate_force_often(*ready[-1][1], 5)
+        ready.append((model.arm, np.full(model.tendon_count, 1.0), q, 0.1 * random.normal(size=n), scratch))
+        evaluate_force_often(*ready[-1], 5)
     for _ in range(turns):
-        for i, (_, arguments) in enumerate(ready):
+        for i, arguments in enumerate(ready):
             started = time.thread_time()
             evaluate_force_often(*arguments, EVALUATIONS)
             best[i] = min(best[i], (time.thread_time() - started) / EVALUATIONS)
-    few, many = ready[0][0], ready[-1][0]
-    return best, f"{few.coordinate_count}-{many.coordinate_count} coordinates, {few.grid.packs}-{many.grid.packs} packs"
+    return best
 
 
 def step_costs(family: Family, sizes: Sequence[int], turns: int) -> list[float]:
@@ -217,18 +198,11 @@ class Shares(NamedTuple):
     fixed: float  # a
     python: float  # b, per row
     compiled: float  # c, per row
-    sharing: float  # CPU time of 64 rows on two threads in parts of that on one
 
     def rate(self, rows: int, cores: int) -> float:
         """Rows stepped a second on so many cores, of which every one has at least eight rows."""
         threads = max(1, min(cores, rows // 8))
         return rows / (self.fixed + self.python * rows + self.compiled * rows / threads)
-
-    @property
-    def law(self) -> str:
-        """The law in words."""
-        law = f"a = {1e6 * self.fixed:.0f} us, b = {1e6 * self.python:.2f} us, c = {1e6 * self.compiled:.1f} us"
-        return f"{law}; two threads take {self.sharing:.2f} times the CPU time of one"
 
 
 def measured_shares(fidelity: str, turns: int) -> Shares:
@@ -245,9 +219,7 @@ def measured_shares(fidelity: str, turns: int) -> Shares:
     size, own = np.array(counts, dtype=float), np.array(compiled)
     rest = np.array(whole) - own
     python = float((rest[-1] - rest[0]) / (size[-1] - size[0]))
-    pair = [stepping(64, threads, fidelity=fidelity) for threads in (1, 2)]
-    one, two = (min(cpu_of(step) for _ in range(2 * turns)) for step in pair)
-    return Shares(counts, whole, float(rest[0] - python), python, float(own[-1] / size[-1]), two / one)
+    return Shares(counts, whole, float(rest[0] - python), python, float(own[-1] / size[-1]))
 
 
 class Clock:
@@ -263,45 +235,61 @@ class Clock:
         self.total += time.process_time() - started
 
 
-GROWTH_HEADER = ("what grows", "cost", "sizes", "us", "exponent", "between the last two")
+HEADER = ("what grows", "cost", "size", "CPU [us]")
 
 
-def growth_row(what: str, cost: str, sizes: Sequence[int], seconds: Sequence[float]) -> tuple[str, ...]:
-    """Sizes, costs and exponents as text."""
-    x, y = np.log(sizes), np.log(seconds)
-    slope, last = np.polyfit(x, y, 1)[0], (y[-1] - y[-2]) / (x[-1] - x[-2])
-    times = ", ".join(f"{1e6 * value:.3g}" for value in seconds)
-    return what, cost, ", ".join(map(str, sizes)), times, f"{slope:.2f}", f"{last:.2f}"
+def cost_rows(what: str, cost: str, sizes: Sequence[int], seconds: Sequence[float]) -> list[tuple[str, ...]]:
+    """A row for every size."""
+    return [(what, cost, str(size), f"{1e6 * value:.3g}") for size, value in zip(sizes, seconds, strict=True)]
 
 
-CORES_HEADER = ("fidelity", "cores", *(f"{rows} rows, one process" for rows in MANY), "a process of 64 rows per core")
+def curves(rows: Sequence[tuple[str, ...]]) -> dict[tuple[str, str], np.ndarray]:
+    """Sizes and microseconds (2, sizes) by what grows and what it costs."""
+    found: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    for what, cost, size, microseconds in rows:
+        found.setdefault((what, cost), []).append((float(size), float(microseconds)))
+    return {key: np.array(own).T for key, own in found.items()}
 
 
-def core_rows(fidelity: str, share: Shares) -> list[tuple[str, ...]]:
-    """Rows a second that the law foretells."""
+def growth_table(rows: Sequence[tuple[str, ...]]) -> str:
+    """Ranges and exponents, a row for everything that grows."""
+    table = []
+    for (what, cost), (sizes, microseconds) in curves(rows).items():
+        if cost == "env step":  # in the CSV file
+            continue
+        exponent = np.polyfit(np.log(sizes), np.log(microseconds), 1)[0]
+        ends = (f"{sizes[0]:g}–{sizes[-1]:g}", f"{microseconds[0]:g}–{microseconds[-1]:g}")  # noqa: RUF001
+        table.append((what, cost, *ends, f"{exponent:.2f}"))
+    return markdown_table(("what grows", "cost", "sizes", "CPU [us]", "exponent"), table)
+
+
+def cores_table(shares: dict[str, Shares]) -> str:
+    """Rows a second that are predicted."""
+    header = ("cores", *(f"{fidelity}, {way}" for fidelity in shares for way in (f"{MANY} rows", "64 rows per core")))
     table = []
     for cores in CORES:
-        rates = [f"{share.rate(rows, cores):,.0f}" for rows in MANY]
-        table.append((fidelity, str(cores), *rates, f"{cores * share.rate(64, 1):,.0f}"))
-    return table
+        rates = [rate for share in shares.values() for rate in (share.rate(MANY, cores), cores * share.rate(64, 1))]
+        table.append((str(cores), *(f"{rate:,.0f}" for rate in rates)))
+    return markdown_table(header, table)
 
 
 def memory_table(quick: bool) -> str:
     """Kilobytes that a process grows by per row, of each task."""
     few, many = (2, 8) if quick else (8, 128)
-    rows, tasks, fidelities = [], ("TipPose", "Shape", "Reach"), ("fast", "standard")
-    for task, fidelity in itertools.product(tasks[:1], fidelities[:1]) if quick else itertools.product(tasks, fidelities):
-        command = [sys.executable, "-c", GROWTH, f"TendonRod-{task}-v0", fidelity, str(few), str(many)]
-        environment = {**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}
-        grown = json.loads(subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout)
-        rows.append((task, fidelity, f"{grown / 1024:.0f}"))
-    return markdown_table(("task", "fidelity", "kB per row"), rows)
+    tasks, fidelities = (("TipPose",), ("fast",)) if quick else (("TipPose", "Shape", "Reach"), ("fast", "standard"))
+    environment, rows = {**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}, []
+    for task in tasks:
+        commands = [[sys.executable, "-c", GROWTH, f"TendonRod-{task}-v0", own, str(few), str(many)] for own in fidelities]
+        grown = [subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout for command in commands]
+        rows.append((task, *(f"{json.loads(own) / 1024:.0f}" for own in grown)))
+    return markdown_table(("task", *(f"{fidelity} [kB per row]" for fidelity in fidelities)), rows)
 
 
-def draw(curves: dict[str, tuple[Sequence[int], Sequence[float]]], path: Path) -> None:
+def draw(rows: Sequence[tuple[str, ...]], path: Path) -> None:
     figure, axes = plt.subplots(figsize=(6, 4), constrained_layout=True)
-    for what, (sizes, seconds) in curves.items():
-        axes.loglog(sizes, 1e6 * np.array(seconds), marker="o", label=what)
+    for (what, cost), (sizes, microseconds) in curves(rows).items():
+        if cost == "evaluation":
+            axes.loglog(sizes, microseconds, marker="o", label=what)
     axes.set(xlabel="size", ylabel="CPU time of an evaluation [us]")
     axes.legend(frameon=False)
     axes.grid(alpha=0.3, which="both")

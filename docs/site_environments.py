@@ -1,6 +1,6 @@
 """MkDocs hook: puts what the package says of its environments in the place of lines that end with `<!-- environment: TipPose -->`,
-`<!-- arguments -->`, `<!-- reset options -->`, `<!-- presets -->` or `<!-- effects -->`. What stands before says in the repository where
-to read it."""
+`<!-- arguments -->`, `<!-- reset options -->`, `<!-- presets -->`, `<!-- targets -->`, `<!-- groups -->` or `<!-- effects -->`. What stands
+before says in the repository where to read it."""
 
 import re
 import warnings
@@ -16,16 +16,19 @@ from soft_tendon_env.effects.contact.obstacles import Box, Capsule, Cylinder, Ob
 from soft_tendon_env.effects.disturbance import Load, Pulse, Sine
 from soft_tendon_env.effects.material import Branch
 from soft_tendon_env.envs import IDS, TASKS, Options, ResetOptions
+from soft_tendon_env.envs.observation import GROUPS
+from soft_tendon_env.envs.targets import TARGETS
 from soft_tendon_env.scene.scene import Quadrature
 from soft_tendon_env.tools.configuration import plain
 
-COMMENT = re.compile(r"^.*<!-- (?:environment: (\w+)|(arguments|reset options|presets|effects)) -->$", re.MULTILINE)
+COMMENT = re.compile(r"^.*<!-- (?:environment: (\w+)|(arguments|reset options|presets|targets|groups|effects)) -->$", re.MULTILINE)
 FIDELITIES = ("scene", *PRESETS)
 
 
 def on_page_markdown(markdown: str, page: Page, **kwargs: Any) -> str:
     """Puts descriptions and tables in the place of comments. Raises KeyError for a task that does not exist."""
-    tables = {"arguments": arguments, "reset options": reset_options, "presets": presets, "effects": effects}
+    tables = {"arguments": arguments, "reset options": reset_options, "presets": presets}
+    tables |= {"targets": targets, "groups": groups, "effects": effects}
     return COMMENT.sub(lambda match: environment(match[1]) if match[1] else tables[match[2]](), markdown)
 
 
@@ -85,6 +88,26 @@ def presets() -> str:
         rows.append([f'`"{name}"`', *(f"{100 * share:.3g} %" for share in shares), preset.quadrature["least"]])
     own = Quadrature()
     rows.append(['`"scene"`, unless the scene says', "-", "-", f"{100 * own.tolerance:.3g} %", own.least])
+    return table(rows)
+
+
+def targets() -> str:
+    """The targets that ship: their settings with defaults, and what their docstrings say."""
+    rows = [["type", "settings", "motion"], ["---"] * 3]
+    for name, target in sorted(TARGETS.items()):
+        defaults = {key: field.default for key, field in target.model_fields.items() if key != "type"}
+        settings = ", ".join(f"`{key}`" if value is None else f"`{key}` ({value})" for key, value in defaults.items())
+        rows.append([f"`{name}`", settings, " ".join((target.__doc__ or "").split())])
+    return table(rows)
+
+
+def groups() -> str:
+    """The observation groups: what each is, its size on the default arm, and the ready-made observations of the tasks that have it."""
+    slices = made("Shape", fidelity="fast", sensors=1, observation=tuple(GROUPS)).unwrapped.episodes.layout.slices
+    rows = [["group", "what", 'size at `"fast"`, one sensor', *TASKS], ["---"] * (3 + len(TASKS))]
+    for name, group in GROUPS.items():
+        have = [", ".join(kind for kind, chosen in task.observations.items() if name in chosen) for task in TASKS.values()]
+        rows.append([f"`{name}`", group.description, slices[name].stop - slices[name].start, *have])
     return table(rows)
 
 

@@ -14,6 +14,7 @@ PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGEL
 SOURCES = {".py": "python", ".toml": "toml"}
 """Endings of source files that have a page each, and their language."""
 FOLDERS = ("examples", "benchmarks", "configs")
+NOT_SEARCHED = "---\nsearch: {exclude: true}\n---\n"
 SOURCE = re.compile(rf"(?:{'|'.join(FOLDERS)})/[\w/]+\.(?:py|toml)")
 FENCE_LINK_OR_CODE = re.compile(
     r"^```.*?^```|(?P<link>\[[^\]]*\])\((?P<target>[^)\s]+)\)|`(?P<path>[\w/]+\.\w+)`", re.MULTILINE | re.DOTALL
@@ -25,10 +26,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     root = Path(config.config_file_path).parent
     files.append(File.generated(config, "appendix/generated.md", content=generated.overview()))
     for source, page in PAGES.items():
-        files.append(File.generated(config, page, content=site_links((root / source).read_text(encoding="utf-8"), root)))
+        text = site_links((root / source).read_text(encoding="utf-8"), root)
+        files.append(File.generated(config, page, content=f"{NOT_SEARCHED}{text}" if source == "CHANGELOG.md" else text))
     for path in sorted(path for folder in FOLDERS for path in (root / folder).rglob("*") if path.suffix in SOURCES):
         name = path.relative_to(root).as_posix()
-        text = f"---\nsearch: {{exclude: true}}\n---\n# {name}\n\n````{SOURCES[path.suffix]}\n{path.read_text(encoding='utf-8')}````\n"
+        text = f"{NOT_SEARCHED}# {name}\n\n````{SOURCES[path.suffix]}\n{path.read_text(encoding='utf-8')}````\n"
         files.append(File.generated(config, source_page(name), content=text))
     return files
 

@@ -1,10 +1,17 @@
 """Public names of the package, once each: what `from soft_tendon_env import NAME` finds."""
 
 from soft_tendon_env.accuracy.fidelity import build_model
-from soft_tendon_env.model.derivatives import Derivatives, Linearization, static_derivatives
 from soft_tendon_env.model.inverse_statics import InverseEquilibrium, tension_for_tip_pose, tension_for_tip_position
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.simulation import NoEquilibriumError, Simulation, SimulationDiverged, StepReport, Trajectory, simulate
+from soft_tendon_env.model.simulation import (
+    Linearization,
+    NoEquilibriumError,
+    Simulation,
+    SimulationDiverged,
+    StepReport,
+    Trajectory,
+    simulate,
+)
 from soft_tendon_env.model.state import State
 from soft_tendon_env.model.statics import Equilibrium, commanded_equilibrium, static_equilibrium
 from soft_tendon_env.model.strain_limits import StrainLimitError
@@ -16,7 +23,6 @@ from soft_tendon_env.tools.configuration import ConfigurationError
 
 __all__ = [
     "ConfigurationError",
-    "Derivatives",
     "Energy",
     "Equilibrium",
     "InverseEquilibrium",
@@ -39,7 +45,6 @@ __all__ = [
     "scene_names",
     "scene_parameters",
     "simulate",
-    "static_derivatives",
     "static_equilibrium",
     "tension_for_tip_pose",
     "tension_for_tip_position",

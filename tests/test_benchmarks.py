@@ -25,9 +25,6 @@ TINY = {
     "robot_loop": ("--seconds", "0.5"),
     "scaling": ("--quick",),
     "paired": (str(ROOT), "--scenes", "three_tendon", "--turns", "1", "--calls", "1"),
-    "recording": ("--steps", "20", "--turns", "1"),
-    "throughput": ("--ways", "native", "sync", "--seconds", "0.02"),
-    "statics": ("--models", "paper", "--targets", "2"),
 }
 
 

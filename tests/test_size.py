@@ -31,7 +31,6 @@ LIMITS = {
     "words of the documentation": 35_000,
 }
 STILL = {
-    "lines of the package": 28_900,
     "lines of the tests": 17_000,
     "lines of the largest folder": 6_100,
     "words of the documentation": 49_700,

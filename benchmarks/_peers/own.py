@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import soft_tendon_env as ste
-from soft_tendon_env.model.quadrature import QuadratureWarning
+from soft_tendon_env.model.build import QuadratureWarning
 from soft_tendon_env.scene.scene import Scene
 
 from .simulator import HOLD, Array, Motion, Run, cpu_time
@@ -42,10 +42,10 @@ FIELDS: dict[str, dict[str, Any]] = {
     "no passive fields (paper)": statics_based(None),
     "moments 0-2 (paper_19dof)": statics_based(2),
     "moments 0-2 per piece": statics_based(2, "piece"),
-    "6 of its own": own_fields(6),
-    "9 of its own": own_fields(9),
-    "18 of its own": own_fields(18),
-    "24 of its own": own_fields(24),
+    "6 POD modes": own_fields(6),
+    "9 POD modes": own_fields(9),
+    "18 POD modes": own_fields(18),
+    "24 POD modes": own_fields(24),
     "all strains, order 3": explicit(3),
     "all strains, order 4": explicit(4),
 }
@@ -79,8 +79,8 @@ class Setting:
 QUICK = (Setting("no passive fields (paper)"), Setting("moments 0-2 (paper_19dof)"))
 HARD = (
     Setting("moments 0-2 (paper_19dof)", step=0.01),
-    Setting("9 of its own", order=4, step=0.01),
-    Setting("18 of its own", order=1e-4, step=0.02),
+    Setting("9 POD modes", order=4, step=0.01),
+    Setting("18 POD modes", order=1e-4, step=0.02),
 )
 
 

@@ -17,7 +17,7 @@ os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -205,38 +205,6 @@ def simulate(scene: str, setting: Setting, tensions: Array) -> Motion:
     except jax.errors.JaxRuntimeError as error:
         return Motion(tip, np.nan, what_it_says(error))
     return Motion(tip, cpu / (HOLD * len(tensions)), "")
-
-
-class GradientCost(NamedTuple):
-    """CPU seconds of a held period from rest, and of the gradient of a scalar of its end by state and tensions, compiled before."""
-
-    coordinates: int
-    period: float
-    gradient: float
-
-
-def gradient_cost(scene: Scene, order: int, step: float, repeats: int = 5) -> GradientCost:
-    """Costs of ImplicitEuler at fixed steps [s], differentiated backward as Diffrax does."""
-    robot = robot_of(scene, order)
-
-    def cost(y: jax.Array, tensions: jax.Array) -> jax.Array:
-        end = robot.rollout_discrete_closed_loop_to(
-            SystemState(t=jnp.array(0.0), y=y),
-            lambda state: (tensions, None),
-            duration=HOLD,
-            solver_dt=step,
-            control_dt=HOLD,
-            save_dt=HOLD,
-            solver=diffrax.ImplicitEuler(root_finder=FromTheState(rtol=1e-3, atol=1e-5), root_find_max_steps=50),
-            stepsize_controller=diffrax.ConstantStepSize(),
-            max_steps=100,
-        ).y[-1]
-        return jnp.sum(robot.forward_kinematics_tips(robot.split_state(end)[0])[-1, :3, 3] ** 2)
-
-    at = jnp.zeros(robot.state_size), jnp.ones(robot.num_actuators)
-    compiled = [jax.jit(way).lower(*at).compile() for way in (cost, jax.grad(cost, argnums=(0, 1)))]
-    period, gradient = (min(cpu_time(lambda way=way: jax.block_until_ready(way(*at))) for _ in range(repeats)) for way in compiled)
-    return GradientCost(robot.state_size // 2, period, gradient)
 
 
 def what_it_says(error: Exception) -> str:

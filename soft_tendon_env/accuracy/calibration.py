@@ -11,11 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from filelock import FileLock
 
-from soft_tendon_env.accuracy.pareto import Point, explore, pareto_front, worst
+from soft_tendon_env.accuracy.pareto import Point, Setting, explore, pareto_front, worst
 from soft_tendon_env.accuracy.proper_orthogonal_fields import fields_path, make_passive_fields
 from soft_tendon_env.accuracy.reference import Level, Reference, reference_motions
-from soft_tendon_env.accuracy.settings import Setting
-from soft_tendon_env.accuracy.test_inputs import CALIBRATED, Motion, motion_tensions
+from soft_tendon_env.accuracy.test_inputs import CALIBRATED, motion_tensions
 from soft_tendon_env.scene.passive_fields import PassiveFields, find_fields
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.checks import checked_number, checked_type
@@ -25,8 +24,7 @@ from soft_tendon_env.tools.messages import say_once
 from soft_tendon_env.tools.types import Array, length_text
 
 SEEDS = range(500, 505)  # of the motions of each kind that a scene is calibrated on
-MARGIN = 2.0
-"""Factor by which the error on those motions must stay below what is asked for, see docs/appendix/accuracy_command.md."""
+MARGIN = 2.0  # by which the error on those motions stays below what is asked for, see docs/appendix/accuracy.md
 REFERENCE = 3e-5  # of the rod's length, error of the reference motions
 SOURCES = tuple(f"{folder}/**/*.py" for folder in ("mechanics", "effects", "scene", "model", "accuracy"))
 
@@ -57,28 +55,23 @@ def calibrated(scene: Scene, tolerance: float) -> Scene:
     """
     checked_type("scene", scene, Scene, "see load_scene")
     tolerance = checked_number("tolerance", tolerance, 1e-12, "a positive length in metres")
-    refuse_obstacles(scene)
-    check_tolerance(scene, tolerance)
-    calibration = calibrate(scene, usual_inputs(scene), made_fields(scene))
-    return recommended(scene, calibration, tolerance).setting.of(scene)
+    check_calibration(scene, tolerance)
+    calibration = calibrate(scene, usual_inputs(scene), ensure_fields(scene))
+    return cheapest_point(scene, calibration, tolerance).setting.of(scene)
 
 
-def refuse_obstacles(scene: Scene) -> None:
-    """Raises ConfigurationError that names obstacles: where an arm touches is not smooth, and reference motions hardly converge."""
+def check_calibration(scene: Scene, tolerance: float = np.inf) -> None:
+    """Raises ConfigurationError among obstacles, where reference motions hardly converge, and for a tolerance [m] below their error."""
     for name, effect in scene.effects.chosen().items():
         if effect.is_contact:
             text = "cannot be calibrated, where the arm touches something: take a preset, or leave this table out"
             raise ConfigurationError([Problem(("effects", name), text)])
-
-
-def check_tolerance(scene: Scene, tolerance: float) -> None:
-    """Raises ConfigurationError where a tolerance [m] is below the error of the reference motions."""
     if tolerance < (least := REFERENCE * rod_length(scene)):
         text = f"{length_text(tolerance)} cannot be told from full physics: the tolerance should be at least {length_text(least)}"
         raise ConfigurationError([Problem((), text)])
 
 
-def recommended(scene: Scene, calibration: Calibration, tolerance: float) -> Point:
+def cheapest_point(scene: Scene, calibration: Calibration, tolerance: float) -> Point:
     """The cheapest setting for a tolerance [m]. Raises ConfigurationError that says the best there is."""
     good = [point for point in calibration.points if calibration.within(point) <= tolerance]
     if not good:
@@ -88,9 +81,9 @@ def recommended(scene: Scene, calibration: Calibration, tolerance: float) -> Poi
     return min(good, key=lambda point: (point.cost, point.tip_error))
 
 
-def usual_inputs(scene: Scene, motions: Sequence[Motion] = CALIBRATED, seeds: Sequence[int] | None = None) -> list[Array]:
-    """Tensions [N] of the motions that a scene is calibrated on; seeds: of each kind, SEEDS by default."""
-    return [motion_tensions(scene, motion, seed) for motion in motions for seed in (SEEDS if seeds is None else seeds)]
+def usual_inputs(scene: Scene) -> list[Array]:
+    """Tensions [N] of the motions that a scene is calibrated on."""
+    return [motion_tensions(scene, motion, seed) for motion in CALIBRATED for seed in SEEDS]
 
 
 def own_fields(scene: Scene) -> PassiveFields | None:
@@ -99,7 +92,7 @@ def own_fields(scene: Scene) -> PassiveFields | None:
     return fields if fields is not None and not fields.misfit(scene) else None
 
 
-def made_fields(scene: Scene) -> PassiveFields:
+def ensure_fields(scene: Scene) -> PassiveFields:
     """The arm's own passive fields, made and kept in the user's cache where there are none. Raises ConfigurationError, OSError."""
     path = fields_path(scene)
     with FileLock(path.with_suffix(".lock")):  # one process makes them, the others find them
@@ -139,7 +132,7 @@ def calibration_digest(scene: Scene, inputs: Sequence[Array], fields: PassiveFie
 def read_calibration(path: Path) -> Calibration:
     """The calibration in a file. Raises OSError, ValueError, KeyError, TypeError."""
     table = read_json(path)
-    points = tuple(Point(Setting(*own), count, tuple(apart), *cost) for own, count, apart, *cost in table["points"])
+    points = tuple(Point(Setting(*setting), count, tuple(errors), *cost) for setting, count, errors, *cost in table["points"])
     tips, errors, level = table["reference"]
-    present = tuple(None if own is None else np.array(own) for own in tips)
-    return Calibration(points, Reference(present, tuple(errors), Level(*level)))
+    motions = tuple(None if motion is None else np.array(motion) for motion in tips)
+    return Calibration(points, Reference(motions, tuple(errors), Level(*level)))

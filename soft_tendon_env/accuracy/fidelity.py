@@ -1,4 +1,4 @@
-"""Fidelity: presets of accuracy against time, strain field, quadrature and integrator together, see docs/appendix/fidelity.md."""
+"""Fidelity: presets of accuracy against time, strain field, quadrature and integrator together, see docs/appendix/speed.md."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class FidelityWarning(UserWarning):
 
 
 class Preset(NamedTuple):
-    """How accurate a part of the simulation is to be, as shares of the rod's length."""
+    """Accuracy of each part of a simulation, as shares of the rod's length."""
 
     fields: float  # error of the passive fields on motions of the usual kinds: as many of the arm's own are taken, or all there are
     moments: int  # Legendre order of the passive moments over the rod, for an arm that has no fields of its own
@@ -46,18 +46,17 @@ def build_model(scene: Scene, fidelity: str | None = UNSAID) -> Model:
     """Model of a scene at a fidelity: chooses its quadrature and prepares the arrays of its kernels.
 
     fidelity: "scene", as the scene says of strain, quadrature and integrator, where it says nothing the coordinates of the tensions alone;
-    "fast", "standard" or "fine", a preset, see docs/appendix/fidelity.md; a length as "1mm", what a calibration finds for this error of the
+    "fast", "standard" or "fine", a preset, see docs/appendix/speed.md; a length as "1mm", what a calibration finds for this error of the
     tip; None, as in `gym.make`, "standard" for what the scene leaves open; left out, "scene", with a warning where that differs.
 
-    Raises TypeError if it is not a Scene, ValueError for another fidelity, ConfigurationError if its coordinates are not independent. Warns
-    (`QuadratureWarning`) if `quadrature.intervals` is too coarse.
+    Raises TypeError, ValueError for another fidelity, and otherwise as model.build.build_model, which warns too.
     """
     checked_type("scene", scene, Scene, "see load_scene")
     if fidelity is UNSAID:
         if _leaves_strain_open(scene):
-            text = f"{scene.name!r} leaves its strain open, so that this model has the coordinates of the tensions alone and may be far off"
-            text = f"{text} in motion: say fidelity='standard', as gym.make has it, or fidelity='scene' for this"
-            warnings.warn(text, FidelityWarning, stacklevel=2)
+            text = "leaves its strain open, so that this model has the coordinates of the tensions alone and may be far off in motion"
+            advice = "say fidelity='standard', as gym.make has it, or fidelity='scene' for this"
+            warnings.warn(f"{scene.name!r} {text}: {advice}", FidelityWarning, stacklevel=2)
         fidelity = AS_SCENE
     if fidelity is not None:
         try:
@@ -73,13 +72,12 @@ def at_fidelity(scene: Scene, fidelity: str | None) -> Scene:
         return scene
     if fidelity is not None and is_length(fidelity):
         return calibrated(scene, read_length(fidelity))
-    preset = PRESETS["standard" if fidelity is None else fidelity]
-    changes: dict[str, Any] = {}
-    if fidelity is not None or _leaves_strain_open(scene):
+    preset, everything, changes = PRESETS[fidelity or "standard"], fidelity is not None, dict[str, Any]()
+    if everything or _leaves_strain_open(scene):
         changes["strain"] = {**_rod_of(scene), "passive": _passive(scene, preset)}
-    if fidelity is not None or scene.quadrature == Quadrature():
+    if everything or scene.quadrature == Quadrature():
         changes["quadrature"] = preset.quadrature
-    if fidelity is not None or scene.integrator == Integrator():
+    if everything or scene.integrator == Integrator():
         changes["integrator"] = {"tolerance": preset.tolerance * rod_length(scene)}
     return scene.replace(changes)
 
@@ -111,12 +109,12 @@ def _passive(scene: Scene, preset: Preset) -> Any:
     named = scene.strain.passive if isinstance(scene.strain, StaticsBased) and isinstance(scene.strain.passive, Snapshots) else None
     fields = fields_of(scene) if named else find_fields(scene.replace({"strain": _rod_of(scene)}))
     if fields is not None:
-        count = fields.needed(preset.fields * rod_length(scene), USUAL)
-        count = len(fields.coefficients) if count is None else count
+        needed = fields.needed(preset.fields * rod_length(scene), USUAL)
+        count = len(fields.coefficients) if needed is None else needed
         file = {"file": named.file} if named and named.file else {}
         return {"type": "snapshots", "fields": count, "digest": fields.digest, **file} if count else ()
     text = f"{scene.name!r} has no passive fields of its own, so that its accuracy is not known: Legendre moments up to order"
-    text = f"{text} {preset.moments} take their place; `soft-tendon fields SCENE` makes them in a minute"
+    text += f" {preset.moments} take their place; `soft-tendon fields SCENE` makes them in a minute"
     warnings.warn(text, FieldsWarning, stacklevel=2)
     angular = [strain for strain in STRAINS[:3] if strain in scene.strain.free]
     return [{"strains": angular, "order": preset.moments, "span": "rod"}] if angular else ()

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.polynomial import legendre
 
-from soft_tendon_env.accuracy.reference import LEVELS, distance, full_physics, reference_motions, tips, trajectory
+from soft_tendon_env.accuracy.reference import LEVELS, distance, full_physics, reference_motions, trajectory
 from soft_tendon_env.accuracy.test_inputs import MOTIONS, USUAL, Motion, motion_tensions
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.coordinates import actuation_columns
@@ -30,14 +30,11 @@ from soft_tendon_env.tools.types import Array
 
 KINDS, TRAINED = USUAL, (*USUAL, "wild")  # kinds of motions that fields are tested on, and that snapshots are taken of
 RUNS, FIRST_SEED = 10, 1000  # motions of each kind that snapshots are taken of, and the first of their seeds
-WILD = 0.2  # weight of samples of wild motions, which are several times as large as the others
+WILD, ENERGY = 0.2, 0.01  # weights of samples of wild motions, and of energy beside displacements, which fix no field that moves nothing
 RESOLVED = 1e-3  # of the rod's length: full physics may change by so much at its next refinement, to take snapshots of
-ENERGY = 0.01  # weight of the energy beside displacements and rotations, which fix no field that moves nothing
-TESTS, COUNTS = 2, (0, 3, 4, 6, 7, 8, 9, 10, 12, 15, 18, 24)
-"""Motions of each usual kind, with seeds from 0, that fields are tested on, and their numbers."""
+TESTS, COUNTS = 2, (0, 3, 4, 6, 7, 8, 9, 10, 12, 15, 18, 24)  # motions of each usual kind, and numbers of fields, that are tested
 REFERENCE = 1e-4  # of the rod's length, error of the reference motions
-DIGITS = 9  # of the coefficients
-DEPENDENT = 1e-4  # relative size of tensions' fields that count as combinations of others
+DIGITS, DEPENDENT = 9, 1e-4  # of the coefficients; relative size of tensions' fields that count as combinations of others
 
 
 def make_passive_fields(scene: Scene) -> PassiveFields:
@@ -46,19 +43,12 @@ def make_passive_fields(scene: Scene) -> PassiveFields:
     Loads are those of the scene in half of the motions, and in the other half of random direction and size up to theirs; obstacles are left
     out. Raises ConfigurationError where full physics has none of the motions.
     """
-    scene = scene.replace({"effects": scene.effects.everywhere()})
-    bare = scene.replace({"strain": {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders)}})
+    strain = {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders)}
+    bare = scene.replace({"effects": scene.effects.everywhere(), "strain": strain})
     coefficients, singular_values = decompose(bare, *snapshots(bare))
-    made = PassiveFields(
-        arm=arm_of(bare),
-        tension_limits=np.array([tendon.tension_limits for tendon in scene.tendons]),
-        effects=scene.effects,
-        borders=breakpoints(bare),
-        coefficients=coefficients,
-        singular_values=singular_values,
-        errors={},
-    )
-    return replace(made, errors=tested(bare, made))
+    limits = np.array([tendon.tension_limits for tendon in scene.tendons])
+    made = PassiveFields(arm_of(bare), limits, breakpoints(bare), coefficients, bare.effects, singular_values, errors={})
+    return replace(made, errors=tip_errors(bare, made))
 
 
 def fields_path(scene: Scene) -> Path:
@@ -98,7 +88,7 @@ def residual_wrenches(model: Model, q: Array) -> Array:
     elasticity, root = energy_norm(scene, grid)
     columns = (actuation_columns(geometry, k[:, None], p[:, None]) * root).reshape(len(q), model.tendon_count, -1)
     wrench = (strain * elasticity * root).reshape(len(q), -1)
-    rest = [own - basis.T @ np.linalg.lstsq(basis.T, own, rcond=DEPENDENT)[0] for own, basis in zip(wrench, columns, strict=True)]
+    rest = [sample - basis.T @ np.linalg.lstsq(basis.T, sample, rcond=DEPENDENT)[0] for sample, basis in zip(wrench, columns, strict=True)]
     exists = root > 0.0
     return np.array(rest).reshape(strain.shape) / np.where(exists, root, 1.0) * exists
 
@@ -111,21 +101,20 @@ def energy_norm(scene: Scene, grid: Grid) -> tuple[Array, Array]:
 
 
 def decompose(scene: Scene, samples: Array, grid: Grid) -> tuple[Array, Array]:
-    """The leading fields of wrenches (samples, 6 points) as Legendre coefficients (fields, pieces, 6, orders) of unit energy, to DIGITS
-    digits, and their singular values as shares."""
+    """Legendre coefficients (fields, pieces, 6, orders) of the leading fields of wrenches (samples, 6 points), and singular values."""
     _, root = energy_norm(scene, grid)
     measures = []
-    for measure, share in weighted_measures(scene, grid):
+    for measure, share in make_measures(scene, grid):
         seen = samples @ measure.T
         measures.append(np.sqrt(share) * seen / np.linalg.norm(seen))
     left, sizes, _ = np.linalg.svd(np.concatenate(measures, axis=1), full_matrices=False)
     count = min(MOST_SNAPSHOT_FIELDS, int(np.count_nonzero(sizes > 1e-9 * sizes[0])))
     fields = left[:, :count].T @ samples
     fields /= np.linalg.norm(fields * root.ravel(), axis=1, keepdims=True)
-    return fitted_polynomials(fields.reshape(count, -1, 6), scene, grid), sizes[:count] / sizes[0]
+    return fit_polynomials(fields.reshape(count, -1, 6), scene, grid), sizes[:count] / sizes[0]
 
 
-def weighted_measures(scene: Scene, grid: Grid) -> tuple[tuple[Array, float], ...]:
+def make_measures(scene: Scene, grid: Grid) -> tuple[tuple[Array, float], ...]:
     """Measures (m, 6 points) of wrenches (points, 6), with their weights: displacements and rotations along the rod, and energy."""
     places, weight = grid.points[grid.real].ravel(), grid.weights[grid.real].ravel()
     elasticity, root = energy_norm(scene, grid)
@@ -140,7 +129,7 @@ def weighted_measures(scene: Scene, grid: Grid) -> tuple[tuple[Array, float], ..
     return *((motion, 1.0) for motion in along), (np.diag(root.ravel()), ENERGY)
 
 
-def fitted_polynomials(fields: Array, scene: Scene, grid: Grid) -> Array:
+def fit_polynomials(fields: Array, scene: Scene, grid: Grid) -> Array:
     """Legendre coefficients (fields, pieces, 6, orders) of fields at the points (fields, points, 6); their largest one is positive."""
     borders, places = breakpoints(scene), grid.points[grid.real].ravel()
     found = np.zeros((len(fields), borders.size - 1, 6, SNAPSHOT_ORDER + 1))
@@ -156,7 +145,7 @@ def fitted_polynomials(fields: Array, scene: Scene, grid: Grid) -> Array:
     return np.asarray(np.round(found * np.sign(largest) / unit) * unit)
 
 
-def tested(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ...]]:
+def tip_errors(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ...]]:
     """Largest tip distance [m] from full physics on TESTS other motions of each usual kind, for COUNTS of the fields, under the loads."""
     counts = [count for count in COUNTS if count <= len(fields.coefficients)]
     inputs = [motion_tensions(scene, kind, seed) for kind in USUAL for seed in range(TESTS)]
@@ -167,8 +156,8 @@ def tested(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ...]]:
         def largest(count: int) -> Array:
             passive = {"type": "snapshots", "fields": count, "file": str(path)} if count else []
             model = model_on(scene.replace({"strain.passive": passive, "integrator": {"step": 0.005, "columns": 4}}), 16)
-            apart = [distance(tips(model, tensions), own) for tensions, own in zip(inputs, exact, strict=True)]
-            return np.array(apart).reshape(len(USUAL), TESTS).max(axis=1)
+            errors = [distance(trajectory(model, tensions), tips) for tensions, tips in zip(inputs, exact, strict=True)]
+            return np.array(errors).reshape(len(USUAL), TESTS).max(axis=1)
 
         found = np.array(run_all(largest, counts, processors(), "tests of the fields", unit="model", threads=True)).T.tolist()
-    return {"fields": tuple(map(float, counts)), **{kind: tuple(own) for kind, own in zip(USUAL, found, strict=True)}}
+    return {"fields": tuple(map(float, counts)), **{kind: tuple(errors) for kind, errors in zip(USUAL, found, strict=True)}}

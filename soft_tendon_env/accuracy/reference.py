@@ -67,17 +67,11 @@ def trajectory(model: Model, tensions: Array) -> Trajectory | None:
         return None
 
 
-def tips(model: Model, tensions: Array) -> Array | None:
-    """Positions (rows + 1, 3) [m] of the tip on the `trajectory`."""
-    found = trajectory(model, tensions)
-    return None if found is None else found.tip_pose[:, :3, 3]
-
-
-def distance(found: Array | None, reference: Array | None) -> float:
-    """Largest distance [m] of tips (samples, 3) from a reference; inf where the model, nan where full physics has no such motion."""
+def distance(motion: Trajectory | None, reference: Array | None) -> float:
+    """Largest distance [m] of the tip from a reference (samples, 3); inf where the model, nan where full physics has no such motion."""
     if reference is None:
         return np.nan
-    return np.inf if found is None else float(np.linalg.norm(found - reference, axis=1).max())
+    return np.inf if motion is None else float(np.linalg.norm(motion.tip_pose[:, :3, 3] - reference, axis=1).max())
 
 
 def reference_motions(scene: Scene, inputs: Sequence[Array], tolerance: float) -> Reference:
@@ -87,10 +81,10 @@ def reference_motions(scene: Scene, inputs: Sequence[Array], tolerance: float) -
     changes, rest = [np.inf] * len(inputs), list(range(len(inputs)))
     for level in LEVELS:
         model, label = full_physics(scene, level), f"full physics, steps of {1e3 * level.step:g} ms"
-        motions = run_all(partial(tips, model), [inputs[i] for i in rest], processors(), label, unit="motion", threads=True)
+        motions = run_all(partial(trajectory, model), [inputs[i] for i in rest], processors(), label, unit="motion", threads=True)
         for i, now in zip(rest, motions, strict=True):
-            changes[i] = np.inf if now is None or found[i] is None else distance(now, found[i])
-            found[i] = now
+            changes[i] = np.inf if found[i] is None else distance(now, found[i])
+            found[i] = None if now is None else now.tip_pose[:, :3, 3]
         rest = [i for i in rest if found[i] is None or changes[i] > tolerance]
         if not any(found[i] is not None for i in rest) and len(rest) < len(inputs):
             break

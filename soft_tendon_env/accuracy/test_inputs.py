@@ -6,7 +6,7 @@ every 100 ms, a walk in 0 to 20 N, sin² of about 0.8 Hz up to 20 N, tensions re
 """
 
 from collections.abc import Callable, Mapping
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -16,10 +16,8 @@ from soft_tendon_env.tools.types import Array
 Motion = Literal["redrawn", "increments", "smooth", "wild", "step", "noisy"]
 
 MOTIONS: tuple[Motion, ...] = get_args(Motion)
-USUAL: tuple[Motion, ...] = MOTIONS[:3]
-"""The kinds that agents and controllers make, and that the errors of passive fields and presets are stated for."""
-CALIBRATED: tuple[Motion, ...] = (*USUAL, "noisy")
-"""The kinds that a scene is calibrated on: with those of an agent that explores, which move an arm faster than the usual ones."""
+USUAL: tuple[Motion, ...] = MOTIONS[:3]  # of agents and controllers, for which errors of passive fields and presets are stated
+CALIBRATED: tuple[Motion, ...] = (*USUAL, "noisy")  # on which scenes are calibrated, those of an agent that explores among them
 HOLD = 0.02  # [s], for which each row of a table of tensions is held: the environments' control period
 REDRAWN_EVERY = 5  # rows
 INCREMENT = 0.1  # of the band, the largest change from row to row
@@ -49,19 +47,15 @@ def _noisy(random: np.random.Generator, rows: int, slack: Array) -> Array:
     return np.clip(slack + MEAN * (random.random(slack.size) - slack) + NOISE * random.normal(size=(rows, slack.size)), 0.0, 1.0)
 
 
-class _Kind(NamedTuple):
-    band: float  # share of the range of tension
-    table: Callable[[np.random.Generator, int, Array], Array]  # of values in the band, from 0 to 1; slack is where the arm begins
-
-
-KINDS: Mapping[Motion, _Kind] = {
-    "redrawn": _Kind(1 / 4, _redrawn),
-    "increments": _Kind(1 / 3, _increments),
-    "smooth": _Kind(1 / 3, _smooth),
-    "wild": _Kind(1.0, lambda random, rows, slack: random.random((rows, slack.size))),
-    "step": _Kind(1 / 3, lambda random, rows, slack: np.tile(random.random(slack.size), (rows, 1))),
-    "noisy": _Kind(2 / 5, _noisy),
+KINDS: Mapping[Motion, tuple[float, Callable[[np.random.Generator, int, Array], Array]]] = {
+    "redrawn": (1 / 4, _redrawn),
+    "increments": (1 / 3, _increments),
+    "smooth": (1 / 3, _smooth),
+    "wild": (1.0, lambda random, rows, slack: random.random((rows, slack.size))),
+    "step": (1 / 3, lambda random, rows, slack: np.tile(random.random(slack.size), (rows, 1))),
+    "noisy": (2 / 5, _noisy),
 }
+"""The band, as a share of the range of tension, and tables of values in it, from 0 to 1; slack is where the arm begins."""
 
 
 def motion_tensions(scene: Scene, motion: Motion, seed: int, duration: float = 2.0) -> Array:
@@ -70,8 +64,8 @@ def motion_tensions(scene: Scene, motion: Motion, seed: int, duration: float = 2
     The band of a tendon reaches as far into its range on either side of the tension nearest to zero that it allows.
     """
     limits = np.array([tendon.tension_limits for tendon in scene.tendons]).T
-    slack, kind = np.clip(0.0, *limits), KINDS[motion]
-    least, greatest = slack + kind.band * (limits - slack)
+    slack, (band, table) = np.clip(0.0, *limits), KINDS[motion]
+    least, greatest = slack + band * (limits - slack)
     random = np.random.default_rng([seed, MOTIONS.index(motion)])
-    table = kind.table(random, round(duration / HOLD), (slack - least) / (greatest - least))
-    return np.asarray(least + (greatest - least) * table)
+    share = table(random, round(duration / HOLD), (slack - least) / (greatest - least))
+    return np.asarray(least + (greatest - least) * share)

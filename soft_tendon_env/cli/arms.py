@@ -9,10 +9,10 @@ from pydantic import Field
 
 from soft_tendon_env.accuracy import calibration, pareto
 from soft_tendon_env.accuracy.fidelity import PRESETS, build_model
+from soft_tendon_env.accuracy.pareto import Setting
 from soft_tendon_env.accuracy.proper_orthogonal_fields import KINDS, fields_path, make_passive_fields
-from soft_tendon_env.accuracy.settings import Setting
 from soft_tendon_env.accuracy.test_inputs import USUAL
-from soft_tendon_env.cli.errors import is_installed, mistakes, writable_folder
+from soft_tendon_env.cli.errors import mistakes, writable_folder
 from soft_tendon_env.cli.options import from_set
 from soft_tendon_env.cli.scenes import coordinate_count
 from soft_tendon_env.evaluation.provenance import machine
@@ -45,7 +45,7 @@ class Accuracy(ArmSettings):
     """Accuracy against computing time of an arm under its loads: strain fields x quadrature x tolerance, against full physics."""
 
     within: GivenLength | None = Field(default=None, description="tolerance of the tip, such as 1mm, whose cheapest setting is written")
-    out: str = Field(default="out/accuracy", description="folder for the table, the picture and the scene")
+    out: str = Field(default="out/accuracy", description="folder for the table and the scene")
 
 
 class Fields(ArmSettings):
@@ -59,15 +59,13 @@ class Fields(ArmSettings):
 
 
 def run_accuracy(settings: Accuracy) -> None:
-    """Calibrate, print, draw and write. Raises ConfigurationError where no setting is within the tolerance."""
+    """Calibrate, print and write. Raises ConfigurationError where no setting is within the tolerance."""
     with mistakes():
         scene, tolerance, out = settings.changed_scene(), settings.within, writable_folder(Path(settings.out))
-        calibration.refuse_obstacles(scene)
+        calibration.check_calibration(scene, np.inf if tolerance is None else tolerance)
         scene = scene.replace({"effects": scene.effects.on_arm()})  # without what lies between commands and tensions
-        if tolerance is not None:
-            calibration.check_tolerance(scene, tolerance)
         inputs = calibration.usual_inputs(scene)
-    fields = calibration.own_fields(scene) if tolerance is None else calibration.made_fields(scene)
+    fields = calibration.own_fields(scene) if tolerance is None else calibration.ensure_fields(scene)
     found = calibration.calibrate(scene, inputs, fields)
     points = [(point, build_model(point.setting.of(scene), "scene")) for point in found.front]
     for name in PRESETS:
@@ -82,12 +80,8 @@ def run_accuracy(settings: Accuracy) -> None:
     cells = [[*map(str, row[:3]), f"{1e6 * row[3]:.3g}", f"{row[4]:.0f}", *(number(1e3 * value) for value in row[5:])] for row in rows]
     print(f"Error bar of the reference: {bar} mm at the tip.\n\n{markdown_table(HEADER, cells)}\n")
     write_csv(out / f"{scene.name}.csv", records)
-    if is_installed("pictures"):
-        from soft_tendon_env.evaluation.pictures import draw_front
-
-        draw_front(scene.name, costs, tolerance, out / f"{scene.name}.png")
     if tolerance is not None:
-        best = calibration.recommended(scene, found, tolerance).setting
+        best = calibration.cheapest_point(scene, found, tolerance).setting
         write_recommended(best, scene, fields, out / f"{scene.name}_{length_text(tolerance)}.toml")
 
 

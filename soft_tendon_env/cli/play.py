@@ -11,18 +11,19 @@ from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.evaluation import comparison, demo, tables
 from soft_tendon_env.evaluation.benchmark import Benchmark, benchmark_tables, standings_by_regime
-from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, NOMINAL, SETTINGS
-from soft_tendon_env.evaluation.entrants import agents_of, every_file, model_in_the_loop
+from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, SETTINGS
+from soft_tendon_env.evaluation.entrants import agents_of, model_in_the_loop
 from soft_tendon_env.evaluation.experiment import Experiment
 from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.evaluation.provenance import machine, origin, write_json
-from soft_tendon_env.evaluation.settings import Comparison, EpisodeSettings, Seeds, Settings, TaskName
+from soft_tendon_env.evaluation.settings import Comparison, EpisodeSettings, Seeds, Settings, TaskName, Workers
 from soft_tendon_env.evaluation.summaries import summarise
 from soft_tendon_env.policies.names import Agent, PolicyName
 from soft_tendon_env.recording import RerunFile
 from soft_tendon_env.tools.configuration import Configuration, read_toml
 from soft_tendon_env.tools.files import CONFIGS
 from soft_tendon_env.tools.parallel import check_cluster
+from soft_tendon_env.tools.types import Positive
 
 CONFIG = "TOML file with the keys of Comparison, such as configs/compare.toml, which other options override"
 TASK = "name of the task: TipPose, Shape, Reach, or one that was registered"
@@ -81,11 +82,10 @@ def play(settings: Settings, tasks: Sequence[str], policies: tuple[str, ...], ou
     with mistakes():
         require("pictures")
         files = {task: agents_of(task, policies) for task in tasks}
-        arms = {task: comparison.shared_arms(settings, task, every_file(of_task)) for task, of_task in files.items()}
+        arms = {task: comparison.shared_arms(settings, task, of_task) for task, of_task in files.items()}
         experiments = {task: comparison.compare(settings, task, of_task, folder / "cells") for task, of_task in arms.items()}
         check_cluster(settings.cluster)
         writable_folder(folder)
-        comparison.print_caveats(settings, arms)
     from soft_tendon_env.evaluation.pictures import draw_errors
 
     what, texts = f"{len(settings.seeds)} episodes of {settings.seconds:g} s", dict[str, str]()
@@ -93,9 +93,10 @@ def play(settings: Settings, tasks: Sequence[str], policies: tuple[str, ...], ou
     for task, experiment in experiments.items():
         experiment.play(f"{task}: policies x model errors", settings.workers, settings.cluster)
         found, summaries = comparison.standings_of(experiment, files[task])
-        shown = comparison.comparison_tables(task, files[task], found, summaries)
-        print(f"\n## {task}\n\n{shown}\n")
-        texts[task] = f"{what.capitalize()}.\n\n{shown}"
+        errors = tables.error_table(found)
+        texts[task] = f"{what.capitalize()}.\n\n{errors}"
+        several = f"{errors}\n\n{tables.ERRORS_LEGEND}\n\n" if len(files[task]) > 1 else ""
+        print(f"\n## {task}\n\n{several}{comparison.numbers_table(task, files[task], summaries)}\n")
         write_json(folder / f"{task}.json", {**origin(), **comparison.results_record(settings, task, arms[task], found, summaries)})
         tables.write_csv(folder / f"{task}.csv", tables.records(found))
         draw_errors({task: found}, folder / f"{task}.png")
@@ -107,10 +108,8 @@ def run_record(settings: Record) -> None:
     task, out = settings.task, Path(settings.out)
     with mistakes():
         require("recording")
-        arms = comparison.shared_arms(settings, task, every_file(agents_of(task, settings.policies)))
-        cells = {name: comparison.make_cell(settings, settings.seeds, task, name, arm, NOMINAL) for name, arm in arms.items()}
-        players = {name: comparison.alone(cell).open() for name, cell in cells.items()}
-        comparison.print_caveats(settings, {task: arms})
+        arms = comparison.shared_arms(settings, task, agents_of(task, settings.policies))
+        players = {name: comparison.make_cell(settings, settings.seeds, task, name, arm).open() for name, arm in arms.items()}
         file = RerunFile(out)
     print(f"{task}, episodes of {settings.seconds:g} s from seeds {', '.join(map(str, settings.seeds))}; {machine()}\n")
     with file:
@@ -158,18 +157,21 @@ def run_arena(settings: Arena) -> None:
     found, picture = standings_by_regime(settings, experiment), out / "arena.png"
     if settings.write_docs is not None:
         picture = Path(settings.write_docs).with_suffix(".png")
-    text = benchmark_tables(settings, found)
     legend = "\n".join(f"- `{name}`: {SETTINGS[name].description}." for name in settings.settings)
-    print(f"\n{legend}\n\n{text}\n")
-    tables.write_csv(out / "arena.csv", [{"regime": regime, **row} for regime, of in found.items() for row in tables.records(of)])
+    text = f"{benchmark_tables(settings, found)}\n\n{legend}"
+    print(f"\n{text}\n")
+    for path in {out / "arena.csv", picture.with_suffix(".csv")}:
+        tables.write_csv(path, [{"regime": regime, **row} for regime, of in found.items() for row in tables.records(of)])
     draw_errors({f"information: {regime}": of for regime, of in found.items()}, picture)
-    parts = [f"{what.capitalize()}.", *(f"Note: {note}." for note in notes), text]
-    page.write(marker, "\n\n".join([*parts, f"![Errors of all policies by setting and regime]({picture.name})"]))
+    parts = [f"{what.capitalize()}.", *(f"Note: {note}." for note in notes)]
+    page.write(marker, "\n\n".join([*parts, f"![Errors of all policies by setting and regime]({picture.name})", text]))
 
 
-class Demo(demo.Demonstration):
+class Demo(Workers):
     """Print the errors of controllers and agents, and write a picture and a recording for the Rerun viewer."""
 
+    episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1, le=len(EVALUATION_SEEDS), description="number of random targets")
+    seconds: Positive = Field(default=10.0, description="length of an episode [s]")
     write_docs: str | None = Field(default=None, description="file in which tables go between <!-- demo --> and <!-- /demo -->")
     out: str = Field(default="out", description="folder of the picture, the recording and the episodes that were played")
 
@@ -183,10 +185,11 @@ def run_demo(settings: Demo) -> None:
         check_cluster(settings.cluster)
         file = RerunFile(writable_folder(out) / "demo.rrd")
         known = CONTROLLERS[demo.TASK]
-        agents = {name: Agent(policy, demo.TASK).training for policy, name in settings.policies.items() if policy not in known}
-    described = {name: agents.get(name) or known[policy].description for policy, name in settings.policies.items()}
+        configs = {name: Agent(policy, demo.TASK).config for policy, name in demo.SHOWN.items() if policy not in known}
+        agents = {name: f"{config.algorithm}, {config.steps_done:,} steps" for name, config in configs.items()}
+    described = {name: agents.get(name) or known[policy].description for policy, name in demo.SHOWN.items()}
     print("\n".join(f"{name:<24} {text}" for name, text in described.items()), "\n")
-    shown = demo.run_demo(settings, file, out)
+    shown = demo.run_demo(settings.episodes, settings.seconds, settings, file, out)
     print(f"{shown}\n\n{demo.NOTES}\n")
     trained = "; ".join(f"{name}: {text}" for name, text in agents.items())
     page.write("demo", f"Episodes of {settings.seconds:g} s. {trained}.\n\n{shown}\n\n{demo.NOTES}")

@@ -1,7 +1,9 @@
 """`soft-tendon run`: a policy on a robot, real or simulated, with a log of it. `soft-tendon export`: a trained agent as one ONNX file, from
 measurements in SI units to commands, checked against the original."""
 
+import importlib
 import json
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -16,18 +18,18 @@ from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation import provenance, tables
 from soft_tendon_env.evaluation.metrics import root_mean_square
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName, episode_steps
-from soft_tendon_env.policies.agent import load_agent
-from soft_tendon_env.policies.agent_files import AgentName, find_agent, read_config
+from soft_tendon_env.policies.agent import AgentName, find_agent, load_agent, read_config
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.network import WEIGHTS
 from soft_tendon_env.recording import RecordRollout
-from soft_tendon_env.robots.environment import PATIENCE, REST_SPEED, SETTLE, RobotEnv, rehearse, robot_of, run_policy
+from soft_tendon_env.robots.environment import PATIENCE, REST_SPEED, SETTLE, RobotEnv, rehearse, run_policy
 from soft_tendon_env.robots.log import check_log
-from soft_tendon_env.robots.protocol import load_robot
+from soft_tendon_env.robots.protocol import Robot, check_robot
 from soft_tendon_env.robots.simulated import OF_ARM
-from soft_tendon_env.tools.configuration import Configuration, parsed_changes
+from soft_tendon_env.tools.configuration import Configuration, parsed_changes, shown
 from soft_tendon_env.tools.files import digest
 from soft_tendon_env.tools.messages import UserError
+from soft_tendon_env.tools.parallel import look_in_this_folder
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 SIMULATED = "soft_tendon_env.robots:SimulatedRobot"
@@ -78,7 +80,7 @@ def run_run(settings: Run) -> None:
     finally:  # also after Ctrl-C
         if out.exists():
             print(f"written: {out}")
-        if stop := robot_of(real).stopped:
+        if stop := real.get_wrapper_attr("stopped"):
             let_go = "slack" if stop.slack else f"not slack, the robot does not answer: {stop.failures[-1]}"
             print(f"{stop.cause}: tendons {let_go} after {1e3 * stop.seconds:.0f} ms\n")
     for name, values in report.errors.items():
@@ -104,8 +106,7 @@ def run_export(settings: Export) -> None:
     path = Path(settings.out)
     with mistakes():
         require("export")
-        from soft_tendon_env.export import export_agent
-        from soft_tendon_env.export.check import ALLOWED, compare
+        from soft_tendon_env.export.agent import ALLOWED, compare, export_agent
 
         folder = find_agent(settings.agent, settings.task)
         env = gym.make(IDS[settings.task], **{**read_config(folder).options, **settings.options})
@@ -115,11 +116,23 @@ def run_export(settings: Export) -> None:
         writable_folder(path.parent)
     path.write_bytes(model.SerializeToString())
     print(f"written: {path} ({path.stat().st_size / 1e6:.2f} MB)\n")
-    found, metadata = compare(path, policy, env), json.loads(model.metadata_props[0].value)
+    (observations, difference, of_range), metadata = compare(path, policy, env), json.loads(model.metadata_props[0].value)
     inputs = [(name, str(tuple(of["shape"])), of["unit"]) for name, of in metadata["inputs"].items()]
     print(tables.markdown_table(("input", "shape", "unit"), inputs))
     unit, rate = metadata["command"]["unit"], 1.0 / metadata["control_period_s"]
     print(f"\nOutput: the command [{unit}] of {len(metadata['command']['limits'])} tendons, {rate:g} times a second.")
-    print(f"Largest difference of commands on {found.observations:,} observations: {tables.number(found.command)} {unit}.")
-    if found.of_range > ALLOWED:
+    print(f"Largest difference of commands on {observations:,} observations: {tables.number(difference)} {unit}.")
+    if of_range > ALLOWED:
         raise UserError(f"{path}: commands differ from the original's by more than {ALLOWED:g} of their range")
+
+
+def load_robot(name: str, options: Mapping[str, Any]) -> Robot:
+    """The robot that a class MODULE:CLASS, also of the current folder, makes of these options. Raises ValueError, and what that raises."""
+    look_in_this_folder()
+    module, _, attribute = name.partition(":")
+    try:
+        robot: Robot = getattr(importlib.import_module(module), attribute)(**options)
+        check_robot(robot)
+    except (ImportError, AttributeError, TypeError) as error:
+        raise ValueError(f"robot is {name!r} with the options {shown(dict(options))}: it should be MODULE:CLASS; {error}") from error
+    return robot

@@ -17,7 +17,7 @@ from soft_tendon_env.compiler.compilation import cache_folder
 from soft_tendon_env.effects import EFFECTS, Effect
 from soft_tendon_env.evaluation.tables import markdown_table
 from soft_tendon_env.model.coordinates import make_strain
-from soft_tendon_env.model.grid import make_grid
+from soft_tendon_env.model.grid import at_points, make_grid
 from soft_tendon_env.registration import IDS
 from soft_tendon_env.scene.file import SHIPPED, load_scene, scene_names
 from soft_tendon_env.scene.scene import Scene
@@ -54,7 +54,8 @@ def run_scenes(settings: Scenes) -> None:
 
 def coordinate_count(scene: Scene) -> int:
     """How many coordinates the strain of a scene has."""
-    return make_strain(scene, make_grid(scene, 6)).size  # it does not depend on the intervals
+    grid = make_grid(scene, 6)  # it does not depend on the intervals
+    return make_strain(scene, grid, at_points(scene, grid)).size
 
 
 def run_effects(settings: Effects) -> None:

@@ -107,8 +107,7 @@ def run_tune(settings: Tune) -> None:
         path = find_config(settings.config, SEARCH)
         search = read_search(path, settings.set, **({} if settings.trials is None else {"trials": settings.trials}))
         folder = writable_folder(Path("out", "tune", path.stem) if settings.out is None else Path(settings.out))
-        work = study.Work(search, folder)
-        study.open_study(work)
+        study.open_study(search, folder)
     print(f"{search.trials} trials of {path.stem} into {folder}; {machine()}")
     with mistakes():
-        study.tune(work, settings.workers, settings.cluster)
+        study.tune(search, folder, settings.workers, settings.cluster)

@@ -11,7 +11,6 @@ import numpy as np
 from soft_tendon_env.tools.types import Array
 
 OPTIMAL = (1, 2)  # exit flags of DAQP: optimal, and optimal with softened constraints
-HELD = 1e-9  # of the largest multiplier, above which a limit counts as holding
 
 
 class Allocation(NamedTuple):
@@ -20,12 +19,6 @@ class Allocation(NamedTuple):
     x: Array
     multipliers: Array
     solved: bool
-
-    @property
-    def limited(self) -> float:
-        """Share of entries that their bounds hold."""
-        size = np.abs(self.multipliers)
-        return float(np.mean(size > HELD * max(size.max(initial=0.0), 1.0)))
 
 
 def allocate(hessian: Array, gradient: Array, least: Array, greatest: Array, start: Array | None = None) -> Allocation:

@@ -46,11 +46,9 @@ def entry_of(description: str, make: Callable[..., Controller], looks_ahead: int
     """An entry of a class or function (model, limits (n_a, 2) [N], control period [s]) that makes a controller; its keyword arguments that
     are numbers by default are parameters. looks_ahead: see Entry."""
     arguments = [*inspect.signature(make).parameters.values()][3:]
-    return Entry(description, make, looks_ahead, {own.name: own.default for own in arguments if type(own.default) in (int, float)})
+    return Entry(description, make, looks_ahead, {one.name: one.default for one in arguments if type(one.default) in (int, float)})
 
 
-Objectives = Callable[[Model], Objective]
-TRACKING = {"settling_time": 0.2, "damping": 1.0, "integral_time": 0.5}
 ROBUST, LATE = "; tuned on arms that differ from the model, under noise", "; half a second ahead, for arms that answer late"
 PRESETS: dict[str, tuple[str, str, dict[str, float]]] = {
     "robust_tracking": ("tracking", ROBUST, {"settling_time": 0.8, "damping": 1.5, "integral_time": 0.4}),
@@ -66,53 +64,47 @@ def tip_pose_objective(model: Model) -> TipPose:
     return TipPose(0.1 * model.length)
 
 
-def _tip_position(model: Model) -> TipPosition:
-    return TipPosition()
-
-
-def _feedforward(objective: Objectives, model: Model, limits: Array, period: float) -> StaticFeedforward:
-    return StaticFeedforward(model, limits, period, objective(model))
-
-
-def _tracking(objective: Objectives, model: Model, limits: Array, period: float, **gains: float) -> Controller:
-    statics = _feedforward(objective, model, limits, period)
-    return ReferenceGovernor(statics, TipTracking(model, limits, period, statics.objective, **{**TRACKING, **gains}))
-
-
-def _predictive(objective: Objectives, model: Model, limits: Array, period: float, **tuning: Any) -> Controller:
-    aim = objective(model)
-    predictive = Predictive(model, limits, period, aim, Tuning(**tuning))
-    return predictive if isinstance(aim, Shape) else ReferenceGovernor(_feedforward(objective, model, limits, period), predictive)
-
-
-def _predictive_entry(objective: Objectives) -> Entry:
-    return Entry("model-predictive control", partial(_predictive, objective), DEFAULT.looks_ahead, DEFAULT._asdict())
-
-
-def _tip_controllers(objective: Objectives) -> dict[str, Entry]:
+def _tip_controllers(objective: Callable[[Model], Objective]) -> dict[str, Entry]:
     """Controllers of the tip with their presets."""
-    law = "(39) at the control period, within limits, with integral"
+
+    def statics(model: Model, limits: Array, period: float) -> StaticFeedforward:
+        return StaticFeedforward(model, limits, period, objective(model))
+
+    def tracking(
+        model: Model, limits: Array, period: float, settling_time: float = 0.2, damping: float = 1.0, integral_time: float = 0.5
+    ) -> Controller:
+        gains = {"settling_time": settling_time, "damping": damping, "integral_time": integral_time}
+        return ReferenceGovernor(statics(model, limits, period), TipTracking(model, limits, period, objective(model), **gains))
+
+    def predictive(model: Model, limits: Array, period: float, **tuning: Any) -> Controller:
+        return ReferenceGovernor(statics(model, limits, period), Predictive(model, limits, period, objective(model), Tuning(**tuning)))
+
     found = {
-        "feedforward": Entry("inverse statics along the target, nothing measured", partial(_feedforward, objective)),
-        "tracking": Entry(law, partial(_tracking, objective), LOOKS_AHEAD, TRACKING),
-        "predictive": _predictive_entry(objective),
+        "feedforward": entry_of("inverse statics along the target, nothing measured", statics),
+        "tracking": entry_of("(39) at the control period, within limits, with integral", tracking),
+        "predictive": Entry("model-predictive control", predictive, DEFAULT.looks_ahead, DEFAULT._asdict()),
     }
-    presets = {name: (found[base].with_parameters(numbers), added) for name, (base, added, numbers) in PRESETS.items()}
-    return found | {name: replace(preset, description=preset.description + added) for name, (preset, added) in presets.items()}
+    for name, (base, added, numbers) in PRESETS.items():
+        found[name] = replace(found[base].with_parameters(numbers), description=found[base].description + added)
+    return found
 
 
+OF_POSITION = _tip_controllers(lambda model: TipPosition())
 CONTROLLERS: dict[str, dict[str, Entry]] = {
     "TipPose": {
         "paper": Entry("(39) as printed, kp = 10,000 and kd = 1,000", PaperTipPose),
         **_tip_controllers(tip_pose_objective),
-        "tracking_position": Entry("`tracking` for the position alone", partial(_tracking, _tip_position), LOOKS_AHEAD, TRACKING),
+        "tracking_position": replace(OF_POSITION["tracking"], description="`tracking` for the position alone"),
     },
     "Shape": {
         "paper": Entry("(37) or (38) as printed, kp = 1,000 and kd = 100", PaperShape),
         "feedforward": Entry("u = q_a_bar, nothing measured", ShapeFeedforward),
         "tracking": entry_of("(37) or (38) at the control period, within limits", ShapeTracking),
-        "predictive": _predictive_entry(Shape),
+        "predictive": replace(
+            OF_POSITION["predictive"],
+            make=lambda model, limits, period, **tuning: Predictive(model, limits, period, Shape(model), Tuning(**tuning)),
+        ),
     },
-    "Reach": _tip_controllers(_tip_position),
+    "Reach": OF_POSITION,
 }
 """Controllers by the name of their task, then by their own."""

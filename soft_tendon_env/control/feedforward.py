@@ -19,7 +19,7 @@ from soft_tendon_env.tools.types import Array
 EFFORT = 1e-3  # weight of the tensions against that of errors, where both are measured by what they do to the task
 STRIDE = 0.2  # longest way to the target that a step looks at, as a share of the rod's length
 FIRST_STEPS, STEPS = 20, 1  # Gauss-Newton steps at the beginning of an episode, and in every period
-SHORTEST = 2.0**-6  # of a step, tried before the tensions stay as they are
+PARTS = 0.5 ** np.arange(7)  # of a step, tried one after another before the tensions stay as they are
 STILL = 1e-5  # of the range of tensions, steps that are not worth taking
 MARGIN = 0.0005  # dead band, as a share of the rod's length, within which targets out of reach are left as they are
 
@@ -47,16 +47,15 @@ class StaticFeedforward(ModelController):
         if at is None:
             found = static_equilibrium(self.model, self.preferred)
             at, steps = StaticMemory(self.preferred, found.q, found.tip_pose, np.zeros_like(self.preferred)), FIRST_STEPS
-        limited = 0.0
         for _ in range(steps):
-            at, limited = self._improved(at, now.reference)
-        return ControllerOutput(at.tension, at, {"limited": limited, "singular": 0.0})
+            at = self._improve(at, now.reference)
+        return self.output(at.tension, at)
 
     def error(self, at: StaticMemory, reference: Reference) -> Array:
         """Error (k,) [m] of the equilibrium from the target when the tensions will have acted."""
         return self.objective.error(at.q, at.tip_pose, reference, self.period)
 
-    def _improved(self, at: StaticMemory, reference: Reference) -> tuple[StaticMemory, float]:
+    def _improve(self, at: StaticMemory, reference: Reference) -> StaticMemory:
         """One Gauss-Newton step, halved until it leads to an equilibrium that is nearer."""
         model, u, near = self.model, at.tension, ChordSolver(self.model, at.q, at.tension)
         away = self.error(at, reference)
@@ -66,17 +65,16 @@ class StaticFeedforward(ModelController):
         hessian, gradient = task.T @ task + cost * np.eye(u.size), cost * (u - self.preferred) - task.T @ error
         found = allocate(hessian, gradient, self.least - u, self.greatest - u, at.multipliers)
         if np.abs(found.x).max() <= STILL * np.ptp(np.stack([self.least, self.greatest])):
-            return at, found.limited
-        present, part = away @ away + cost * np.sum((u - self.preferred) ** 2), 1.0
-        while part >= SHORTEST:
+            return at
+        present = away @ away + cost * np.sum((u - self.preferred) ** 2)
+        for part in PARTS:
             trial = u + part * found.x
             if (there := near.at(trial)) is not None:
                 moved = StaticMemory(trial, *there, found.multipliers)
                 left = self.error(moved, reference)
                 if left @ left + cost * np.sum((trial - self.preferred) ** 2) <= present:
-                    return moved, found.limited
-            part *= 0.5
-        return at, found.limited
+                    return moved
+        return at
 
 
 @dataclass(frozen=True)

@@ -5,15 +5,13 @@ model has wrong, as slow random walks: a tension that is added (offset-free cont
 every tendon, the displacement between the model's tip and the measured one, and the latency of the commands, if it is not known.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.control.protocol import FAILURES, Estimate, InputError, Measurement
+from soft_tendon_env.control.protocol import FAILURES, Estimate, InputError, Measurement, SensorNoise
 from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
-from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.control.smith_predictor import whole_periods
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Rollout, Simulation
@@ -27,18 +25,7 @@ SURPRISE = 4.0
 """Mean square of the innovations, in their standard deviations, above which the forces that the model lacks are taken for greater."""
 GAINS = 0.5, 2.0  # least and greatest of a tendon
 CHANGING = 0.05  # relative model noise added to measured velocities, for the neglected dependence of the Jacobian on q
-MEASURED = "tip_twist", "tendon_length", "strain", "strain_rate"
-"""Fields of Measurement that the filter makes use of where they are measured, besides the tip's pose."""
-VELOCITIES = "tip_twist", "strain_rate"  # among MEASURED
-EXACT = SensorNoise()
-
-
-class Sensing(NamedTuple):
-    """Measured quantities of an arm, besides the tip's pose."""
-
-    uses: tuple[str, ...]  # names of MEASURED
-    sensors: ArrayLike = ()  # (s,) [m] arc lengths of the strain sensors, if strains or their rates are used
-    noise: SensorNoise = EXACT
+VELOCITIES = "tip_twist", "strain_rate"  # among the fields of Measurement
 
 
 class Layout(NamedTuple):
@@ -77,6 +64,18 @@ class Uncertainty(NamedTuple):
 USUAL = Uncertainty()
 
 
+class Setting(NamedTuple):
+    """Sensors and actuators that an estimator works with, besides the model that it believes in."""
+
+    period: float  # [s] from one estimate to the next
+    tension: ArrayLike  # (n_a,) [N] that hold the arm when an episode begins
+    observed: tuple[str, ...]  # fields of Measurement that are there, besides the tip's pose
+    sensors: ArrayLike = ()  # (s,) [m] arc lengths of the strain sensors, if strains or their rates are observed
+    noise: SensorNoise = SensorNoise()
+    latency: float = 0.0  # [s] of commands, or what is believed of it at first
+    uncertainty: Uncertainty = USUAL
+
+
 class Belief(NamedTuple):
     """Mean and covariance of a filter, and the internal states of the effects."""
 
@@ -102,64 +101,58 @@ def noise_variances(model: Model, noise: SensorNoise, sensors: int) -> dict[str,
 class ExtendedKalmanFilter:
     """Extended Kalman filter of an arm. Raises TypeError, ValueError."""
 
-    def __init__(
-        self,
-        model: Model,
-        period: float,
-        start: ArrayLike,
-        sensing: Sensing,
-        uncertainty: Uncertainty = USUAL,
-        latency: float = 0.0,
-        greatest_latency: float | None = None,
-    ) -> None:
-        """period: [s] from one estimate to the next; start: tensions (n_a,) [N] that hold the arm when an episode begins; latency: of
-        commands [s], or what is believed of it at first; greatest_latency: [s] of one that is estimated, None: it is known."""
+    def __init__(self, model: Model, setting: Setting, greatest_latency: float | None = None) -> None:
+        """greatest_latency: [s] of one that is estimated, None: the setting's is known."""
+        period, uncertainty, latency = setting.period, setting.uncertainty, setting.latency
         self.model, self.period, self.latency, self.greatest_latency = model, period, latency, greatest_latency
-        self.start = checked_array("start", start, (model.tendon_count,))
+        self.start = checked_array("tension", setting.tension, (model.tendon_count,))
         for name, value in {"latency": latency, **uncertainty._asdict()}.items():
             checked_number(name, value, 0.0, "a number, at least 0")
         self.history = whole_periods(latency if greatest_latency is None else greatest_latency, period)[0] + 2
         n, tendons = model.coordinate_count, model.tendon_count
         borders = np.cumsum([0, n, n, tendons, tendons, 6, 1]).tolist()
         self._at = at = Layout(*map(slice, borders[:-1], borders[1:]))
-        self.uncertainty, self.needs = uncertainty, tuple(sensing.uses)
-        self._sensors = checked_array("sensors", sensing.sensors, (None,))
-        self._variance = noise_variances(model, sensing.noise, self._sensors.size)
+        self.uncertainty, self.needs = uncertainty, tuple(setting.observed)
+        self._sensors = checked_array("sensors", setting.sensors, (None,))
+        self._variance = noise_variances(model, setting.noise, self._sensors.size)
         self._rest_lengths, self._stress_free = model.tendon_lengths(np.zeros(n)), model.strain_at(np.zeros(n), self._sensors)[0]
-        self._scale, self._tension = model.coordinate_scale(), _bending_tensions(model)
+        terms = model.terms(np.zeros(n), np.zeros(n))
+        give = np.einsum("ij,ij->j", terms.actuation, np.linalg.lstsq(terms.stiffness, terms.actuation, rcond=None)[0])
+        self._tension = np.sqrt(model.bending_energy / np.maximum(give, np.finfo(float).tiny))  # of one tendon that bends the arm by 1 rad
+        self._scale, self._tip_unit = model.coordinate_scale(), np.repeat([1.0, model.length], 3)
         self._simulation, self._rest = Simulation(model), static_equilibrium(model, self.start).q
-        self._drift, self._keep = self._walks(), np.ones(at.latency.stop)
+        walks = (0.0, 0.0, uncertainty.offset * self._tension, uncertainty.gain, uncertainty.tip * self._tip_unit, uncertainty.latency)
+        self._drift, self._keep = self._variances(*walks) * period, np.ones(at.latency.stop)
         self._keep[at.offset], self._keep[at.gain] = np.exp(-period / np.array([[uncertainty.offset_time], [uncertainty.gain_time]]))
         self._forces = np.diag(uncertainty.force * model.bending_energy / self._scale)
 
     def estimate(self, measured: Measurement, last: Estimate | None) -> Estimate:
         """Prediction over a period and update by what is measured; begins anew where the model has no motion like that."""
-        believed = self._first() if last is None else self._predicted(last.memory, measured)
-        updated = self._updated(believed, measured)
+        believed = self._first() if last is None else self._predict(last.memory, measured)
+        updated = self._update(believed, measured)
         if updated is None:
-            updated = self._updated(self._first(), measured) or self._first()
-        return self._told(updated)
+            updated = self._update(self._first(), measured) or self._first()
+        mean = updated.mean
+        q, tip = self._scale * mean[self._at.z], mean[self._at.tip]
+        latency = None if self.greatest_latency is None else float(mean[self._at.latency][0])
+        error = InputError(1.0 + mean[self._at.gain], mean[self._at.offset])
+        return Estimate(q, self._scale * mean[self._at.v], moved_pose(self.model.tip_pose(q), tip), error, latency, updated)
 
     def _first(self) -> Belief:
         known, mean = self.uncertainty, np.zeros(self._at.latency.stop)
         mean[self._at.z], mean[self._at.latency] = self._rest / self._scale, self.latency
-        tip = known.tip_start * np.repeat([1.0, self.model.length], 3)
-        offset = known.offset_start * self._tension
-        parts = [known.state_start, 10.0 * known.state_start, offset, known.gain_start, tip, known.latency_start]
-        deviation = np.concatenate([np.full(part.stop - part.start, value) for part, value in zip(self._at, parts, strict=True)])
-        deviation[self._at.latency] *= self.greatest_latency is not None
+        offset, tip = known.offset_start * self._tension, known.tip_start * self._tip_unit
+        variance = self._variances(known.state_start, 10.0 * known.state_start, offset, known.gain_start, tip, known.latency_start)
         effects = self._simulation.reset(self._rest, tension=self.start).effects
-        return Belief(mean, np.diag(deviation**2), np.zeros((2 * self._scale.size,) * 2), effects)
+        return Belief(mean, np.diag(variance), np.zeros((2 * self._scale.size,) * 2), effects)
 
-    def _walks(self) -> Array:
-        """Variances (m,) that a period adds to what drifts."""
-        known, variance = self.uncertainty, np.zeros(self._at.latency.stop)
-        variance[self._at.offset], variance[self._at.gain] = (known.offset * self._tension) ** 2, known.gain**2
-        variance[self._at.tip] = (known.tip * np.repeat([1.0, self.model.length], 3)) ** 2
-        variance[self._at.latency] = known.latency**2 * (self.greatest_latency is not None)
-        return variance * self.period
+    def _variances(self, *deviations: float | Array) -> Array:
+        """Variances (m,) of standard deviations in the order of Layout; a latency that is known has none."""
+        variance = np.concatenate([np.full(part.stop - part.start, value) for part, value in zip(self._at, deviations, strict=True)]) ** 2
+        variance[self._at.latency] *= self.greatest_latency is not None
+        return variance
 
-    def _predicted(self, last: Belief, measured: Measurement) -> Belief:
+    def _predict(self, last: Belief, measured: Measurement) -> Belief:
         mean, gain, offset = last.mean, 1.0 + last.mean[self._at.gain], last.mean[self._at.offset]
         q, q_dot, began = self._scale * mean[self._at.z], self._scale * mean[self._at.v], measured.time - self.period
         whole, rest = whole_periods(float(mean[self._at.latency][0]), self.period)
@@ -172,7 +165,9 @@ class ExtendedKalmanFilter:
                 rollout = self._simulation.rollout((gain * tension + offset)[None], seconds, forces=self._forces)
         except FAILURES:
             return self._first()
-        transition, noise = self._linearised(rollout, tension, seconds, gain, self._white(measured.sent, last))
+        uncertain = np.sqrt(last.covariance[self._at.latency, self._at.latency][0, 0]) / self.period  # periods of latency
+        white = np.hypot(self.uncertainty.tension * self._tension, self.uncertainty.timing * uncertain * np.ptp(measured.sent, axis=0))
+        transition, noise = self._linearise(rollout, tension, seconds, gain, white)
         after = mean.copy()
         after[self._at.z], after[self._at.v] = rollout.q[1] / self._scale, rollout.q_dot[1] / self._scale
         covariance = transition @ last.covariance @ transition.T
@@ -180,14 +175,9 @@ class ExtendedKalmanFilter:
         covariance[np.diag_indices_from(covariance)] += self._drift
         return Belief(self._keep * after, covariance, noise, rollout.effects[1])
 
-    def _white(self, sent: Array, last: Belief) -> Array:
-        """Deviations (n_a,) [N] of white tensions."""
-        uncertain = np.sqrt(last.covariance[self._at.latency, self._at.latency][0, 0]) / self.period
-        return np.asarray(np.hypot(self.uncertainty.tension * self._tension, self.uncertainty.timing * uncertain * np.ptp(sent, axis=0)))
-
-    def _linearised(self, rollout: Rollout, acted: Array, seconds: Array, gain: Array, white: Array) -> tuple[Array, Array]:
+    def _linearise(self, rollout: Rollout, acted: Array, seconds: Array, gain: Array, white: Array) -> tuple[Array, Array]:
         """Transition (m, m) of deviations over a period, in whose parts (2,) [s] tensions (2, n_a) acted, and the covariance (2 n, 2 n)
-        that white forces and tensions add to the motion."""
+        that white forces and tensions of deviations `white` (n_a,) [N] add to the motion."""
         unit = np.tile(self._scale, 2)
         response = rollout.by_tension[0] / unit[:, None]
         moved = np.column_stack([response * white, rollout.by_force[0] / unit[:, None]])
@@ -199,11 +189,11 @@ class ExtendedKalmanFilter:
         transition[motion, self._at.latency] = driven[:, -1:]
         return transition * self._keep[:, None], moved @ moved.T
 
-    def _updated(self, believed: Belief, measured: Measurement) -> Belief | None:
+    def _update(self, believed: Belief, measured: Measurement) -> Belief | None:
         """Update: the belief after a measurement; None where there is no such state."""
         mean, covariance = believed.mean, believed.covariance
         try:
-            missed, slope, variance = self._compared(mean, measured)
+            missed, slope, variance = self._innovations(mean, measured)
             spread, weight = _gain(slope, covariance, variance, missed)
             surprise = missed @ weight[:, -1] / missed.size
             if surprise > SURPRISE:  # of the motion, not of what the model has wrong in the long run
@@ -225,12 +215,25 @@ class ExtendedKalmanFilter:
             return None
         return Belief(after, 0.5 * (covariance + covariance.T), believed.noise, believed.effects)
 
-    def _compared(self, mean: Array, measured: Measurement) -> tuple[Array, Array, Array]:
+    def _innovations(self, mean: Array, measured: Measurement) -> tuple[Array, Array, Array]:
         """Innovations (k,), the Jacobian (k, m) of what was expected of the state `mean` (m,), and the variances (k,) of the noise."""
         at, scale = self._at, self._scale
-        q_dot = scale * mean[at.v]
+        q, q_dot = scale * mean[at.z], scale * mean[at.v]
+        terms = self.model.terms(q, q_dot, time=measured.time)
+        strain, slope = self.model.strain_at(q, self._sensors) if self._sensors.size else (np.zeros((0, 6)), np.zeros((0, 6, q.size)))
+        slope, J = slope.reshape(-1, q.size), terms.tip_jacobian
+        expected: dict[str, tuple[Any, Array]] = {  # and Jacobians (k, n) by coordinates, of VELOCITIES by their rates
+            "tip_twist": (J @ q_dot, J),
+            "tendon_length": (self.model.tendon_lengths(q) - self._rest_lengths, -terms.actuation.T),
+            "strain": (strain - self._stress_free, slope),
+            "strain_rate": ((slope @ q_dot).reshape(-1, 6), slope),
+        }
         missed, rows, variances = [], [], []
-        for name, (innovation, jacobian) in self._innovations(scale * mean[at.z], q_dot, mean[at.tip], measured).items():
+        for name in ("tip_pose", *self.needs):
+            if name == "tip_pose":
+                innovation, jacobian = pose_error(moved_pose(terms.tip_pose, mean[at.tip]), measured.tip_pose), J
+            else:
+                innovation, jacobian = (getattr(measured, name) - expected[name][0]).ravel(), expected[name][1]
             row, variance = np.zeros((innovation.size, mean.size)), np.broadcast_to(self._variance[name], innovation.shape)
             row[:, at.v if name in VELOCITIES else at.z] = jacobian * scale
             if name in VELOCITIES:
@@ -242,38 +245,8 @@ class ExtendedKalmanFilter:
             variances.append(variance)
         return np.concatenate(missed), np.vstack(rows), np.concatenate(variances)
 
-    def _innovations(self, q: Array, q_dot: Array, tip: Array, measured: Measurement) -> dict[str, tuple[Array, Array]]:
-        """Each quantity as measured less as expected, and its Jacobian (k, n) by coordinates, of VELOCITIES by their rates."""
-        terms = self.model.terms(q, q_dot, time=measured.time)
-        strain, slope = self.model.strain_at(q, self._sensors) if self._sensors.size else (np.zeros((0, 6)), np.zeros((0, 6, q.size)))
-        slope, J = slope.reshape(-1, q.size), terms.tip_jacobian
-        found: dict[str, Callable[[Any], tuple[Array, Array]]] = {
-            "tip_pose": lambda pose: (pose_error(moved_pose(terms.tip_pose, tip), pose), J),
-            "tip_twist": lambda twist: (twist - J @ q_dot, J),
-            "tendon_length": lambda lengths: (lengths - self.model.tendon_lengths(q) + self._rest_lengths, -terms.actuation.T),
-            "strain": lambda own: ((own - strain + self._stress_free).ravel(), slope),
-            "strain_rate": lambda rate: (rate.ravel() - slope @ q_dot, slope),
-        }
-        return {name: found[name](getattr(measured, name)) for name in ("tip_pose", *self.needs)}
-
-    def _told(self, believed: Belief) -> Estimate:
-        mean = believed.mean
-        q = self._scale * mean[self._at.z]
-        tip = moved_pose(self.model.tip_pose(q), mean[self._at.tip])
-        latency = None if self.greatest_latency is None else float(mean[self._at.latency][0])
-        error = InputError(1.0 + mean[self._at.gain], mean[self._at.offset])
-        return Estimate(q, self._scale * mean[self._at.v], tip, error, latency, believed)
-
 
 def _gain(slope: Array, covariance: Array, variance: Array, missed: Array) -> tuple[Array, Array]:
     """H P, and (H P H^T + R)^-1 (H P, innovations)."""
     spread = slope @ covariance
     return spread, np.asarray(np.linalg.solve(spread @ slope.T + np.diag(variance), np.column_stack([spread, missed])))
-
-
-def _bending_tensions(model: Model) -> Array:
-    """Tension (n_a,) [N] of each tendon alone whose work at rest is that of bending the arm by 1 rad."""
-    rest = np.zeros(model.coordinate_count)
-    terms = model.terms(rest, rest)
-    give = np.einsum("ij,ij->j", terms.actuation, np.linalg.lstsq(terms.stiffness, terms.actuation, rcond=None)[0])
-    return np.asarray(np.sqrt(model.bending_energy / np.maximum(give, np.finfo(float).tiny)))

@@ -6,19 +6,11 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from soft_tendon_env.control.protocol import Reference
+from soft_tendon_env.control.protocol import ControllerInput, Reference
 from soft_tendon_env.control.rigid_motions import adjoint, adjoint_of_twist, inverse_pose, moved_pose, pose_at, pose_error, value_at
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.tools.types import Array
-
-
-class Dynamics(NamedTuple):
-    """State of an arm with the terms of its equation of motion there."""
-
-    q: Array  # (n,)
-    q_dot: Array  # (n,)
-    terms: Terms
 
 
 class Aim(NamedTuple):
@@ -44,8 +36,8 @@ class Objective(Protocol):
     def jacobian(self, tip_jacobian: Array) -> Array:
         """Jacobian (k, n) of the arm's velocity, in metres, from that of the tip's body twist (6, n)."""
 
-    def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
-        """Error and Jacobian at a time ahead [s]; `period` [s] to measure the target's velocity over."""
+    def aim(self, now: ControllerInput, terms: Terms, time: float, period: float) -> Aim:
+        """Error and Jacobian at a time ahead [s], from the terms at now.q; `period` [s] to measure the target's velocity over."""
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
         """The target for a model whose tip is at `model_pose` (4, 4) where the arm's is measured at `measured_pose` (4, 4)."""
@@ -72,18 +64,18 @@ class TipPose(Objective):
     def jacobian(self, tip_jacobian: Array) -> Array:
         return self._weight[:, None] * tip_jacobian
 
-    def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
-        terms, now, then = motion.terms, _pose(reference, time), _pose(reference, time + period)
-        twist = adjoint(inverse_pose(terms.tip_pose) @ then) @ pose_error(now, then) / period
-        error, jacobian = self._weight * pose_error(terms.tip_pose, now), self.jacobian(terms.tip_jacobian)
-        turning = adjoint_of_twist(terms.tip_jacobian @ motion.q_dot) @ twist  # the frame moves, the target's own twist is not the tip's
+    def aim(self, now: ControllerInput, terms: Terms, time: float, period: float) -> Aim:
+        target, then = _pose(now.reference, time), _pose(now.reference, time + period)
+        twist = adjoint(inverse_pose(now.tip_pose) @ then) @ pose_error(target, then) / period
+        error, jacobian = self._weight * pose_error(now.tip_pose, target), self.jacobian(terms.tip_jacobian)
+        turning = adjoint_of_twist(terms.tip_jacobian @ now.q_dot) @ twist  # the frame moves, the target's own twist is not the tip's
         return Aim(error, self._weight * twist, jacobian, self._weight * (terms.tip_bias + turning))
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
-        return _displaced(reference, pose_error(measured_pose, model_pose))
+        return _displace(reference, pose_error(measured_pose, model_pose))
 
     def moved_back(self, reference: Reference, nearest: Array, time: float, share: float) -> Reference:
-        return _displaced(reference, share * pose_error(_pose(reference, time), nearest))
+        return _displace(reference, share * pose_error(_pose(reference, time), nearest))
 
 
 @dataclass(frozen=True)
@@ -96,12 +88,12 @@ class TipPosition(Objective):
     def jacobian(self, tip_jacobian: Array) -> Array:
         return tip_jacobian[3:]
 
-    def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
-        now, then = (value_at(reference.ahead, _positions(reference), t) for t in (time, time + period))
-        terms, back = motion.terms, motion.terms.tip_pose[:3, :3].T
-        angular, linear = np.split(terms.tip_jacobian @ motion.q_dot, 2)
+    def aim(self, now: ControllerInput, terms: Terms, time: float, period: float) -> Aim:
+        target, then = (value_at(now.reference.ahead, _positions(now.reference), t) for t in (time, time + period))
+        back = now.tip_pose[:3, :3].T
+        angular, linear = np.split(terms.tip_jacobian @ now.q_dot, 2)
         bias = terms.tip_bias[3:] + np.cross(angular, linear)  # the frame turns, the target's axes do not
-        return Aim(back @ (now - terms.tip_pose[:3, 3]), back @ (then - now) / period, self.jacobian(terms.tip_jacobian), bias)
+        return Aim(back @ (target - now.tip_pose[:3, 3]), back @ (then - target) / period, self.jacobian(terms.tip_jacobian), bias)
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
         return reference._replace(tip_position=_positions(reference) + model_pose[:3, 3] - measured_pose[:3, 3])
@@ -129,8 +121,8 @@ class Shape(Objective):
     def jacobian(self, tip_jacobian: Array) -> Array:
         return self._root
 
-    def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
-        error, then = (self.error(motion.q, motion.terms.tip_pose, reference, t) for t in (time, time + period))
+    def aim(self, now: ControllerInput, terms: Terms, time: float, period: float) -> Aim:
+        error, then = (self.error(now.q, now.tip_pose, now.reference, t) for t in (time, time + period))
         return Aim(error, (then - error) / period, self._root, np.zeros(error.size))
 
 
@@ -139,7 +131,7 @@ def _pose(reference: Reference, time: float) -> Array:
     return pose_at(reference.ahead, reference.tip_pose, time)
 
 
-def _displaced(reference: Reference, twist: Array) -> Reference:
+def _displace(reference: Reference, twist: Array) -> Reference:
     assert reference.tip_pose is not None
     return reference._replace(tip_pose=np.stack([moved_pose(pose, twist) for pose in reference.tip_pose]))
 

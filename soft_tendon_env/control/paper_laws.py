@@ -12,8 +12,8 @@ import numpy as np
 
 from soft_tendon_env.control.dynamics import Gains
 from soft_tendon_env.control.protocol import FAILURES, ControllerInput, ControllerOutput, ModelController
-from soft_tendon_env.control.rigid_motions import adjoint, adjoint_of_twist, inverse_pose, pose_at, pose_error, value_at
-from soft_tendon_env.control.shape_tracking import tensions_of
+from soft_tendon_env.control.rigid_motions import adjoint, adjoint_of_twist, inverse_pose, pose_at, pose_error
+from soft_tendon_env.control.shape_tracking import ShapeController
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.tools.checks import checked_array
@@ -112,28 +112,23 @@ class PaperTipPose(ModelController):
     def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
         assert now.reference.tip_pose is not None
         poses = [pose_at(now.reference.ahead, now.reference.tip_pose, k * self.period) for k in range(3)]
-        first, second = (pose_error(a, b) / self.period for a, b in zip(poses[:-1], poses[1:], strict=True))
+        first, second = pose_error(poses[0], poses[1]) / self.period, pose_error(poses[1], poses[2]) / self.period
         acceleration = (second - first) / self.period
         wanted = TipPoseTarget(poses[0], first - 0.5 * self.period * acceleration, acceleration)
         try:
             terms = self.model.terms(now.q, now.q_dot, time=now.time)._replace(tip_pose=now.tip_pose)
-            return self.within_limits(tip_pose_tension(terms, now.q_dot, wanted, TIP_GAINS))
+            return self.output(tip_pose_tension(terms, now.q_dot, wanted, TIP_GAINS))
         except (*FAILURES, ValueError):
             return self.hold(now)
 
 
-class PaperShape(ModelController):
-    """(37) or (38). Raises ValueError as `tensions_of`."""
-
-    def __init__(self, model: Model, limits: Array, period: float) -> None:
-        super().__init__(model, limits, period)
-        self._tensions = tensions_of(model)
+class PaperShape(ShapeController):
+    """(37) or (38)."""
 
     def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
-        assert now.reference.q is not None
-        here, then = (self._tensions @ value_at(now.reference.ahead, now.reference.q, time) for time in (0.0, self.period))
+        here, then = (self._tensions @ self.shape_at(now.reference, time) for time in (0.0, self.period))
         wanted = ShapeTarget(here, (then - here) / self.period)
         try:
-            return self.within_limits(shape_tension(self.model, now.q, now.q_dot, wanted, SHAPE_GAINS))
+            return self.output(shape_tension(self.model, now.q, now.q_dot, wanted, SHAPE_GAINS))
         except (*FAILURES, ValueError):
             return self.hold(now)

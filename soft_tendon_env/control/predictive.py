@@ -75,7 +75,7 @@ class Predictive(ModelController):
         if memory is not None:  # a period later
             share = 1.0 / self._hold
             plan = (1.0 - share) * memory.tension + share * np.vstack([memory.tension[1:], memory.tension[-1:]])
-        error = now.input_error or InputError(np.ones(size), np.zeros(size) if memory is None else self._observed(memory, now))
+        error = now.input_error or InputError(np.ones(size), np.zeros(size) if memory is None else self._observe(memory, now))
         try:
             self._simulation.reset(now.q, now.q_dot, time=now.time, effects=None if memory is None else memory.effects)
             with erring_actuators():
@@ -92,7 +92,6 @@ class Predictive(ModelController):
         least, greatest = np.tile(self.least, N) - offset, np.tile(self.greatest, N) - offset
         found = allocate(hessian, gradient, least, greatest, None if memory is None else memory.multipliers)
         better = plan + found.x.reshape(N, size)
-        report = {"limited": found.limited, "singular": float(not found.solved), "disturbance": float(np.abs(error.offset).max())}
         rates = effects = None  # predicted for the end of the period, where the model has such a motion
         try:
             with erring_actuators():
@@ -101,9 +100,10 @@ class Predictive(ModelController):
         except FAILURES:
             pass
         response = rollout.by_tension[0, now.q.size :] / self._hold
-        return ControllerOutput(better[0], Plan(better, found.multipliers, error.offset, response, rates, effects), report)
+        improved = Plan(better, found.multipliers, error.offset, response, rates, effects)
+        return self.output(better[0], improved, not found.solved, disturbance=float(np.abs(error.offset).max()))
 
-    def _observed(self, memory: Plan, now: ControllerInput) -> Array:
+    def _observe(self, memory: Plan, now: ControllerInput) -> Array:
         """The disturbance, moved by the share of the last period's unexplained change of momentum that tensions explain."""
         if memory.rates is None:
             return memory.disturbance

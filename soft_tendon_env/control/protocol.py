@@ -6,17 +6,21 @@ A controller knows a `Model` (which may be a wrong one) and what is measured; ne
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
+from pydantic import Field
 
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.model.strain_limits import StrainLimitError
+from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.types import Array
 
 FAILURES = (StrainLimitError, SimulationDiverged, OverflowError, np.linalg.LinAlgError)
 """Errors by which a model says that it has no motion or no solution there: a controller then holds its tensions, an estimator its state."""
+
+AT_LIMIT = 1e-9  # share of the range of tensions within which a tendon counts as at its limit
 
 
 class Reference(NamedTuple):
@@ -51,7 +55,7 @@ class ControllerInput(NamedTuple):
 @dataclass(frozen=True)
 class ControllerOutput:
     """Tensions (n_a,) [N] to hold over the control period, the memory to give back next time, and numbers to look at: at least "limited",
-    the share of tendons held by their limits, and "singular", 1.0 where the task could not be resolved and 0.0 otherwise."""
+    the share of tendons at their limits, and "singular", 1.0 where the task could not be resolved and 0.0 otherwise."""
 
     tension: Array
     memory: Any = None
@@ -71,15 +75,17 @@ class ModelController:
     def __init__(self, model: Model, limits: Array, period: float) -> None:
         self.model, self.period = model, period
         self.least, self.greatest = limits.T.copy()
+        self._near = AT_LIMIT * (self.greatest - self.least)
 
     def hold(self, now: ControllerInput, memory: Any = None) -> ControllerOutput:
         """The last tensions: where the model has no motion, or the task no solution."""
-        return ControllerOutput(np.clip(now.tension, self.least, self.greatest), memory, {"limited": 1.0, "singular": 1.0})
+        return self.output(now.tension, memory, is_singular=True)
 
-    def within_limits(self, tension: Array) -> ControllerOutput:
-        """Tensions (n_a,) [N] cut off at their limits."""
-        held = np.clip(tension, self.least, self.greatest)
-        return ControllerOutput(held, None, {"limited": float(np.mean(held != tension)), "singular": 0.0})
+    def output(self, tension: Array, memory: Any = None, is_singular: bool = False, **more: float) -> ControllerOutput:
+        """Tensions (n_a,) [N] cut off at their limits, with their report; `more` goes into that."""
+        tension = np.minimum(np.maximum(tension, self.least), self.greatest)
+        limited = np.count_nonzero((tension <= self.least + self._near) | (tension >= self.greatest - self._near)) / tension.size
+        return ControllerOutput(tension, memory, {"limited": limited, "singular": float(is_singular), **more})
 
 
 class Measurement(NamedTuple):
@@ -92,6 +98,29 @@ class Measurement(NamedTuple):
     tendon_length: Array | None = None  # (n_a,) [m] less the length at rest without tension
     strain: Array | None = None  # (s, 6) less the stress-free strain
     strain_rate: Array | None = None  # (s, 6)
+
+
+Deviation = Annotated[float, Field(ge=0, le=1e6)]
+
+
+class SensorNoise(Configuration):
+    """Standard deviations of Gaussian noise on what is observed; rewards and errors are the true ones."""
+
+    position: Deviation = 0.0  # [m] of the tip
+    rotation: Deviation = 0.0  # [rad] of the tip
+    length: Deviation = 0.0  # [m] of tendons
+    curvature: Deviation = 0.0  # [1/m] torsion and bending at strain sensors
+    stretch: Deviation = 0.0  # [-] stretch and shear there
+    curvature_rate: Deviation = 0.0  # [1/(m s)]
+    stretch_rate: Deviation = 0.0  # [1/s]
+
+    def of_strains(self, sensors: int) -> Array:
+        """Deviations (6 sensors,) of the strains at so many sensors."""
+        return np.tile(np.repeat([self.curvature, self.stretch], 3), sensors)
+
+    def of_strain_rates(self, sensors: int) -> Array:
+        """Deviations (6 sensors,) of the rates of those strains."""
+        return np.tile(np.repeat([self.curvature_rate, self.stretch_rate], 3), sensors)
 
 
 class Estimate(NamedTuple):

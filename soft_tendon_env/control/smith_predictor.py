@@ -30,7 +30,7 @@ class SmithPredictor:
         self._model, self._simulation = model, Simulation(model)
         self.history = whole_periods(latency, period)[0] + 1
 
-    def predicted(self, now: ControllerInput, sent: tuple[Array, ...], latency: float | None = None) -> ControllerInput:
+    def predict(self, now: ControllerInput, sent: tuple[Array, ...], latency: float | None = None) -> ControllerInput:
         """Predicted controller input at the time when the command issued now takes effect; the present one if the simulation fails.
 
         sent: tensions (n_a,) [N] of the last `history` periods, the newest last. latency: [s], as known by default.

@@ -11,7 +11,7 @@ import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.dynamics import discrete_gains, implicit_step
-from soft_tendon_env.control.objectives import Dynamics, Objective
+from soft_tendon_env.control.objectives import Objective
 from soft_tendon_env.control.protocol import FAILURES, ControllerInput, ControllerOutput, ModelController
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
@@ -52,8 +52,7 @@ class TipTracking(ModelController):
             step = implicit_step(terms, now.q_dot, h)
         except FAILURES:
             return self.hold(now, memory)
-        motion = Dynamics(now.q, now.q_dot, terms._replace(tip_pose=now.tip_pose))
-        aim, next_aim = (self.objective.aim(motion, now.reference, time, h) for time in (0.0, h))
+        aim, next_aim = (self.objective.aim(now, terms, time, h) for time in (0.0, h))
         integral = np.zeros_like(aim.error) if memory is None else memory.integral
         velocity = aim.jacobian @ now.q_dot
         last_velocity = 2.0 * aim.velocity - next_aim.velocity  # of the target over the period that has passed
@@ -74,6 +73,4 @@ class TipTracking(ModelController):
         open_ways = ways[:, : scale.size][:, scale > SINGULAR * scale[0]]  # directions in which tensions move the tip at all
         refused = task @ (np.linalg.lstsq(hessian, -gradient, rcond=None)[0] - found.x) / h  # by the limits
         integral = integral + h * (open_ways @ (open_ways.T @ aim.error) - refused / gains.kp)  # no wind-up by what cannot be done
-        singular = not found.solved or open_ways.shape[1] < task.shape[0]
-        report = {"limited": found.limited, "singular": float(singular), "refused": float(np.linalg.norm(refused))}
-        return ControllerOutput(found.x, TipMemory(integral, found.multipliers), report)
+        return self.output(found.x, TipMemory(integral, found.multipliers), not found.solved or open_ways.shape[1] < task.shape[0])

@@ -15,8 +15,7 @@ from soft_tendon_env.tools.types import Array
 
 LEAST_COSINE = 0.99  # cosine with differences below which gradients lead a training astray
 WITHIN = (0.05, 0.2, 0.6)  # shares of the range of commands: the least of a trial, where it begins, and its greatest
-WAY = 0.01
-"""Share of the range by which commands are moved for the differences: as an optimiser's steps, above the jumps of an adaptive order."""
+WAY = 0.01  # share of the range by which commands are moved for the differences: as an optimiser's steps, above an adaptive order's jumps
 CHANGE = 0.05  # share of the range that commands of absolute actions change by in a period
 DIRECTIONS, PERIODS, ROWS = 16, 16, 4
 
@@ -42,7 +41,7 @@ def check_gradients(episodes: Episodes) -> None:
     change = CHANGE * (scale.greatest - least) if scale.increment is None else scale.increment
     models = map(arms.model_of, range(min(ROWS, arms.size)))
     tried = [gradient_accuracy(model, episodes.period, least, scale.greatest, change) for model in models]
-    found = min(tried, key=lambda own: (own.cosine >= LEAST_COSINE, own.cosine))
+    found = min(tried, key=lambda one: (one.cosine >= LEAST_COSINE, one.cosine))
     if not found.cosine >= LEAST_COSINE:
         warnings.warn(
             f"gradients through this arm have a cosine of {found.cosine:.3f} with differences of its motion, and {found.ratio:.2f} times "

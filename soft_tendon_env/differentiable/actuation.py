@@ -34,15 +34,14 @@ def inward_clip(values: torch.Tensor, least: torch.Tensor | float, greatest: tor
 
 
 class TensorActuation:
-    """Rows of actuators from where they are now, for actions that carry gradients; `command` (rows, n_a) is what was last asked for, and
-    `scale` an ActionScale of tensors.
+    """Rows of actuators from where they are now, for actions that carry gradients; gradients at limits and of slack tendons lead inside.
 
-    Limits of commands, and tendons that actuators let go slack, have gradients that lead back inside.
+    command: (rows, n_a) asked for last. scale: an ActionScale of tensors.
     """
 
     def __init__(self, actuation: Actuation) -> None:
         self._of = of = actuation
-        scale: dict[str, Any] = {own.name: _tensor(getattr(of.actions, own.name)) for own in fields(ActionScale)}
+        scale: dict[str, Any] = {one.name: _tensor(getattr(of.actions, one.name)) for one in fields(ActionScale)}
         self.scale: Any = ActionScale(**scale)
         self.command: torch.Tensor = _tensor(of.command)
         self._in_transit = _tensor(of.in_transit)

@@ -1,4 +1,4 @@
-"""Observations in PyTorch, by the groups' own definitions, which run on tensors in place of arrays."""
+"""Observations in PyTorch, by the definitions of the groups, which run on tensors in place of arrays."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -31,7 +31,7 @@ class TensorObservation:
 
         arms: of this step; action: (rows, n_a) the last one; command: (rows, n_a) asked for last.
         """
-        observed = tensors_observed(self._episodes, arms, action, command)
+        observed = observed_tensors(self._episodes, arms, action, command)
         seen, self._past = self.complete(observed, self.groups(observed), self._past)
         return seen
 
@@ -57,16 +57,16 @@ class TensorObservation:
         return {name: value.to(self._dtype) for name, value in named.items()}, past
 
 
-def tensors_observed(episodes: Episodes, arms: ArmTensors, action: torch.Tensor, command: torch.Tensor) -> Any:
+def observed_tensors(episodes: Episodes, arms: ArmTensors, action: torch.Tensor, command: torch.Tensor) -> Any:
     """Observed quantities of the present step as tensors, see TensorObservation.now."""
     seen = episodes.observed
-    target, measured = as_tensors(*seen.target), _measured(seen, arms)
+    target, measured = as_tensors(*seen.target), _readings(seen, arms)
     given: dict[str, Any] = {"arms": SimpleNamespace(rows=arms, reading=arms)}
     given |= {"measured": measured, "error": pose_logarithm(measured.tip_pose, target[0]), "action": action, "command": command}
     return replace(seen, target=TargetSamples(*target), rest=RestValues(*as_tensors(*seen.rest)), **given)
 
 
-def _measured(seen: Observed, arms: ArmTensors) -> Any:
+def _readings(seen: Observed, arms: ArmTensors) -> Any:
     """Sensor readings as tensors: those of the arms, turned, moved and shifted as the environment's noise has it."""
     true, noisy = seen.arms.reading, seen.measured
     if noisy is true:

@@ -65,18 +65,12 @@ class _ControlPeriod(torch.autograd.Function):
         return None, None, torch.from_numpy(back.command), *(torch.from_numpy(getattr(back, name)) for name in STATE)
 
 
-def control_period(
-    arms: Arms,
-    before: ArmTensors,
-    commands: torch.Tensor,
-    advance: Callable[..., None] | None = None,
-) -> ArmTensors:
+def control_period(arms: Arms, before: ArmTensors, commands: torch.Tensor, advance: Callable[..., None] | None = None) -> ArmTensors:
     """State and readings of all rows after a period under commands (rows, parts, n_a), each held for an integrator step.
 
-    Differentiable in the commands and in the state before.
-
-    The arms themselves take the step, from the state of `before`. Gradients are those of their adjoint, once, see Arms.adjoint; a
-    row whose step fails has none. Poses are 4x4 matrices, whose cotangents count as far as they move them as rigid bodies.
+    Differentiable in the commands and in the state before. The arms themselves take the step, from the state of `before`. Gradients are
+    those of their adjoint, once, see Arms.adjoint; a row whose step fails has none. Poses are 4x4 matrices, whose cotangents count as far
+    as they move them as rigid bodies.
 
     advance: `advance(tape=...)` steps the arms under these commands in place of `Arms.step`, as an environment does. float64. Raises
     TypeError or ValueError for other shapes and numbers that are not finite; `backward` raises what Arms.adjoint does.
@@ -84,7 +78,7 @@ def control_period(
     state = [getattr(before, name) for name in STATE]
     for name, value in zip(STATE, state, strict=True):
         checked_array(f"before.{name}", value.detach().numpy(), getattr(arms.rows, name).shape)
-    held = checked_array("commands", commands.detach().numpy(), (arms.size, None, arms.model.tendon_count))
+    parts = checked_array("commands", commands.detach().numpy(), (arms.size, None, arms.model.tendon_count))
     if advance is None:
-        advance = partial(arms.step, held, np.arange(arms.size, dtype=np.int64))
+        advance = partial(arms.step, parts, np.arange(arms.size, dtype=np.int64))
     return ArmTensors(*_ControlPeriod.apply(arms, advance, commands, *state))

@@ -8,8 +8,6 @@ import re
 from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
-import numpy as np
-
 RGB = tuple[int, int, int]
 OTHERS: tuple[RGB, ...] = (
     (78, 154, 240),
@@ -51,8 +49,8 @@ def style(policy: str, taken: Collection[Style] = ()) -> Style:
     if (kind := next((word for word in words if word in kinds), None)) is not None:
         share = next((FILTERS[word] for word in words if word in FILTERS), 1.0)
         marker = "o" if kind in LEARNED else "s" if share == 1.0 else "D"
-        own_shades = (kinds[kind] if share * own == 1.0 else lightened(kinds[kind], share * own) for own in SIBLINGS)
-        if (free := next((shade for shade in own_shades if shade not in colours), None)) is not None:
+        shades = (kinds[kind] if share * sibling == 1.0 else lighten(kinds[kind], share * sibling) for sibling in SIBLINGS)
+        if (free := next((shade for shade in shades if shade not in colours), None)) is not None:
             return Style(free, marker)
     return Style(next((other for other in OTHERS if other not in colours), OTHERS[len(taken) % len(OTHERS)]), marker)
 
@@ -65,22 +63,8 @@ def styles(policies: Iterable[str]) -> dict[str, Style]:
     return found
 
 
-def lightened(colour: RGB, share: float) -> RGB:
+def lighten(colour: RGB, share: float) -> RGB:
     """A colour of another lightness, as a share of its own."""
     hue, lightness, saturation = colorsys.rgb_to_hls(*(value / 255 for value in colour))
-    return _rgb(hue, min(LIGHTEST, share * lightness), saturation)
-
-
-def shades(colour: RGB, count: int) -> list[RGB]:
-    """Series of one arm: its colour, from dark to light."""
-    return [lightened(colour, share) for share in np.linspace(0.45, 1.3, count)]
-
-
-def hues(count: int) -> list[RGB]:
-    """Colours around the circle of hues, for distinct series."""
-    return [_rgb(k / count, 0.62 if k % 2 else 0.50, 0.75) for k in range(count)]
-
-
-def _rgb(hue: float, lightness: float, saturation: float) -> RGB:
-    red, green, blue = (round(255 * value) for value in colorsys.hls_to_rgb(hue, lightness, saturation))
+    red, green, blue = (round(255 * value) for value in colorsys.hls_to_rgb(hue, min(LIGHTEST, share * lightness), saturation))
     return red, green, blue

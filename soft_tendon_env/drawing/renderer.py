@@ -4,6 +4,7 @@ The floor is painted once; a frame restores it and paints over it what moves. Ev
 flat collection from far to near.
 """
 
+import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +14,6 @@ from numpy.typing import NDArray
 from soft_tendon_env.drawing.shapes import (
     backbones,
     base_poses,
-    box_corners,
     drawing_stations,
     mount_size,
     surface,
@@ -105,9 +105,10 @@ class ArmRenderer:
         areas.set_facecolor(colour[order])
         areas.set_linewidth(width[order])
         target.set_data(*(np.empty((0, 2)) if scene.target_backbone is None else scene.target_backbone @ across).T)
-        at = np.empty((0, 4, 4)) if scene.target_pose is None else scene.target_pose[None]
-        place.set_data(*(at[:, :3, 3] @ across).T)
-        ends = [np.stack([own[:3, 3], own[:3, 3] + AXES * self._model.length * own[:3, k]]) @ across for own in at for k in range(3)]
+        poses = np.empty((0, 4, 4)) if scene.target_pose is None else scene.target_pose[None]
+        place.set_data(*(poses[:, :3, 3] @ across).T)
+        size = AXES * self._model.length
+        ends = [np.stack([frame[:3, 3], frame[:3, 3] + size * frame[:3, k]]) @ across for frame in poses for k in range(3)]
         pose.set_segments([*ends, *ends])
         title.set_text(scene.title)
 
@@ -203,7 +204,7 @@ def paint_floor(figure: Any, scene: Scene, turn: Array) -> Any:
     from matplotlib.collections import LineCollection
 
     lower, upper, vertical, upright = view_box(scene)
-    corners = box_corners(lower, upper) @ turn[:2].T
+    corners = np.array([*itertools.product(*zip(lower, upper, strict=True))]) @ turn[:2].T
     size, middle = figure.bbox.size, 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     half = 0.5 * np.max(np.ptp(corners, axis=0) / (ROOM * size)) * size
     middle[1] += 0.3 * (1.0 - ROOM[1]) * half[1]

@@ -1,8 +1,5 @@
 """Curves, bodies and solids of arms in space, where several arms stand, and the cameras that see them, for pictures and recordings."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
-
 import numpy as np
 
 from soft_tendon_env.effects import Effects, Solid
@@ -10,7 +7,7 @@ from soft_tendon_env.mechanics.motion.batch import read_backbones
 from soft_tendon_env.mechanics.terms.external_forces import place_base
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.coordinates import effects_outside
-from soft_tendon_env.model.grid import discretisation
+from soft_tendon_env.model.grid import at_points
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene, rod_length, rod_radius, tendon_ends, tendon_offset
 from soft_tendon_env.tools.types import Array
@@ -21,10 +18,8 @@ FROM, AZIMUTH = 15.0, -58.0  # direction from which an arm is seen [deg]: above 
 PULLS = -1.0, 0.0, 0.12, 0.4, 1.0
 PULL_COLORS = np.array([[160, 90, 255], [105, 108, 118], [255, 225, 90], [255, 150, 40], [255, 40, 30]])
 """RGB at these shares of the largest tension that the actuator gives, from pushing over slack to pulling."""
-SPACING, VISITED = 0.65, 0.5
-"""Distance at which several arms are drawn, in widths of the box that most motions need, and the share of it that views show whole."""
-ELEVATION, FIELD_OF_VIEW = 28.0, np.radians(55.0)
-"""Elevation [deg] of the viewer's camera, by which a tip's path looks about as it does in frames, and its vertical field of view."""
+SPACING = 0.65  # distance at which several arms are drawn, in widths of the box that most motions need
+ELEVATION = 28.0  # [deg] of the viewer's camera, by which a tip's path looks about as it does in frames
 LABEL = 2.5  # depth of an arm's name behind its base, in depths of the mount
 
 
@@ -43,7 +38,7 @@ def base_poses(model: Model, times: Array, effects: Effects | None = None) -> Ar
         return poses
     if effects is not None:
         scene = model.scene.model_copy(update={"effects": effects})
-        table = effects_outside(scene).table(discretisation(scene, model.grid))
+        table = effects_outside(scene).table(at_points(scene, model.grid).rod)
     arm, work = model.arm.replaced(effects=table), make_workspace(model.arm)
     for pose, time in zip(poses, times, strict=True):
         work.clock[0] = time
@@ -85,9 +80,9 @@ def surface(solid: Solid, box: tuple[Array, Array]) -> Array:
         return np.asarray(_face(half * np.eye(3)[0], half * np.eye(3)[1]) @ R.T + nearest)
     if solid.kind == "box":
         x, y, z = 0.5 * np.diag(solid.size)
-        faces = [own for a, b, c in ((x, y, z), (y, z, x), (z, x, y)) for own in (_face(a, b) + c, _face(b, a) - c)]
+        faces = [face for a, b, c in ((x, y, z), (y, z, x), (z, x, y)) for face in (_face(a, b) + c, _face(b, a) - c)]
         return np.asarray(np.concatenate(faces) @ R.T + r)
-    return np.asarray(_turned(*_outline(solid)) @ R.T + r)
+    return np.asarray(_revolve(*_outline(solid)) @ R.T + r)
 
 
 def _face(a: Array, b: Array) -> Array:
@@ -107,7 +102,7 @@ def _outline(solid: Solid) -> tuple[Array, Array]:
     return np.concatenate([radii, np.full(side.size, radius), radii[::-1]]), np.concatenate([below, side, -below[::-1]])
 
 
-def _turned(radius: Array, height: Array) -> Array:
+def _revolve(radius: Array, height: Array) -> Array:
     """The surface of revolution around z."""
     angle = np.linspace(0.0, 2.0 * np.pi, AROUND + 1)
     x, y = np.cos(angle)[None, :] * radius[:, None], np.sin(angle)[None, :] * radius[:, None]
@@ -144,39 +139,15 @@ def viewpoint(vertical: int, upright: bool, elevation: float = FROM) -> Array:
     return np.stack([right, np.cross(towards, right), towards])
 
 
-def box_corners(lower: Array, upper: Array) -> Array:
-    """Corners (8, 3) of a box."""
-    return np.stack(np.meshgrid(*zip(lower, upper, strict=True)), axis=-1).reshape(-1, 3)
-
-
 def mount_size(scene: Scene) -> tuple[float, float]:
     """Depth behind the rod's base and radius [m] of the cylinder that holds it."""
     length = rod_length(scene)
     return BEHIND * length, max(1.9 * float(rod_radius(scene, np.zeros(1))[0][0]), 0.03 * length)
 
 
-class Body(NamedTuple):
-    """Cylinders from station to station, axis along their z: all that a tapered rod needs to be seen."""
-
-    length: Array  # (m - 1,) [m], unstrained
-    radius: Array  # (m - 1,) [m]
-    center: Array  # (samples, m - 1, 3) [m]
-    quaternion: Array  # (samples, m - 1, 4), x y z w
-
-
-class Camera(NamedTuple):
-    """A perspective camera."""
-
-    position: Array  # (3,) [m]
-    target: Array  # (3,) [m], seen in the middle
-    up: Array  # (3,)
-
-
-def body(model: Model, arc_length: Array, position: Array) -> Body:
-    """The body at stations (m,) [m] whose positions are (samples, m, 3) [m]."""
-    radius, _ = rod_radius(model.scene, 0.5 * (arc_length[1:] + arc_length[:-1]))
-    center = 0.5 * (position[:, 1:] + position[:, :-1])
-    return Body(np.diff(arc_length), radius, center, rotation_from_z(np.diff(position, axis=1)))
+def cylinders(position: Array) -> tuple[Array, Array]:
+    """Centres (samples, m - 1, 3) [m] and quaternions, x y z w, of cylinders along z that go from station to station (samples, m, 3)."""
+    return 0.5 * (position[:, 1:] + position[:, :-1]), rotation_from_z(np.diff(position, axis=1))
 
 
 def rotation_from_z(direction: Array) -> Array:
@@ -201,22 +172,13 @@ def label_place(model: Model) -> Array:
     return np.array([-LABEL * mount_size(model.scene)[0], 0.0, 0.0])
 
 
-def camera(models: Sequence[Model], places: Array, aspect: float) -> Camera:
-    """The camera that sees arms at places (arms, 3) [m] and their names whole, in a view of this width over height."""
-    *_, vertical, upright = view_box(models[0].scene)
-    turn = viewpoint(vertical, upright, ELEVATION)
-    seen = np.concatenate([_visited(model) + place for model, place in zip(models, places, strict=True)]) @ turn.T
-    middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
-    slope = np.tan(0.5 * FIELD_OF_VIEW) * np.array([aspect, 1.0])
-    distance = (np.abs(seen[:, :2] - middle[:2]) / slope + (seen[:, 2:] - middle[2])).max()
-    return Camera((middle + [0.0, 0.0, distance]) @ turn, middle @ turn, np.eye(3)[vertical] * (1.0 if upright else -1.0))
-
-
-def _visited(model: Model) -> Array:
-    """Corners (9, 3) [m] of what an arm at the origin moves in, and the place of its name."""
-    lower, upper, *_ = view_box(model.scene)
-    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower) * [1.0, VISITED, VISITED]
-    return np.concatenate([box_corners(middle - half, middle + half), label_place(model)[None]])
+def camera(model: Model, places: Array) -> tuple[Array, Array, Array]:
+    """Position, target [m] and upward direction of the camera that sees arms at places (arms, 3) [m] whole, in a view wider than high."""
+    lower, upper, vertical, upright = view_box(model.scene)
+    middle = 0.5 * (lower + upper) + 0.5 * (places.min(axis=0) + places.max(axis=0))
+    distance = float(0.8 * np.linalg.norm(upper - lower) + 0.3 * np.linalg.norm(np.ptp(places, axis=0)))
+    towards = viewpoint(vertical, upright, ELEVATION)[2]
+    return middle + distance * towards, middle, np.eye(3)[vertical] * (1.0 if upright else -1.0)
 
 
 def tension_colors(model: Model, tension: Array) -> Array:

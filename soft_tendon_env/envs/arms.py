@@ -101,7 +101,7 @@ class Arms:
         """Derivatives of a scalar by what went into the period on the tape, of the rows `members`: given those by the state after it and by
         what was read of it, those by the state before it, in their place, and by its commands; see Cotangents.
 
-        They are approximate, see mechanics.motion.adjoint; their errors: docs/appendix/derivatives_measured.md. Rows whose step had failed
+        They are approximate, see mechanics.motion.adjoint; their errors: docs/explanation/derivatives.md. Rows whose step had failed
         get zeros. Raises ValueError where rows have got another arm since, and as `check_adjoint`; LinAlgError, which names a row, where
         its motion has no derivative.
         """

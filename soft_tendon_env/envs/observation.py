@@ -103,15 +103,15 @@ GROUPS: dict[str, Group] = {
         "first two columns of the tip's rotation matrix", lambda o: _flat(o.tip_pose[:, :3, :2].swapaxes(1, 2)), of_arm=True
     ),
     "tip_twist": Group("tip twist, angular then linear, tip frame", lambda o: o.tip_twist, _twist_unit, of_arm=True),
-    "tendon_lengths": Group("tendon lengths less those at rest", lambda o: o.tendon_length, lambda u: 0.1 * u.length, of_arm=True),
+    "tendon_lengths": Group("tendon lengths minus those at rest", lambda o: o.tendon_length, lambda u: 0.1 * u.length, of_arm=True),
     "strain": Group(  # torsion, bending, stretch, shear
-        "strains at the sensors less the stress-free ones", lambda o: _flat(o.measured.strain - o.rest.strain), _strain_unit, of_arm=True
+        "strains at the sensors minus the stress-free ones", lambda o: _flat(o.measured.strain - o.rest.strain), _strain_unit, of_arm=True
     ),
     "strain_rate": Group("their rates", lambda o: _flat(o.measured.strain_rate), lambda u: 10.0 * _strain_unit(u), of_arm=True),
     "target_error": Group("SE(3) logarithm from tip to target", lambda o: o.error[:, 0], _error_unit, FAR, of_target=True),
     "target_twist": Group("twist of the target, target frame", lambda o: o.target.tip_twist[:, 0], _twist_unit, of_target=True),
     "preview": Group("target_error at each preview time", lambda o: _flat(o.error[:, 1:]), _error_unit, FAR, of_target=True),
-    "target_coordinates": Group("coordinates of the target less the arm's", lambda o: o.target.q[:, 0] - o.q, lambda u: u.q, of_shape=True),
+    "target_coordinates": Group("the target's coordinates minus the arm's", lambda o: o.target.q[:, 0] - o.q, lambda u: u.q, of_shape=True),
     "coordinate_preview": Group(
         "the same at each preview time", lambda o: _flat(o.target.q[:, 1:] - o.q[:, None]), lambda u: u.q, of_shape=True
     ),
@@ -119,10 +119,10 @@ GROUPS: dict[str, Group] = {
         "coordinates of the target, now and at each preview time", lambda o: _flat(o.target.q), lambda u: u.q, of_shape=True
     ),
     "target_lengths": Group(
-        "tendon lengths of the target less the arm's", lambda o: o.target_length - o.tendon_length, lambda u: 0.1 * u.length, of_shape=True
+        "tendon lengths of the target minus the arm's", lambda o: o.target_length - o.tendon_length, lambda u: 0.1 * u.length, of_shape=True
     ),
     "last_action": Group("the last action", lambda o: o.action, bound=1.0, of_arm=True),
-    "command": Group("tensions asked for last", lambda o: o.command, lambda u: u.tension, 1.0, of_arm=True),
+    "command": Group("the commands sent last, before actuator errors", lambda o: o.command, lambda u: u.tension, 1.0, of_arm=True),
 }
 """The groups that every task has, by the name that options use; one of your own can be added before environments are made."""
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from soft_tendon_env.control.sensor_noise import SensorNoise
+from soft_tendon_env.control.protocol import SensorNoise
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import perturb_poses

@@ -5,18 +5,5 @@ from soft_tendon_env.evaluation.metrics import METRICS, EpisodeScore, Metric
 from soft_tendon_env.evaluation.play import evaluate, evaluate_rows
 from soft_tendon_env.evaluation.summaries import Summary, summarise
 
-__all__ = [
-    "EVALUATION_SEEDS",
-    "METRICS",
-    "MODEL_ERRORS",
-    "SEEDS",
-    "VALIDATION_SEEDS",
-    "Condition",
-    "EpisodeScore",
-    "Metric",
-    "Summary",
-    "evaluate",
-    "evaluate_rows",
-    "model_error",
-    "summarise",
-]
+__all__ = ["EVALUATION_SEEDS", "METRICS", "MODEL_ERRORS", "SEEDS", "VALIDATION_SEEDS", "Condition", "EpisodeScore", "Metric", "Summary"]
+__all__ += ["evaluate", "evaluate_rows", "model_error", "summarise"]

@@ -13,9 +13,9 @@ from soft_tendon_env.evaluation.conditions import SEEDS, SETTINGS
 from soft_tendon_env.evaluation.entrants import agents_of, model_in_the_loop
 from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.settings import RegimeNames, SettingNames, TaskName, Workers, episode_steps
-from soft_tendon_env.evaluation.summaries import Standing, Standings, difference
-from soft_tendon_env.evaluation.tables import error_table, number
-from soft_tendon_env.policies.agent_files import INTERFACE
+from soft_tendon_env.evaluation.summaries import Mean, Standing, Standings, difference
+from soft_tendon_env.evaluation.tables import ERRORS_LEGEND, error_table, number
+from soft_tendon_env.policies.agent import INTERFACE
 from soft_tendon_env.policies.names import Agent, Controller, PolicyName
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.scene.file import load_scene
@@ -42,15 +42,10 @@ class BenchmarkPolicy(Configuration):
     """
 
     policy: str
-    name: str = ""
+    name: str = Field(default_factory=lambda given: given.get("policy", ""), min_length=1)
     regimes: RegimeNames = ()
     settings: SettingNames = ()
     told: bool = False
-
-    @property
-    def label(self) -> str:
-        """Its name in tables."""
-        return self.name or self.policy
 
     def members(self, task: str) -> dict[int | None, PolicyName]:
         """Policies of which it consists, by seed of training; None: the only one. Raises ValueError, OSError for what is none."""
@@ -94,8 +89,8 @@ class Benchmark(Workers):
 
     @model_validator(mode="after")
     def _fits(self) -> "Benchmark":
-        labels = [entrant.label for entrant in self.entrants]
-        if twice := [label for label in dict.fromkeys(labels) if labels.count(label) > 1]:
+        names = [entrant.name for entrant in self.entrants]
+        if twice := [name for name in names if names.count(name) > 1]:
             raise ConfigurationError([Problem(("entrants",), f"has {twice[0]!r} several times: give each a name of its own")])
         episode_steps(self.seconds, self.skip, {"target": TARGET})
         return self
@@ -108,7 +103,7 @@ class Benchmark(Workers):
             try:
                 cells |= dict(self._cells_of(entrant))
             except (ValueError, OSError) as error:
-                notes.append(f"{entrant.label} is left out: {error}")
+                notes.append(f"{entrant.name} is left out: {error}")
         if not cells:
             raise ValueError(f"nobody can play: {'; '.join(notes) or 'all entrants are for other regimes or settings'}")
         return cells, notes
@@ -124,13 +119,13 @@ class Benchmark(Workers):
                 plays, noise = True, {"noise": dict(REGIMES[regime].noise)}
                 for setting in (name for name in self.settings if name in (entrant.settings or self.settings)):
                     given = {**observed, "scene": self.scene, "fidelity": PLANT, "target": TARGET, "randomize": noise}
-                    told = {"scene": self.scene, **(SETTINGS[setting].scene(load_scene(self.scene)) if entrant.told else {})}
+                    believed = {"scene": self.scene, **(SETTINGS[setting].scene(load_scene(self.scene)) if entrant.told else {})}
                     options = SETTINGS[setting].options(given)
-                    cell = Cell(self.task, policy.text, options, episodes, self.seconds, self.skip, told=told)
-                    yield Label(entrant.label, seed, regime, setting), cell
+                    cell = Cell(self.task, policy.text, options, episodes, self.seconds, self.skip, controller_scene=believed)
+                    yield Label(entrant.name, seed, regime, setting), cell
         if reasons and not plays:
             only = "policies may observe what does not depend on the discretisation of the arm"
-            raise ValueError(f"{entrant.label} can play in no regime ({'; '.join(reasons)}): {only}, see REGIMES in policies/regimes.py")
+            raise ValueError(f"{entrant.name} can play in no regime ({'; '.join(reasons)}): {only}, see REGIMES in policies/regimes.py")
 
 
 def interface_options(policy: PolicyName, regime: str) -> dict[str, Any]:
@@ -162,28 +157,48 @@ def standings_by_regime(benchmark: Benchmark, experiment: Experiment[Label]) -> 
     scores: dict[str, dict[tuple[str, str], list[Any]]] = {}
     for label in sorted(experiment.cells, key=lambda label: benchmark.settings.index(label.setting)):
         scores.setdefault(label.regime, {}).setdefault((label.policy, label.setting), []).append(experiment.scores(label))
-    return {regime: {key: Standing(own) for key, own in of.items()} for regime, of in scores.items()}
+    return {regime: {key: Standing(members) for key, members in of.items()} for regime, of in scores.items()}
 
 
 def benchmark_tables(benchmark: Benchmark, found: Mapping[str, Standings]) -> str:
-    """A table per regime: errors by policy and setting, and the gap between the best that has learned and the best controller."""
+    """A table per regime: errors by policy and setting, the gap between the best that has learned and the best controller, and in words
+    where it is ahead."""
     played = {name for of in found.values() for name, _ in of}
-    first = {own.label: (next(iter(own.members(benchmark.task).values())), own.told) for own in benchmark.entrants if own.label in played}
+    players = [entrant for entrant in benchmark.entrants if entrant.name in played]
+    first = {entrant.name: (next(iter(entrant.members(benchmark.task).values())), entrant.told) for entrant in players}
     models = {label: model_in_the_loop(*policy) for label, policy in first.items()}
     learned, texts = {label for label, (policy, _) in first.items() if not isinstance(policy, Controller)}, list[str]()
     for regime, of in found.items():
-        texts.append(f"### {regime}\n\n{REGIMES[regime].description.capitalize()}.\n\n{error_table(of, models, [gaps(of, learned)])}")
-    legend = "The last row has the interquartile mean of the paired difference with its interval; both are chosen by these episodes."
-    return "\n\n".join([*texts, legend])
+        apart = gaps(of, learned)
+        told = f"{REGIMES[regime].description.capitalize()}.{verdict(apart)}"
+        texts.append(f"### {regime}\n\n{told}\n\n{error_table(of, models, [gap_row(of, apart)] if apart else [])}")
+    return "\n\n".join([*texts, ERRORS_LEGEND])
 
 
-def gaps(of: Standings, learned: set[str]) -> dict[str, str]:
-    """Row of the errors of the best learned policy less those of the best controller, by setting where both kinds play."""
-    row = {"": "best learned less best controller"}
+def gaps(of: Standings, learned: set[str]) -> dict[str, Mean]:
+    """Error of the best learned policy minus that of the best controller, by setting where both kinds play."""
+    found = dict[str, Mean]()
     for setting in dict.fromkeys(setting for _, setting in of):
-        kinds = [[own for (name, at), own in of.items() if at == setting and (name in learned) == kind] for kind in (True, False)]
+        kinds = [[standing for (name, at), standing in of.items() if at == setting and (name in learned) == kind] for kind in (True, False)]
         if all(kinds):
-            one, other = (min(kind, key=lambda own: own.mean(f"{own.error}_rms").value) for kind in kinds)
-            factor = error_unit(one.error).factor
-            row[setting] = "{} ({} to {})".format(*(number(factor * value) for value in difference(one, other, f"{one.error}_rms")))
-    return row
+            one, other = (min(kind, key=lambda standing: standing.mean(f"{standing.error}_rms").value) for kind in kinds)
+            found[setting] = difference(one, other, f"{one.error}_rms")
+    return found
+
+
+def gap_row(of: Standings, apart: Mapping[str, Mean]) -> dict[str, str]:
+    """Row of a table, with the intervals."""
+    factor = error_unit(next(iter(of.values())).error).factor
+    texts = {setting: "{} ({} to {})".format(*(number(factor * value) for value in gap)) for setting, gap in apart.items()}
+    return {"": "best learned minus best controller", **texts}
+
+
+def verdict(apart: Mapping[str, Mean]) -> str:
+    """Sentence that says where the interval of the gap leaves out zero, and on which side."""
+    kinds = {
+        "ahead": [setting for setting, gap in apart.items() if gap.high < 0.0],
+        "behind": [setting for setting, gap in apart.items() if gap.low > 0.0],
+    }
+    kinds["not separated"] = [setting for setting in apart if setting not in kinds["ahead"] + kinds["behind"]]
+    said = "; ".join(f"{kind} in {', '.join(settings)}" for kind, settings in kinds.items() if settings)
+    return f" The best learned policy against the best controller: {said}." if said else ""

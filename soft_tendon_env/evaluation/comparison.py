@@ -5,7 +5,7 @@ nothing beside it.
 """
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,10 @@ from soft_tendon_env.evaluation.entrants import model_in_the_loop
 from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.metrics import EpisodeScore, record
 from soft_tendon_env.evaluation.play import evaluate
-from soft_tendon_env.evaluation.settings import EpisodeSettings, Settings
+from soft_tendon_env.evaluation.settings import EpisodeSettings, Seeds, Settings
 from soft_tendon_env.evaluation.summaries import Standing, Standings, Summary, summarise
-from soft_tendon_env.evaluation.tables import error_table, summary_table
-from soft_tendon_env.policies.agent_files import ARM
+from soft_tendon_env.evaluation.tables import summary_table
+from soft_tendon_env.policies.agent import ARM
 from soft_tendon_env.policies.names import Agent, PolicyName
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.configuration import shown
@@ -35,10 +35,10 @@ TIME = "time per action"
 """Stands in place of a model error where the time per action is measured."""
 
 
-def shared_arms(settings: EpisodeSettings, task: str, policies: Iterable[str]) -> Arms:
+def shared_arms(settings: EpisodeSettings, task: str, files: Files) -> Arms:
     """Environments in which policies act on the same arm: that of the settings' options, and where these leave it open the one that the
-    agents were trained on. Raises ValueError, also where agents differ in that, OSError."""
-    parsed = {policy: PolicyName.parse(policy, task) for policy in policies}
+    agents were trained on, which is printed on the error stream. Raises ValueError, also where agents differ in that, OSError."""
+    parsed = {policy: PolicyName.parse(policy, task) for of in files.values() for policy in of.values()}
     arms = {name: arm for name, policy in parsed.items() if isinstance(policy, Agent) and (arm := policy.arm)}
     first, found = next(iter(arms.items()), ("", {}))
     for name, arm in arms.items():
@@ -47,28 +47,26 @@ def shared_arms(settings: EpisodeSettings, task: str, policies: Iterable[str]) -
                 text = f"{name} has {key} = {shown(arm[key])}, {first} has {shown(found[key])}: their episodes would not be the same"
                 raise ValueError(f"{text}. Give {key} in options, for all of them, or take them apart")
     usual = Options().model_dump(mode="json")
-    given = {**{key: value for key, value in found.items() if value != usual[key]}, **settings.options}
-    return {name: policy.options(given) for name, policy in parsed.items()}
+    trained = {key: value for key, value in found.items() if value != usual[key] and key not in settings.options}
+    if trained:
+        print(f"note: {task}: on the arm of the agents, {', '.join(f'{key} = {shown(trained[key])}' for key in trained)}", file=sys.stderr)
+    return {name: policy.options({**trained, **settings.options}) for name, policy in parsed.items()}
 
 
-def make_cell(settings: EpisodeSettings, seeds: tuple[int, ...], task: str, policy: str, options: dict[str, Any], error: str) -> Cell:
-    """A policy under a condition, which overrides what the options have drawn. Raises ValueError."""
+def make_cell(settings: EpisodeSettings, seeds: Seeds, task: str, policy: str, options: dict[str, Any], error: str = TIME) -> Cell:
+    """A policy under a condition, which overrides what the options have drawn. TIME: its first episode on the arm of the model, with
+    nothing beside it, for times per action and for recordings. Raises ValueError."""
+    if error == TIME:
+        return Cell(task, policy, model_error(NOMINAL).options(options), seeds[:1], settings.seconds, settings.skip, alone=True, rows=False)
     rows = not isinstance(PolicyName.parse(policy, task), Agent)  # a network rounds otherwise for many observations than for one
     return Cell(task, policy, model_error(error).options(options), seeds, settings.seconds, settings.skip, rows=rows)
-
-
-def alone(cell: Cell) -> Cell:
-    """First episode of a cell, with nothing beside it: for times per action, and for recordings."""
-    return cell._replace(seeds=cell.seeds[:1], alone=True, rows=False)
 
 
 def compare(settings: Settings, task: str, arms: Arms, folder: Path) -> Experiment[tuple[str, str]]:
     """Experiment of every policy with every model error, and under TIME alone on the arm of its model. Raises ValueError, OSError for
     policies that cannot act there."""
-    cells = {(policy, TIME): alone(make_cell(settings, settings.seeds, task, policy, own, NOMINAL)) for policy, own in arms.items()}
-    for policy, own in arms.items():
-        cells |= {(policy, error): make_cell(settings, settings.seeds, task, policy, own, error) for error in settings.errors}
-    return Experiment(cells, folder)
+    labels = [(policy, TIME) for policy in arms] + [(policy, error) for policy in arms for error in settings.errors]
+    return Experiment({(policy, of): make_cell(settings, settings.seeds, task, policy, arms[policy], of) for policy, of in labels}, folder)
 
 
 def standings_of(experiment: Experiment[tuple[str, str]], files: Files) -> tuple[Standings, Summaries]:
@@ -81,20 +79,20 @@ def standings_of(experiment: Experiment[tuple[str, str]], files: Files) -> tuple
     }
     found = {key: standing for key, standing in of_all.items() if key[1] != TIME}
     times = {name: summarise(of_all[name, TIME].episodes).action_time for name in files}
-    return found, {key: replace(summarise(own.episodes), action_time=times[key[0]]) for key, own in found.items()}
+    return found, {key: replace(summarise(standing.episodes), action_time=times[key[0]]) for key, standing in found.items()}
 
 
-def comparison_tables(task: str, files: Files, found: Standings, summaries: Summaries) -> str:
-    """Tables of a task: a row per model error of a single policy; errors of several by policy and model error, and below all numbers on the
-    arm of the model, or on the first that there is. Raises ValueError, OSError."""
+def numbers_table(task: str, files: Files, summaries: Summaries) -> str:
+    """Table of all numbers: a row per model error of a single policy; of several a row each, on the arm of the model, or under the first
+    model error that there is. Raises ValueError, OSError."""
     models = {policy: model_in_the_loop(PolicyName.parse(next(iter(of.values())), task)) for policy, of in files.items()}
-    errors = [error for _, error in found]
+    errors = [*dict.fromkeys(error for _, error in summaries)]
     if len(files) == 1:
         ((policy, model),) = models.items()
         return summary_table("model error", {error: summaries[policy, error] for error in errors}, dict.fromkeys(errors, model))
     error = NOMINAL if NOMINAL in errors else errors[0]
     of_error = {policy: summaries[policy, error] for policy in files}
-    return f"{error_table(found)}\n\n{summary_table(f'policy ({error})', of_error, models)}"
+    return summary_table(f"policy ({error})", of_error, models)
 
 
 def results_record(settings: Settings, task: str, arms: Arms, found: Standings, summaries: Summaries) -> dict[str, Any]:
@@ -105,17 +103,6 @@ def results_record(settings: Settings, task: str, arms: Arms, found: Standings, 
         for (policy, error), summary in summaries.items()
     ]
     return {"task": task, "settings": settings.model_dump(mode="json"), "environments": environments, "results": results}
-
-
-def print_caveats(settings: EpisodeSettings, arms: Mapping[str, Arms]) -> None:
-    """Print on the error stream, by task, what the arm has of those that agents were trained on."""
-    for task, of_task in arms.items():
-        own = {key: options[key] for options in of_task.values() for key in ARM if key in options and key not in settings.options}
-        if own:
-            print(
-                f"note: {task}: on the arm of the agents, {', '.join(f'{key} = {shown(value)}' for key, value in own.items())}",
-                file=sys.stderr,
-            )
 
 
 def record_side_by_side(

@@ -111,7 +111,7 @@ def model_error(names: str) -> Condition:
     if twice := sorted({key for key in keys if keys.count(key) > 1}):
         raise ValueError(f"names {names!r}, in which {', '.join(twice)} is said twice")
     randomize = {key: value for part in parts for key, value in part.randomize.items()}
-    return Condition(names, randomize, lambda scene: {key: own for part in parts for key, own in part.scene(scene).items()})
+    return Condition(names, randomize, lambda scene: {key: value for part in parts for key, value in part.scene(scene).items()})
 
 
 SEEDS = {

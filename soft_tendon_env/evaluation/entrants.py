@@ -1,13 +1,12 @@
 """Policies that are compared: single ones, and folders of runs, as `soft-tendon sweep` leaves them, several seeds of one training."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from soft_tendon_env.control import CONTROLLERS
-from soft_tendon_env.policies.load import ALL
-from soft_tendon_env.policies.names import BEST, Agent, Controller, PolicyName
+from soft_tendon_env.policies.names import ALL, BEST, Agent, Controller, PolicyName
 from soft_tendon_env.tools.files import read_json
 
 SEED = re.compile(r"seed_(\d+)")
@@ -50,11 +49,6 @@ def read_run(run: Path) -> dict[str, Any]:
     if not (path := run / "config.json").is_file():
         raise FileNotFoundError(f"{run} is no run: it has no config.json, as `soft-tendon train` writes it")
     return read_json(path)
-
-
-def every_file(files: Mapping[str, Mapping[int | None, str]]) -> list[str]:
-    """Every agent or controller of policies once."""
-    return [*dict.fromkeys(file for of_policy in files.values() for file in of_policy.values())]
 
 
 def model_in_the_loop(policy: PolicyName, told: bool = False) -> str:

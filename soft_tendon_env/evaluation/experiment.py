@@ -17,7 +17,7 @@ import gymnasium as gym
 from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.envs import IDS, Options
 from soft_tendon_env.envs.options import resolved_scene
-from soft_tendon_env.evaluation.metrics import EpisodeScore, record, restored, score
+from soft_tendon_env.evaluation.metrics import EpisodeScore, record, score, score_from
 from soft_tendon_env.evaluation.play import play
 from soft_tendon_env.evaluation.provenance import machine, origin
 from soft_tendon_env.evaluation.settings import episode_steps
@@ -38,8 +38,8 @@ class Cell(NamedTuple):
     """Unit of work: a policy under a condition, over its episodes. Plain values, which other processes and machines can get.
 
     options: of the environment. seconds: length of an episode; errors count from `skip` [s] on. alone: played with nothing beside it, for
-    times per action. rows: episodes are side by side, else one after another. told: option `scene` of the arm that controllers believe in,
-    while agents may have been trained with other effects; None: the environment's own model.
+    times per action. rows: episodes are side by side, else one after another. controller_scene: option `scene` of the arm that controllers
+    believe in, while agents may have been trained with other effects; None: the environment's own model.
     """
 
     task: str
@@ -50,7 +50,7 @@ class Cell(NamedTuple):
     skip: float
     alone: bool = False
     rows: bool = True
-    told: Mapping[str, Any] | None = None
+    controller_scene: Mapping[str, Any] | None = None
 
     def open(self) -> tuple[Policy, Any]:
         """The policy and its environment: a single one, or with a row per seed. Raises ConfigurationError, ValueError, OSError."""
@@ -58,34 +58,29 @@ class Cell(NamedTuple):
         policy = PolicyName.parse(self.policy, self.task)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", TrainingWarning)  # what the commands print says it once
-            if self.told is not None:  # fields made for other loads are taken as they are
+            if self.controller_scene is not None:  # fields made for other loads are taken as they are
                 warnings.simplefilter("ignore", FieldsWarning)
             rows: dict[str, Any] = {"num_envs": len(self.seeds), "threads": 1}
             env: Any = gym.make_vec(IDS[self.task], **rows, **given) if self.rows else gym.make(IDS[self.task], **given)
-            return policy.load(env, believed_scene(policy, self.told), other_effects=self.told is not None), env
+            return policy.load(env, believed_scene(policy, self.controller_scene), other_effects=self.controller_scene is not None), env
 
     def key(self, code: str) -> str:
         """Digest of all that the result depends on, with the sources' `code`. Raises ConfigurationError, ValueError, OSError."""
         options, policy = Options.parse(self.options, "options"), PolicyName.parse(self.policy, self.task)
-        both = resolved_scene(options), believed_scene(policy, self.told)
+        both = resolved_scene(options), believed_scene(policy, self.controller_scene)
         scenes = [scene.model_dump(mode="json") for scene in both if scene is not None]
         known = {"policy": policy.fingerprint(), "files": {path: digest(Path(path)) for path in _files_in(scenes)}, "code": code}
-        content = {
-            **self._asdict(),
-            "options": options.model_dump(mode="json"),
-            "told": scenes,
-            **known,
-            "machine": self.alone and machine(),
-        }
+        known |= {"options": options.model_dump(mode="json"), "controller_scene": scenes, "machine": self.alone and machine()}
+        content = {**self._asdict(), **known}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
 
 
-def believed_scene(policy: PolicyName, told: Mapping[str, Any] | None) -> Scene | None:
-    """Arm that a controller or a user's policy is told of, at BELIEF unless its name says a fidelity; None for agents, and without `told`,
-    the option `scene` of an arm that everybody is told of. Raises ValueError."""
-    if told is None or not isinstance(policy, Controller | UserPolicy):
+def believed_scene(policy: PolicyName, controller_scene: Mapping[str, Any] | None) -> Scene | None:
+    """Arm that a controller or a user's policy believes in, at BELIEF unless its name says a fidelity; None for agents, and without the
+    option `scene` of such an arm. Raises ValueError."""
+    if controller_scene is None or not isinstance(policy, Controller | UserPolicy):
         return None
-    scene = resolved_scene(Options(scene=dict(told), fidelity="scene"))
+    scene = resolved_scene(Options(scene=dict(controller_scene), fidelity="scene"))
     return scene if isinstance(policy, Controller) and policy.belief else at_fidelity(scene, BELIEF)
 
 
@@ -133,7 +128,8 @@ class Experiment(Generic[Label]):
 
     def missing(self) -> list[Label]:
         """Labels of cells that have no result yet, one for all cells that are alike."""
-        return [*{path: label for label, path in reversed(self._paths.items()) if not path.exists()}.values()][::-1]
+        first = {path: label for label, path in reversed(self._paths.items())}
+        return [label for label, path in self._paths.items() if first[path] == label and not path.exists()]
 
     def play(self, title: str, workers: int, cluster: str | None = None) -> None:
         """Play the cells that are missing, see `run_all`, and keep each result as soon as it is there. Raises as `measure`."""
@@ -155,6 +151,6 @@ class Experiment(Generic[Label]):
         """Scores of a cell's episodes. Raises ValueError for a damaged result, OSError."""
         path = self._paths[label]
         try:
-            return [*map(restored, read_json(path)["scores"])]
+            return [*map(score_from, read_json(path)["scores"])]
         except (KeyError, TypeError) as error:
             raise ValueError(f"{path} is no result of an experiment: take it away, and it is played again") from error

@@ -54,6 +54,10 @@ class ErrorScore(NamedTuple):
     rms: float
     percentile_95: float
 
+    @classmethod
+    def of(cls, error: Array) -> "ErrorScore":
+        return cls(root_mean_square(error), float(np.percentile(error, 95)) if error.size else math.nan)
+
 
 @dataclass(frozen=True)
 class EpisodeScore:
@@ -101,7 +105,7 @@ def record(score: Any) -> dict[str, Any]:
     return {**vars(score), "errors": {name: error._asdict() for name, error in score.errors.items()}}
 
 
-def restored(saved: Mapping[str, Any]) -> EpisodeScore:
+def score_from(saved: Mapping[str, Any]) -> EpisodeScore:
     """Score from its `record`. Raises KeyError, TypeError for another."""
     return EpisodeScore(**{**saved, "errors": {name: ErrorScore(**error) for name, error in saved["errors"].items()}})
 
@@ -112,12 +116,11 @@ def score(episode: Episode, skip: float = 1.0) -> EpisodeScore:
     first, steps, seconds = math.ceil(skip / episode.period - 1e-9), len(episode.reward), episode.seconds[1:]
     if first > steps and episode.cause is None:
         raise ValueError(f"skip should be at most the episode's {steps * episode.period:g} s, not {skip:g} s")
-    counted = [(name, error[first:]) for name, error in episode.errors.items()]
     to_settle = next(iter(episode.errors.values()))[: -1 if episode.jumped else None]  # nobody has acted on a jump in the last step
     return EpisodeScore(
         seed=episode.seed,
         steps=steps,
-        errors={name: ErrorScore(root_mean_square(own), float(np.percentile(own, 95)) if own.size else math.nan) for name, own in counted},
+        errors={name: ErrorScore.of(error[first:]) for name, error in episode.errors.items()},
         settled=episode.cause is None and has_settled(to_settle, episode.period, SETTLED * episode.length),
         metrics={name: metric.of_episode(episode, first) for name, metric in METRICS.items()},
         total_reward=float(episode.reward.sum()),

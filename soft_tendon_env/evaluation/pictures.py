@@ -1,6 +1,6 @@
-"""Pictures of evaluations: errors of policies by condition, and errors against times of settings of a model."""
+"""Pictures of evaluations: errors of policies by condition."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib
@@ -13,11 +13,9 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from soft_tendon_env.accuracy.pareto import Point
 from soft_tendon_env.drawing.palette import styles
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.summaries import Standings
-from soft_tendon_env.policies.load import short_name
 
 
 def draw_errors(panels: Mapping[str, Standings], path: Path) -> None:
@@ -28,12 +26,12 @@ def draw_errors(panels: Mapping[str, Standings], path: Path) -> None:
         policies, conditions = ([*dict.fromkeys(key[i] for key in panel)] for i in (0, 1))
         unit = error_unit(next(iter(panel.values())).error)
         for index, policy in enumerate(policies):
-            own, places = drawn[policy], [k for k, condition in enumerate(conditions) if (policy, condition) in panel]
+            style, places = drawn[policy], [k for k, condition in enumerate(conditions) if (policy, condition) in panel]
             found = [panel[policy, conditions[k]] for k in places]
             value, low, high = unit.factor * np.array([standing.mean(f"{standing.error}_rms") for standing in found]).T
             x = np.array(places) + 0.7 * ((index + 0.5) / len(policies) - 0.5)
-            axes.plot(x, value, own.marker, color=own.rgb, markersize=5, label=short_name(policy))
-            axes.vlines(x, low, high, color=own.rgb, linewidth=1.5)
+            axes.plot(x, value, style.marker, color=style.rgb, markersize=5, label="/".join(Path(policy).parts[-2:]))
+            axes.vlines(x, low, high, color=style.rgb, linewidth=1.5)
         for border in range(len(conditions) - 1):
             axes.axvline(border + 0.5, color="0.85", linewidth=0.8)
         set_log_scale(axes, axes.yaxis)
@@ -59,26 +57,3 @@ def set_log_scale(axes: Axes, axis: Axis) -> None:
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(NullFormatter())
-
-
-def draw_front(title: str, costs: Sequence[tuple[Point, float]], tolerance: float | None, path: Path) -> None:
-    """Draw a Pareto front of tip errors against measured CPU times: a line, dots by strain field, presets as crosses with their names, the
-    tolerance [m] as a dashed line. Raises OSError."""
-    figure, axes = plt.subplots(figsize=(8, 5), constrained_layout=True)
-    shown = [(point, 1e3 * time, 1e3 * point.tip_error) for point, time in costs if np.isfinite(point.tip_error)]
-    front = [own for own in shown if own[0].setting.strain]
-    axes.plot([cpu for _, cpu, _ in front], [error for _, _, error in front], color="0.7", zorder=0)
-    for name in dict.fromkeys(point.setting.name for point, _, _ in front):
-        own = [(cpu, error) for point, cpu, error in front if point.setting.name == name]
-        axes.plot(*zip(*own, strict=True), "o", label=name)
-    for point, cpu, error in shown[len(front) :]:
-        axes.plot(cpu, error, "x", color="black")
-        axes.annotate(point.setting.name.strip("()"), (cpu, error), xytext=(5, 4), textcoords="offset points")
-    if tolerance is not None:
-        axes.axhline(1e3 * tolerance, color="0.4", linestyle="--", linewidth=1)
-    for axis in (axes.xaxis, axes.yaxis):
-        set_log_scale(axes, axis)
-    axes.set(xlabel="CPU time [ms per simulated second]", ylabel="largest distance of the tip from full physics [mm]", title=title)
-    axes.grid(alpha=0.3, which="both")
-    axes.legend(frameon=False, fontsize=8)
-    save_figure(figure, path)

@@ -7,7 +7,7 @@ A policy is whatever has Stable-Baselines3's `predict`. Errors are the true ones
 """
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -15,11 +15,9 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.environments import TendonRodEnv, TendonRodVectorEnv
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.evaluation.metrics import Episode, EpisodeScore, score
-from soft_tendon_env.evaluation.settings import episode_steps
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.checks import checked_type
 from soft_tendon_env.tools.types import Array
@@ -49,17 +47,6 @@ def evaluate_rows(policy: Policy, envs: gym.vector.VectorEnv[Any, Any, Any], see
     if envs.metadata["autoreset_mode"] is not AutoresetMode.NEXT_STEP or inner.max_episode_steps is None:
         raise ValueError("envs should be made with autoreset_mode='next_step' and with max_episode_steps: rows stay as they ended")
     return [score(episode, skip) for episode in play(policy, envs, seeds)]
-
-
-def validation_scores(
-    make: Callable[[Any], Policy], task: str, options: Mapping[str, Any], seeds: Sequence[int], seconds: float = 3.0, skip: float = 1.0
-) -> list[EpisodeScore]:
-    """Scores of a policy, made for an environment with a row per seed and these options, over the episodes of these seeds."""
-    envs = gym.make_vec(IDS[task], num_envs=len(seeds), max_episode_steps=episode_steps(seconds, skip, options), **options)
-    try:
-        return evaluate_rows(make(envs), envs, seeds, skip)
-    finally:
-        envs.close()
 
 
 class Step(NamedTuple):
@@ -102,8 +89,8 @@ def play(policy: Policy, env: Env, seeds: Sequence[int]) -> list[Episode]:
             break
 
     def episode(row: int, seed: int, steps: int, **end: Any) -> Episode:
-        own = zip(*(tuple(values[row] for values in sample) for sample in course[: steps + 1]), strict=True)
-        reward, seconds, target, tension, errors = map(np.array, own)
+        samples = zip(*(tuple(values[row] for values in sample) for sample in course[: steps + 1]), strict=True)
+        reward, seconds, target, tension, errors = map(np.array, samples)
         named = dict(zip(episodes.errors, errors.T.copy(), strict=True))
         jumped = (np.abs(np.diff(target[-3:], axis=0)) > STILL).any(axis=(1, 2)).tolist() == [False, True]
         return Episode(seed, episodes.period, episodes.model.length, named, reward[1:], tension, seconds[1:], jumped, **end)

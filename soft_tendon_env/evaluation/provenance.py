@@ -2,13 +2,11 @@
 
 import importlib.metadata
 import json
-import math
 import os
 import platform
 import shlex
 import subprocess
 import sys
-from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -26,7 +24,7 @@ def origin() -> dict[str, Any]:
 
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that are installed, by name."""
-    installed = {own.name.replace("-", "_"): own.version for own in importlib.metadata.distributions()}
+    installed = {package.name.replace("-", "_"): package.version for package in importlib.metadata.distributions()}
     return {"python": platform.python_version(), **{name: installed[name] for name in sorted(PACKAGES & installed.keys())}}
 
 
@@ -55,14 +53,7 @@ def machine() -> str:
 def write_json(path: Path, content: Any, say: bool = True) -> None:
     """Write a JSON file, and print its path; numbers that are not finite become null, which is what JSON has. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(_plain(content), indent=1, allow_nan=False) + "\n")
+    plain = json.loads(json.dumps(content), parse_constant=lambda number: None)
+    path.write_text(json.dumps(plain, indent=1) + "\n")
     if say:
         print(f"written: {path}")
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -8,8 +8,8 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from soft_tendon_env.envs import IDS, Options
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, MODEL_ERRORS, SETTINGS, model_error
-from soft_tendon_env.policies.agent_files import EnvironmentOptions
-from soft_tendon_env.policies.load import ALL
+from soft_tendon_env.policies.agent import EnvironmentOptions
+from soft_tendon_env.policies.names import ALL
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import NotNegative, Positive
@@ -83,7 +83,7 @@ class Settings(EpisodeSettings, Workers):
 
     @field_validator("errors")
     @classmethod
-    def _known(cls, errors: tuple[str, ...]) -> tuple[str, ...]:
+    def _expand(cls, errors: tuple[str, ...]) -> tuple[str, ...]:
         every = [name for given in errors for name in (MODEL_ERRORS if given == ALL else (given,))]
         for name in every:
             model_error(name)

@@ -1,6 +1,6 @@
 """Summaries of episodes: root mean squares, interquartile means, their intervals, differences of pairs.
 
-After Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021. `Tails` say what the middle half
+After Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021. `tails` say what the middle half
 hides. NaN, a run without a number, counts as larger than every number, as fits errors.
 """
 
@@ -36,21 +36,12 @@ def interquartile_mean(values: ArrayLike, axis: int = 0) -> float | Array:
     return mean if mean.ndim else float(mean)
 
 
-class Tails(NamedTuple):
-    """Mean of all values, and their percentile HIGH."""
-
-    mean: float
-    high: float
-
-    @classmethod
-    def of(cls, values: ArrayLike) -> "Tails":
-        """Tails of values of any shape, which may be infinite; NaN without any."""
-        given = np.ravel(np.asarray(values, dtype=float))
-        if not given.size:
-            return cls(math.nan, math.nan)
-        with np.errstate(invalid="ignore"):
-            high = np.percentile(given, HIGH)
-        return cls(float(given.mean()), float(np.percentile(given, HIGH, method="lower") if np.isnan(high) else high))
+def tails(values: ArrayLike) -> tuple[float, float]:
+    """Mean of all values, of any shape, and their percentile HIGH; values may be infinite, and there is at least one."""
+    given = np.ravel(np.asarray(values, dtype=float))
+    with np.errstate(invalid="ignore"):
+        high = np.percentile(given, HIGH)
+    return float(given.mean()), float(np.percentile(given, HIGH, method="lower") if np.isnan(high) else high)
 
 
 def bootstrap_interval(values: ArrayLike, axes: int = 1, statistic: Callable[..., Any] = interquartile_mean) -> tuple[Any, Any]:
@@ -66,7 +57,7 @@ def bootstrap_interval(values: ArrayLike, axes: int = 1, statistic: Callable[...
         raise ValueError("values should have at least one run")
     rng = np.random.default_rng(0)
     drawn = [rng.integers(count, size=(RESAMPLES, count)) for count in counts]
-    index = tuple(np.expand_dims(own, tuple(1 + k for k in range(axes) if k != axis)) for axis, own in enumerate(drawn))
+    index = tuple(np.expand_dims(chosen, tuple(1 + k for k in range(axes) if k != axis)) for axis, chosen in enumerate(drawn))
     found = np.sort(np.asarray(statistic(given[index].reshape(RESAMPLES, -1, *rest), axis=1)), axis=0)
     tail = (1.0 - CONFIDENCE) / 2.0
     low, high = (found[math.ceil(share * RESAMPLES) - 1] for share in (tail, 1.0 - tail))
@@ -109,7 +100,7 @@ def summarise(scores: Sequence[EpisodeScore]) -> Summary:
         episodes=len(scores),
         diverged=len(scores) - len(lived),
         errors={
-            name: ErrorScore(root_mean_square(np.array([own.rms for own in of])), float(np.mean([own.percentile_95 for own in of])))
+            name: ErrorScore(root_mean_square(np.array([score.rms for score in of])), float(np.mean([score.percentile_95 for score in of])))
             for name, of in errors.items()
         },
         settled=sum(score.settled for score in scores),

@@ -10,15 +10,17 @@ import numpy as np
 
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.metrics import BAD, METRICS
-from soft_tendon_env.evaluation.summaries import HIGH, Standing, Standings, Summary, Tails
+from soft_tendon_env.evaluation.summaries import HIGH, Standing, Standings, Summary, tails
 
 MODEL = "model in the loop"
 FLAG = "!"
 LEGEND = f"{FLAG}: episodes diverged; errors and metrics are those of the episodes that lived."
 ERRORS_LEGEND = (
-    f"Root mean square of an episode: interquartile mean (95 % bootstrap interval) / mean / {HIGH}th percentile / share of bad episodes: "
-    f"they diverged, or have more than {100 * BAD:g} % of the rod's length."
+    "Root mean squares of episodes: interquartile mean / mean, and the share of bad episodes where there are any. "
+    f"A bad episode diverged, or has more than {100 * BAD:g} % of the rod's length."
 )
+STATISTICS = ("", "_low", "_high", "_mean", f"_percentile_{HIGH}")
+"""Endings of columns: interquartile mean, its interval, mean and percentile."""
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -56,9 +58,9 @@ def summary_table(label: str, summaries: Mapping[str, Summary], models: Mapping[
 def error_text(standing: Standing) -> str:
     """Root mean squares of the task's first error in words, see ERRORS_LEGEND."""
     factor, key = error_unit(standing.error).factor, f"{standing.error}_rms"
-    value, low, high, mean, tail = (number(factor * value) for value in (*standing.mean(key), *Tails.of(standing.values(key))))
-    bad = np.mean([score.bad for score in standing.episodes])
-    return f"{value} ({low}-{high}) / {mean} / {tail} / {100 * bad:.0f} %"
+    text = f"{number(factor * standing.mean(key).value)} / {number(factor * tails(standing.values(key))[0])}"
+    bad = float(np.mean([score.bad for score in standing.episodes]))
+    return f"{text}, {100 * bad:.0f} % bad" if bad else text
 
 
 def error_table(found: Standings, models: Mapping[str, str] | None = None, more: Sequence[Mapping[str, str]] = ()) -> str:
@@ -73,7 +75,7 @@ def error_table(found: Standings, models: Mapping[str, str] | None = None, more:
         named = {heading: with_seeds(policy, members if members > 1 else None), **({MODEL: models[policy]} if models else {})}
         rows.setdefault(policy, {**named, **conditions})[condition] = error_text(standing)
     below = [{heading: row[""], **{key: row.get(key, "-") for key in conditions}} for row in more]
-    return f"{record_table([*rows.values(), *below])}\n\n{ERRORS_LEGEND}"
+    return record_table([*rows.values(), *below])
 
 
 def record_table(rows: Sequence[Mapping[str, str]]) -> str:
@@ -91,13 +93,14 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def records(found: Standings) -> list[dict[str, Any]]:
-    """Errors, metrics and time of an action of every policy under every condition, SI units, with their intervals, for CSV."""
+    """Errors, metrics and time of an action of every policy under every condition for CSV, in SI units, see STATISTICS."""
     rows = []
     for (policy, condition), standing in found.items():
         row: dict[str, Any] = {"policy": policy, "condition": condition}
-        row |= {"members": len(standing.scores), "episodes": len(standing.episodes), "bad": sum(own.bad for own in standing.episodes)}
+        row |= {"members": len(standing.scores), "episodes": len(standing.episodes), "bad": sum(score.bad for score in standing.episodes)}
         for key in standing.episodes[0].numbers:
-            row |= dict(zip((key, f"{key}_low", f"{key}_high"), standing.mean(key), strict=True))
+            numbers = (*standing.mean(key), *tails(standing.values(key)))
+            row |= {f"{key}{ending}": float(f"{value:.5g}") for ending, value in zip(STATISTICS, numbers, strict=True)}
         rows.append(row)
     return rows
 

@@ -1,21 +1,23 @@
-"""Export of a trained agent: one ONNX graph from measurements in SI units to the command that is to be sent.
+"""Export of a trained agent: one ONNX graph from measurements in SI units to the command that is to be sent, and its check.
 
-PyTorch traces the observation's own definition (`differentiable.observation`), integral action, normalisation, network and action scaling.
-What is remembered from one call to the next goes in and comes out, NAME and next_NAME, and is all zeros at the beginning.
+PyTorch traces the observation (`differentiable.observation`), integral action, normalisation, network and action scaling. What is
+remembered from one call to the next goes in and comes out, NAME and next_NAME, and is all zeros at the beginning.
 """
 
 import io
 import json
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import onnx
+import onnxruntime
 import torch
 
 from soft_tendon_env.differentiable.actuation import TensorActuation
@@ -24,16 +26,18 @@ from soft_tendon_env.differentiable.period import as_tensors
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.observation import Observed, RestValues
 from soft_tendon_env.envs.targets import TargetSamples
+from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS
+from soft_tendon_env.evaluation.play import play_steps
 from soft_tendon_env.policies.agent import NetworkPolicy
 from soft_tendon_env.policies.integral import MOST, NEAR, IntegralPolicy
 from soft_tendon_env.policies.normalization import BOX, Normalization
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.types import Array
 
-METADATA = "soft_tendon_env"
-"""Key of the model's metadata: a table as JSON."""
 OPSET, IR_VERSION = 17, 8  # of ONNX 1.12 (2022), which runtimes of small computers have
 SMALL = 1e-6  # sine of half an angle below which the limits at zero are exact to double precision
+SEEDS = EVALUATION_SEEDS[:4]  # of the check: 1,000 observations
+ALLOWED = 1e-4  # difference of commands, as a share of their range, beyond which it is no round-off of a network in single precision
 MEASUREMENTS: Mapping[str, tuple[str, Callable[[Observed], Array]]] = {
     "tip_pose": ("1, last column m", lambda o: o.tip_pose),
     "tip_twist": ("rad/s, then m/s", lambda o: o.tip_twist),
@@ -57,8 +61,7 @@ def measurements(episodes: Episodes) -> dict[str, Array]:
 
 def pose_logarithm(pose: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
     """SE(3) logarithms log(g^-1 g_bar) (m, 6), angular before linear, from a pose g (4, 4) to wanted ones g_bar (m, 4, 4), float64, by
-    operations that ONNX has. Rotations go by way of unit quaternions (Shepperd 1978), which are exact at half turns too.
-    """
+    operations that ONNX has. Rotations go by way of unit quaternions (Shepperd 1978), which are exact at half turns too."""
     turn = (pose[None, :3, :3, None] * wanted[:, :3, None, :3]).sum(1)  # R^T R_bar: not all runtimes have products of transposed doubles
     q = _quaternion(turn)
     p, w, v = (wanted[:, :3, 3] - pose[:3, 3]) @ pose[:3, :3], q[:, :1], q[:, 1:]
@@ -74,15 +77,13 @@ def pose_logarithm(pose: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
 
 def _quaternion(R: torch.Tensor) -> torch.Tensor:
     """Unit quaternions (m, 4), w >= 0 first, of rotation matrices (m, 3, 3): the longest column of 4 q q^T, which is linear in R."""
-    x, y, z = (R[:, i, i] for i in range(3))
-    wx, wy, wz = (R[:, i, j] - R[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
-    xy, xz, yz = (R[:, i, j] + R[:, j, i] for i, j in ((0, 1), (0, 2), (1, 2)))
-    rows = [1 + x + y + z, wx, wy, wz, wx, 1 + x - y - z, xy, xz, wy, xy, 1 - x + y - z, yz, wz, xz, yz, 1 - x - y + z]
-    products = torch.stack(rows, dim=1)
-    longest = torch.eye(4, dtype=R.dtype)[products[:, ::5].argmax(1)]
-    column = (products.reshape(-1, 4, 4) * longest[:, None]).sum(2)
-    side = torch.where(column[:, :1] < 0.0, -1.0, 1.0)
-    return side * column / (column * column).sum(1, keepdim=True).sqrt()
+    trace = (R[:, 0, 0] + R[:, 1, 1] + R[:, 2, 2])[:, None, None]
+    axial = torch.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], dim=1)[:, None]
+    symmetric = R + R.transpose(1, 2) + (1.0 - trace) * torch.eye(3, dtype=R.dtype)
+    products = torch.cat([torch.cat([1.0 + trace, axial], dim=2), torch.cat([axial.transpose(1, 2), symmetric], dim=2)], dim=1)
+    longest = torch.eye(4, dtype=R.dtype)[products.reshape(-1, 16)[:, ::5].argmax(1)]
+    column = (products * longest[:, None]).sum(2)
+    return torch.where(column[:, :1] < 0.0, -1.0, 1.0) * column / (column * column).sum(1, keepdim=True).sqrt()
 
 
 class _ControlPeriod(torch.nn.Module):
@@ -90,19 +91,16 @@ class _ControlPeriod(torch.nn.Module):
 
     def __init__(self, episodes: Episodes, agent: NetworkPolicy, integral: IntegralPolicy | None) -> None:
         super().__init__()
-        self.network, normalise = getattr(agent.network, "policy", agent.network), agent.normalise
-        self.normalise = normalise if isinstance(normalise, Normalization) else None
-        self.episodes, self.integral = episodes, integral
+        self.network, self.agent, self.episodes, self.integral = getattr(agent.network, "policy", agent.network), agent, episodes, integral
         self.observation, self.scale = TensorObservation(episodes, torch.float32), TensorActuation(episodes.actuation).scale
-        start = as_tensors(episodes.start_command, episodes.actuation.start_action)
-        self.start = dict(zip(("command", "last_action"), start, strict=True))
-        states = {"started": torch.zeros(1), **{name: torch.zeros_like(value) for name, value in self.start.items()}}
+        self.start = dict(zip(("command", "last_action"), as_tensors(episodes.start_command, episodes.actuation.start_action), strict=True))
+        states = {"started": torch.zeros(1)} | {name: torch.zeros_like(value) for name, value in self.start.items()}
         if episodes.history is not None:
             states["history"] = torch.zeros(episodes.options.history, episodes.layout.kept.size)
         if integral is not None:  # its linear maps: to the way that is integrated, and from the integral to what moves
             unit, size = integral.goal_unit, episodes.layout.space.shape[0]
             way = np.eye(3) / unit if episodes.task.goal else integral._way(np.eye(size))
-            moved = unit * np.eye(3) if episodes.task.goal else integral._moved(np.zeros(way.T.shape), np.eye(way.shape[1]))
+            moved = unit * np.eye(3) if episodes.task.goal else integral._move_target(np.zeros(way.T.shape), np.eye(way.shape[1]))
             self.way, self.shift = as_tensors(way, moved)
             states["integral"] = torch.zeros(len(moved))
         measured = dict(zip(MEASUREMENTS, as_tensors(*measurements(episodes).values()), strict=True))
@@ -113,7 +111,12 @@ class _ControlPeriod(torch.nn.Module):
         given = {name: value[None] for name, value in zip(self.inputs, values, strict=True)}
         running = given["started"] > 0.5
         command, before = (torch.where(running, given[name], start) for name, start in self.start.items())
-        observed = self.observed(given, before, command)
+        arm = SimpleNamespace(**given, q=given["coordinates"], q_dot=given["rates"], tendon_length=given["tendon_lengths"])
+        wanted: Any = *(given[f"target_{name}"] for name in ("pose", "twist", "coordinates")), given["target_lengths"][:, None], None
+        error: Any = pose_logarithm(arm.tip_pose[0], given["target_pose"][0])[None]
+        rest: Any = RestValues(*as_tensors(*(0.0 * value for value in self.episodes.observed.rest)))  # of which measurements are free
+        of_arm: dict[str, Any] = {"arms": SimpleNamespace(rows=arm, reading=arm), "measured": arm, "action": before, "command": command}
+        observed: Any = replace(self.episodes.observed, error=error, target=TargetSamples(*wanted), rest=rest, **of_arm)
         flat, past, total = self.observation.groups(observed), given.get("history"), None
         if past is not None:
             past = torch.where(running[..., None], past, flat[:, None, self.episodes.layout.kept])
@@ -125,7 +128,7 @@ class _ControlPeriod(torch.nn.Module):
             grown = self.integral.share * torch.where(way.abs().amax(1, keepdim=True) <= NEAR, way, 0.0)
             total = (given["integral"] + grown).clamp(-MOST, MOST)
             parts[key] = (parts[key].double() + total @ self.shift).float()
-        if (by := self.normalise) is not None:
+        if isinstance(by := self.agent.normalise, Normalization):
             for key, of in by.moments.items():
                 mean, deviation = as_tensors(of.mean, np.sqrt(of.variance + by.epsilon))
                 parts[key] = ((parts[key] - mean) / deviation).clamp(-by.clip, by.clip).float()
@@ -134,23 +137,12 @@ class _ControlPeriod(torch.nn.Module):
         found = [action, given["started"].clamp(min=1.0), sent, 1.0 * action, past, total]
         return tuple(value[0] for value in found if value is not None)
 
-    def observed(self, given: Mapping[str, torch.Tensor], action: torch.Tensor, command: torch.Tensor) -> Any:
-        """Observed quantities as tensors, less rest values, for the groups' own definitions."""
-        names = {"coordinates": "q", "rates": "q_dot", "tendon_lengths": "tendon_length"}
-        arm, seen = SimpleNamespace(**{names.get(name, name): value for name, value in given.items()}), self.episodes.observed
-        wanted: Any = *(given[f"target_{name}"] for name in ("pose", "twist", "coordinates")), given["target_lengths"][:, None], None
-        error: Any = pose_logarithm(arm.tip_pose[0], given["target_pose"][0])[None]
-        rest: Any = RestValues(*as_tensors(*(0.0 * value for value in seen.rest)))
-        of_arm: dict[str, Any] = {"arms": SimpleNamespace(rows=arm, reading=arm), "measured": arm, "action": action, "command": command}
-        return replace(seen, error=error, target=TargetSamples(*wanted), rest=rest, **of_arm)
-
 
 def export_agent(policy: Policy, env: gym.Env[Any, Any], origin: Mapping[str, Any] | None = None) -> onnx.ModelProto:
     """ONNX model of a trained agent, see `load_agent`, for the observation and the actions of its environment.
 
     origin: what its metadata should say besides. Raises ValueError for other policies, recurrent networks and observation groups in NumPy,
-    ConfigurationError naming those of contact, TypeError for environments of other packages.
-    """
+    ConfigurationError naming those of contact, TypeError for environments of other packages."""
     episodes, file = episodes_of(env), io.BytesIO()
     integral, agent = (policy, policy.policy) if isinstance(policy, IntegralPolicy) else (None, policy)
     known = isinstance(agent, NetworkPolicy) and isinstance(agent.normalise, Normalization | None)
@@ -171,10 +163,32 @@ def export_agent(policy: Policy, env: gym.Env[Any, Any], origin: Mapping[str, An
         "task": episodes.task.name,
         "control_period_s": episodes.period,
         "inputs": {name: {"shape": values[name].shape, "unit": unit} for name, (unit, _) in MEASUREMENTS.items() if name in used},
-        "preview_s": [*map(float, episodes.ahead[1:])],
-        "sensors_m": [*map(float, episodes.sensors)],
+        "preview_s": episodes.ahead[1:].tolist(),
+        "sensors_m": episodes.sensors.tolist(),
         "command": {"unit": episodes.model.scene.effects.command_unit, "limits": np.c_[actions.least, actions.greatest].tolist()},
     }
-    onnx.helper.set_model_props(model, {METADATA: json.dumps({**said, **(origin or {})})})
+    onnx.helper.set_model_props(model, {"soft_tendon_env": json.dumps({**said, **(origin or {})})})
     onnx.checker.check_model(model, full_check=True)
     return model
+
+
+def compare(path: Path, policy: Policy, env: gym.Env[Any, Any], seeds: Sequence[int] = SEEDS, steps: int = 250) -> tuple[int, float, float]:
+    """Number of observations, and the largest difference of commands on them, in their unit and as a share of their range.
+
+    The original acts for `steps` control periods of an episode from each seed. The exported agent gets what is measured meanwhile, and
+    remembers as command what the original has sent.
+    """
+    episodes, session = episodes_of(env), onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    names, found = [of.name for of in session.get_outputs()], list[Array]()
+    for seed in seeds:
+        after = {f"next_{of.name}": np.zeros(of.shape) for of in session.get_inputs()}
+        for k, step in enumerate(play_steps(policy, env, [seed])):
+            if k:
+                found.append(np.abs(after["next_command"] - episodes.actuation.command[0]))
+                after["next_command"] = episodes.actuation.command[0].copy()
+            if k == steps or step.ended[0]:
+                break
+            known = {**{name.removeprefix("next_"): value for name, value in after.items()}, **measurements(episodes)}
+            after = dict(zip(names, session.run(names, {of.name: known[of.name] for of in session.get_inputs()}), strict=True))
+    actions, largest = episodes.actuation.actions, np.max(found, axis=0)
+    return len(found), float(largest.max()), float((largest / (actions.greatest - actions.least)).max())

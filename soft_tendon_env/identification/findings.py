@@ -8,7 +8,6 @@ import numpy as np
 
 from soft_tendon_env.identification.fit import UNSEEN, Fit, fit
 from soft_tendon_env.identification.markers import UNITS
-from soft_tendon_env.identification.parameters import Parameter
 from soft_tendon_env.identification.readings import Plants, Readings, mean_of_finite
 from soft_tendon_env.identification.recordings import Recording, check_commands
 from soft_tendon_env.tools.types import COMMANDS, Array
@@ -18,6 +17,7 @@ EXACT = 1e-6  # error of data without noise, as a share of the rod's length: cam
 CORRELATED, FEWEST = 0.3, 100  # correlation of successive residuals that are no noise, and pairs below which it may be chance
 CHANCE, PERMUTATIONS = 0.005, 999  # probability below which residuals follow the commands, and the permutations it is estimated from
 UNLIKELY = 5.0  # factor of a Young's modulus from which a unit may be wrong
+OUTLYING, GROSS, FEW_OUTLIERS = 6.0, 0.01, 0.2  # least distance of outliers, in medians of all and in lengths, and their greatest share
 STILL = 0.005  # share of the rod's length within which markers may be at rest: noise
 FAR = 1.5  # root mean square residual, in parts of a known noise, from which the model lacks something
 MISREAD = (0.1, 0.02)  # mean errors from which data may be misread: shares of how far markers move, and of the rod's length
@@ -41,10 +41,14 @@ def findings(found: Fit, unseen: Sequence[Array], fitted: Readings, noise: float
     """Findings about an estimate: that the data are misread, or what they do not contain and the model lacks. noise [m]: if it is known."""
     length, parameters = fitted.plants.model.length, fitted.plants.parameters
     spread = float(np.sqrt(np.ma.masked_invalid(fitted.measured).var(axis=0).sum(axis=-1).mean()))
-    far = mean_of_finite(fitted.errors(found.x)) > min(MISREAD[0] * spread or np.inf, MISREAD[1] * length)
+    far = mean_of_finite(fitted.errors(found.x).values()) > min(MISREAD[0] * spread or np.inf, MISREAD[1] * length)
     if far and (text := misread_text(fitted, found.x, noise)):
         return [text]
-    texts = [_unseen_text(direction, parameters) for direction in unseen]
+    texts = list[str]()
+    for direction in unseen:
+        names = [parameters[i].name for i in np.argsort(-np.abs(direction)) if abs(direction[i]) >= UNSEEN]
+        what = names[0] if len(names) == 1 else f"a combination of {', '.join(names)}"
+        texts.append(f"The data do not contain {what}: {_experiment(' '.join(names))}.")
     for one, x in zip(parameters, found.x, strict=True):
         for bound in one.bounds:
             if abs(x - bound) <= AT_BOUND * (one.bounds[1] - one.bounds[0]):
@@ -55,69 +59,64 @@ def findings(found: Fit, unseen: Sequence[Array], fitted: Readings, noise: float
     return texts + _misfit_texts(found, fitted, noise)
 
 
-def _unseen_text(direction: Array, parameters: Sequence[Parameter]) -> str:
-    """A direction that the data do not contain, with the experiment that would show it."""
-    names = [parameters[i].name for i in np.argsort(-np.abs(direction)) if abs(direction[i]) >= UNSEEN]
-    what = names[0] if len(names) == 1 else f"a combination of {', '.join(names)}"
-    return f"The data do not contain {what}: {_experiment(' '.join(names))}."
-
-
 def _experiment(name: str) -> str:
     """Experiment that shows a parameter, or a combination of some."""
     return next((text for part, text in EXPERIMENTS.items() if part in name), "holds that move it more show it, or measure it")
 
 
 def _misfit_texts(found: Fit, readings: Readings, noise: float | None) -> list[str]:
-    """Signs that the model lacks something: residuals above a known noise [m], and those of motions that follow each other."""
+    """Signs of outliers, and that the model lacks something: residuals above a known noise [m], and those that follow each other."""
     residual, length, texts = np.full(readings.measured.shape, np.nan), readings.plants.model.length, list[str]()
-    residual[readings.seen] = found.residual[: int(readings.seen.sum())]
+    residual[readings.seen] = found.residual
     root = float(np.sqrt(np.nanmean(residual**2)))
     if root < EXACT * length:  # of simulated data
         return []
     if noise is not None and root > FAR * noise:
         texts.append(f"Residuals are {1e3 * root:.3g} mm where the noise is {1e3 * noise:.3g} mm: {LACKING}.")
-    chance, size = _commands_in_residuals(residual, readings)
-    if chance <= CHANCE:
-        texts.append(f"Residuals of holds follow the commands, by {1e3 * size:.2g} mm: {LACKING}.")
-    for one, part in zip(readings.recordings, np.split(residual, readings.ends[:-1]), strict=True):
+    if follows := _following_commands(residual, readings):
+        texts.append(f"Residuals of holds follow the commands, by {1e3 * follows:.2g} mm: {LACKING}.")
+    parts = [*zip(readings.recordings, np.split(residual, readings.ends[:-1]), strict=True)]
+    apart = [np.pad(0.5 * np.diff(part, 2, axis=0), ((1, 1), (0, 0), (0, 0))) if one.period else part for one, part in parts]
+    distance = np.linalg.norm(np.concatenate(apart), axis=-1)  # of samples of motions from the mean of their neighbours
+    far = distance > max(OUTLYING * np.nanmedian(distance), GROSS * length)
+    if 0 < far.sum() <= FEW_OUTLIERS * np.isfinite(distance).sum():
+        sample, marker = np.unravel_index(np.nanargmax(distance), distance.shape)
+        name, hold = [*readings.plants.markers.markers][marker], readings.recordings[np.searchsorted(readings.ends, sample, "right")].name
+        text = f"{far.sum()} of the markers' positions stand out, above all {name} in {hold!r}, {1e3 * np.nanmax(distance):.3g} mm off"
+        texts.append(f"{text}: outliers bias the estimate, leave their cells empty.")
+    for one, part in parts:
         products = part[1:] * part[:-1]
         if one.period and (moved := np.linalg.norm(one.positions[1] - one.positions[0], axis=-1).max()) > STILL * length:
-            text = (
-                f"Motion {one.name!r} does not begin at rest under its first command: markers move {1e3 * moved:.2g} mm in the first period"
-            )
-            texts.append(f"{text}, at rest up to {1e3 * STILL * length:.2g} mm. Is the unit of time right?")
+            text = f"Motion {one.name!r} does not begin at rest under its first command: markers move {1e3 * moved:.2g} mm in the first"
+            texts.append(f"{text} period, at rest up to {1e3 * STILL * length:.2g} mm. Is the unit of time right?")
         if np.isfinite(products).sum() >= FEWEST and (common := np.nanmean(products)) > CORRELATED * np.nanmean(part**2):
             text = f"Residuals of motion {one.name!r} are no noise: successive ones have {1e3 * np.sqrt(common):.2g} mm in common"
             texts.append(f"{text}: {LACKING}; viscous damping alone cannot make up for friction or hysteresis.")
     return texts
 
 
-def _commands_in_residuals(residual: Array, readings: Readings) -> tuple[float, float]:
-    """Probability that the residuals (samples, m, 3) of holds follow their commands by chance, and the root mean square [m] of the part
-    that does: regression on commands and their squares, in means of holds with the same commands, whose errors are common; the probability
-    by permutations (B. Phipson and G. K. Smyth 2010). (1, 0) where they are too few."""
-    commands = [one.command[0] for one in readings.recordings if not one.period]
-    group = readings.group[: len(commands)]
-    mean = (group == np.unique(group)[:, None]) / np.bincount(readings.group)[np.unique(group)][:, None]
-    basis = np.hstack([np.ones((len(mean), 1)), *((mean @ commands) ** power for power in (1, 2) if commands)])
-    if len(mean) <= basis.shape[1] + 1:
-        return 1.0, 0.0
-    columns = mean @ residual[: len(commands)].reshape(len(commands), -1)
-    columns = columns[:, np.isfinite(columns).all(axis=0)]
-    U, values, _ = np.linalg.svd(basis, full_matrices=False)
-    U, random = U[:, values > 1e-9 * values[0]], np.random.default_rng(0)
+def _following_commands(residual: Array, readings: Readings) -> float:
+    """Root mean square [m] of the part of the residuals (samples, m, 3) of holds that follows commands and their squares; 0 where that may
+    be chance, by permutations (B. Phipson and G. K. Smyth 2010), or where holds are few."""
+    commands = np.array([one.command[0] for one in readings.recordings if not one.period])
+    if len(commands) <= 2 * len(readings.plants.scene.tendons) + 2:
+        return 0.0
+    columns = residual[: len(commands)].reshape(len(commands), -1)
+    columns, random = columns[:, np.isfinite(columns).all(axis=0)], np.random.default_rng(0)
+    U, values, _ = np.linalg.svd(np.hstack([np.ones((len(commands), 1)), commands, commands**2]), full_matrices=False)
+    U = U[:, values > 1e-9 * values[0]]
     follows, *drawn = (((U.T @ one) ** 2).sum() for one in (columns, *(random.permutation(columns) for _ in range(PERMUTATIONS))))
-    return (1 + sum(one >= follows for one in drawn)) / (1 + PERMUTATIONS), float(np.sqrt(follows / max(columns.size, 1)))
+    chance = (1 + sum(one >= follows for one in drawn)) / (1 + PERMUTATIONS)
+    return float(np.sqrt(follows / columns.size)) if chance <= CHANCE else 0.0
 
 
 def misread_text(readings: Readings, x: Array | None, noise: float | None) -> str | None:
-    """Finding that names how the data were recorded, where another reading of axes, signs or units explains them far better; None
-    where none does. x (k,): the estimate, None where the fit failed."""
+    """Finding where another reading of axes, signs or units explains the data far better, or None. x (k,): the estimate, or None."""
     plants, start = readings.plants, np.zeros(len(readings.plants.parameters))
     holds, motions = ([one for one in readings.recordings if bool(one.period) == moves] for moves in (False, True))
     few = [*holds[:: -(-len(holds) // FEW) or 1], *motions[:1]]
     few = [replace(one, command=one.command[:SAMPLES], positions=one.positions[:SAMPLES]) for one in few]
-    frame, simulated = plants.markers.frame, _simulated(plants, few, start)
+    frame, simulated = plants.markers.frame, _simulate(plants, few, start)
     tried = list[tuple[float, str, list[Recording]]]()
     for text, S in _axes().items():
         R = frame.rotation @ S @ frame.rotation.T
@@ -125,11 +124,11 @@ def misread_text(readings: Readings, x: Array | None, noise: float | None) -> st
         tried.append((_distance(simulated, read), text, read))
     for text, factor in _commands(plants).items():
         read = [replace(one, command=factor * one.command) for one in few]
-        tried.append((_distance(_simulated(plants, read, start), read), text, read))
+        tried.append((_distance(_simulate(plants, read, start), read), text, read))
     _, text, read = min(tried, key=lambda one: one[0])
-    given = _distance(simulated if x is None else _simulated(plants, few, x), few)
+    given = _distance(simulated if x is None else _simulate(plants, few, x), few)
     try:
-        least = max(_distance(_simulated(plants, read, fit(Readings(plants, read), noise).x), read), EXACT * plants.model.length)
+        least = max(_distance(_simulate(plants, read, fit(Readings(plants, read), noise).x), read), EXACT * plants.model.length)
     except ValueError:
         return None
     if not BETTER * least < given:
@@ -139,7 +138,7 @@ def misread_text(readings: Readings, x: Array | None, noise: float | None) -> st
     return f"The data fit {better} with {text}: markers are off by {1e3 * least:.2g} mm then. {advice}."
 
 
-def _simulated(plants: Plants, recordings: Sequence[Recording], x: Array) -> Array:
+def _simulate(plants: Plants, recordings: Sequence[Recording], x: Array) -> Array:
     """Positions (samples, m, 3) [m] at coordinates x (k,); infinity where the arm does not hold the recordings."""
     try:
         for one in recordings:
@@ -170,5 +169,5 @@ def _commands(plants: Plants) -> dict[str, float]:
     unit = plants.scene.effects.command_unit
     columns = [column for key, column in plants.markers.columns.items() if key.startswith(COMMANDS[unit])]
     given = next((UNITS[unit][column.unit] for column in columns if column.unit), 1.0)
-    factors = {f"commands in {name}": factor / given for name, factor in UNITS[unit].items()} | {"commands of the other sign": -1.0}
-    return {text: factor for text, factor in factors.items() if factor != 1.0}
+    factors = {f"commands in {name}": factor / given for name, factor in UNITS[unit].items() if factor != given}
+    return factors | {"commands of the other sign": -1.0}

@@ -3,8 +3,7 @@
 Minimises sum (r / sigma)^2 + sum (x / prior)^2 within bounds (scipy.optimize.least_squares); a sigma that is not given is the root mean
 square of the residuals. Intervals are the wider of two. Linear: Student's t times the standard deviations of (J^T J / sigma^2 + P)^-1, as
 if readings were independent. Bootstrap: clusters of recordings with the same commands are drawn again as a whole, since errors within one
-are common, each time with one Newton step from the estimate and with priors drawn around theirs (A. C. Davison and D. V. Hinkley, Bootstrap
-Methods and their Application, 1997, sections 3.8 and 7.6).
+are common, each time with one Newton step from the estimate and priors drawn around theirs (Davison and Hinkley 1997, 3.8 and 7.6).
 """
 
 from typing import NamedTuple
@@ -20,7 +19,7 @@ FIRST_SIGMA, LEAST_SIGMA = 0.02, 1e-8  # standard deviations of readings at firs
 SAME_SIGMA, MOST_ROUNDS, RESAMPLES = 0.02, 10, 2000
 TOLERANCE, ROOM = 1e-8, 0.02  # of the method, and the distance from bounds, of that of both, at which it begins
 SINGULAR = 1e-9  # information along a direction, in parts of the largest, below which there is none, as of errors of differences
-NOT_SEEN = 1.0  # standard deviation of a direction from which the data do not contain it: a factor of e, or more than the prior's
+SEEN = 1.0  # information along a direction up to which the data do not contain it: no better than a factor of e, or the prior
 UNSEEN = 0.3  # entry of a unit direction from which a parameter belongs to it
 
 
@@ -50,10 +49,8 @@ class Intervals(NamedTuple):
 
 
 def fit(readings: Readings, sigma: float | None = None) -> Fit:
-    """Estimate of the parameters. `sigma` [m]: standard deviation of the readings, None: unknown.
-
-    Raises ValueError for fewer readings than parameters without priors, NoHoldError where the scene itself does not hold the data.
-    """
+    """Estimate of the parameters. sigma: standard deviation [m] of the readings, None: unknown. Raises ValueError for fewer readings than
+    parameters without priors, NoHoldError where the scene itself does not hold the data."""
     parameters, length = readings.plants.parameters, readings.plants.model.length
     prior = np.array([0.0 if one.prior is None else (one.scale / one.prior) ** 2 for one in parameters])
     free, count = int((prior == 0.0).sum()), readings.cluster.size
@@ -61,15 +58,17 @@ def fit(readings: Readings, sigma: float | None = None) -> Fit:
         raise ValueError(f"there are {count} readings for {free} parameters without priors: record more holds, or estimate fewer")
     x, here = np.zeros(len(parameters)), FIRST_SIGMA * length if sigma is None else sigma
     for _ in range(MOST_ROUNDS if sigma is None and prior.any() else 1):  # where sigma changes the estimate
-        found = _solved(readings, x, here, prior)
-        x = found.x
-        before, here = here, max(_sigma(found), LEAST_SIGMA * length) if sigma is None else sigma
+        found = _solve(readings, x, here, prior)
+        x, before, data = found.x, here, found.information
+        if sigma is None:
+            decided = float(np.trace(np.linalg.pinv(data + np.diag(prior), hermitian=True) @ data))  # parameters: the priors decide others
+            here = max(float(np.sqrt(found.residual @ found.residual / max(count - decided, 1.0))), LEAST_SIGMA * length)
         if abs(here - before) <= SAME_SIGMA * before:
             break
     return found._replace(sigma=here)
 
 
-def _solved(readings: Readings, x: Array, sigma: float, prior: Array) -> Fit:
+def _solve(readings: Readings, x: Array, sigma: float, prior: Array) -> Fit:
     """Estimate at a given standard deviation, from coordinates x (k,) on."""
     from scipy.optimize import least_squares  # here: it takes longer to import than all else that most scenes need
 
@@ -93,38 +92,25 @@ def _solved(readings: Readings, x: Array, sigma: float, prior: Array) -> Fit:
     return Fit(done.x, sigma * done.fun[:size], sigma * done.jac[:size], sigma, prior)
 
 
-def _sigma(found: Fit) -> float:
-    """Standard deviation [m] of the readings, for as many parameters as the data decide about, not the priors."""
-    data = found.information
-    decided = float(np.trace(np.linalg.pinv(data + np.diag(found.prior), hermitian=True) @ data))
-    return float(np.sqrt(found.residual @ found.residual / max(found.residual.size - decided, 1.0)))
-
-
 def intervals(found: Fit, readings: Readings) -> Intervals:
     """Intervals of an estimate from readings."""
     from scipy.special import stdtrit  # here: it takes longer to import than all else that most scenes need
 
     parameters, cluster, tail = readings.plants.parameters, readings.cluster, 0.5 * (1.0 + CONFIDENCE)
     bounds = np.array([one.bounds for one in parameters])
-    linear = stdtrit(max(found.residual.size - found.x.size, 1), tail) * np.sqrt(_variances(found))
+    values, vectors = np.linalg.eigh(found.information + np.diag(found.prior))
+    none = values <= SINGULAR * max(values[-1], np.finfo(float).tiny)  # directions without information
+    free = (np.abs(vectors[:, none]) > np.sqrt(SINGULAR)).any(axis=1)
+    variances = np.where(free, np.inf, (vectors[:, ~none] ** 2 / values[~none]).sum(axis=1))
+    linear = stdtrit(max(found.residual.size - found.x.size, 1), tail) * np.sqrt(variances)
     bootstrap = stdtrit(max(int(cluster.max()), 1), tail) * _bootstrap(found, cluster).std(axis=0)
     reach = np.where(np.isfinite(linear), np.maximum(linear, bootstrap), np.ptp(bounds, axis=1))
     ends = np.clip([found.x - reach, found.x + reach], *bounds.T)
-    values = np.array([sorted((one.at(low), one.at(high))) for one, low, high in zip(parameters, *ends, strict=True)])
+    low, high = np.array([sorted((one.at(low), one.at(high))) for one, low, high in zip(parameters, *ends, strict=True)]).T
     information, vectors = np.linalg.eigh(found.information)
-    some = information > SINGULAR * max(information[-1], np.finfo(float).tiny)
-    deviation = np.where(some, np.where(some, information, 1.0) ** -0.5, np.inf)
-    unseen = [vectors[:, i] for i in np.argsort(-deviation) if deviation[i] >= NOT_SEEN]
-    identified = np.array([all(abs(one[i]) < UNSEEN for one in unseen) for i in range(found.x.size)])
-    return Intervals(values[:, 0], values[:, 1], identified, unseen)
-
-
-def _variances(found: Fit) -> Array:
-    """Variances (k,) of the coordinates; infinite for those of directions without information."""
-    values, vectors = np.linalg.eigh(found.information + np.diag(found.prior))
-    none = values <= SINGULAR * max(values[-1], np.finfo(float).tiny)
-    free = (np.abs(vectors[:, none]) > np.sqrt(SINGULAR)).any(axis=1)
-    return np.where(free, np.inf, (vectors[:, ~none] ** 2 / values[~none]).sum(axis=1))
+    seen = information > max(SEEN, SINGULAR * information[-1])
+    identified = (np.abs(vectors[:, ~seen]) < UNSEEN).all(axis=1)
+    return Intervals(low, high, identified, [*vectors[:, ~seen].T])
 
 
 def _bootstrap(found: Fit, cluster: Array) -> Array:

@@ -16,19 +16,17 @@ from soft_tendon_env.identification.findings import findings, misread_text
 from soft_tendon_env.identification.fit import Intervals, fit, intervals
 from soft_tendon_env.identification.markers import MarkerSet, check_places, load_markers
 from soft_tendon_env.identification.parameters import DELAY, Parameter, command_limits, read_parameters
-from soft_tendon_env.identification.readings import Measurement, NoHoldError, Plants, Readings, mean_of_finite
+from soft_tendon_env.identification.readings import NoHoldError, Plants, Readings, mean_of_finite
 from soft_tendon_env.identification.recordings import SHARE, read_recordings, split
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.scene import Scene, scene_to_dict
 from soft_tendon_env.tools.checks import checked_type
 from soft_tendon_env.tools.configuration import plain
-from soft_tendon_env.tools.files import digest, replacing
+from soft_tendon_env.tools.files import digest
 from soft_tendon_env.tools.types import Array
 
-FIDELITY = "fine"
-"""Fidelity of the model that is fitted: equilibria are cheap, and what a coarser one lacks would go into the parameters."""
+FIDELITY = "fine"  # of the model that is fitted: equilibria are cheap, and what a coarser one lacks would go into the parameters
 LOOK = "Look at units and signs of the commands, at the unit of time, at [frame], at the scene's stiffness and at the parameters' bounds."
-"""Advice for data that the arm does not hold."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +38,6 @@ class Estimate:
     intervals: Intervals
     scene: Scene  # with the estimated numbers, in the frame of the arm's base
     markers: MarkerSet  # with the estimated offsets, and with the frame that leads from the data to that base
-    measurement: Measurement
     error_fit: dict[str, float]  # mean distance [m] of the markers in the recordings of the fit, by their names
     error_held_out: dict[str, float]
     before: tuple[float, float]  # mean of either [m] at the numbers of the scene that was given
@@ -51,8 +48,7 @@ class Estimate:
     @property
     def errors(self) -> tuple[float, float]:
         """Mean error [m] of the recordings of the fit and of the held-out ones, NaN without any."""
-        fitted, held_out = (mean_of_finite(np.array([*each.values()])) for each in (self.error_fit, self.error_held_out))
-        return fitted, held_out
+        return mean_of_finite(self.error_fit.values()), mean_of_finite(self.error_held_out.values())
 
 
 def identify(
@@ -69,10 +65,8 @@ def identify(
 
     data: CSV files, see identification.recordings. markers: TOML file, see identification.markers. parameters: as `KEY` or
     `KEY=LOW..HIGH`, see identification.parameters. held_out: a share of the recordings, or a column, see identification.recordings.
-    fidelity: of the fitted model, whose errors go into the parameters. noise [m]: standard deviation of a marker's coordinate; by default
-    it is estimated.
-
-    Raises ValueError, ConfigurationError or FileNotFoundError for data that cannot be used, in one line that says where.
+    fidelity: of the fitted model, whose errors go into the parameters. noise: standard deviation of a marker's coordinate [m]; None: it is
+    estimated. Raises ValueError, ConfigurationError or FileNotFoundError for data that cannot be used, in one line that says where.
     """
     checked_type("scene", scene, Scene, "see load_scene")
     if noise is not None and not 0.0 < noise < np.inf:
@@ -84,8 +78,7 @@ def identify(
     recordings = read_recordings([Path(file) for file in files], scene, placed)
     accurate = at_fidelity(scene, fidelity)
     period = min((one.period for one in recordings if one.period), default=np.inf)
-    if period < accurate.integrator.step:  # a command may arrive in each
-        accurate = accurate.replace({"integrator.step": period})
+    accurate = accurate.replace({"integrator.step": min(period, accurate.integrator.step)})  # a command may arrive in each period
     plants = Plants(accurate, build_model(accurate), placed, chosen)
     fitted, unseen = (Readings(plants, part) for part in split(recordings, str(held_out)))
     try:
@@ -93,17 +86,16 @@ def identify(
     except NoHoldError as error:
         raise NoHoldError(f"{str(error).rstrip('.')}. {misread_text(fitted, None, noise) or LOOK}") from error
     spread, measurement = intervals(found, fitted), plants.measurement(found.x)
-    errors = [dict(zip((one.name for one in part.recordings), part.errors(found.x).tolist(), strict=True)) for part in (fitted, unseen)]
+    (error_fit, error_held_out), before = ([part.errors(x) for part in (fitted, unseen)] for x in (found.x, 0.0 * found.x))
     return Estimate(
         parameters=chosen,
         value=np.array([one.at(x) for one, x in zip(chosen, found.x, strict=True)]),
         intervals=spread,
         scene=plants.scene_at(found.x, scene),
         markers=placed.with_offsets(measurement.offsets, placed.frame.to_base(measurement.base, measurement.shift)),
-        measurement=measurement,
-        error_fit=errors[0],
-        error_held_out=errors[1],
-        before=(mean_of_finite(fitted.errors(0.0 * found.x)), mean_of_finite(unseen.errors(0.0 * found.x))),
+        error_fit=error_fit,
+        error_held_out=error_held_out,
+        before=(mean_of_finite(before[0].values()), mean_of_finite(before[1].values())),
         noise=found.sigma,
         findings=tuple(findings(found, spread.unseen, fitted, noise)),
         data=tuple(os.fspath(file) for file in files),
@@ -115,28 +107,27 @@ def save_estimate(found: Estimate, folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     comment = "".join(f"# {line}".rstrip() + "\n" for line in summary(found).splitlines())
     scene = f"# Identified by soft-tendon identify:\n{comment}\n{tomli_w.dumps(scene_to_dict(found.scene))}"
-    files = {folder / "scene.toml": scene, folder / "markers.toml": tomli_w.dumps(plain(found.markers))}
-    for path, text in files.items():
-        with replacing(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    write_json(folder / "estimate.json", _as_json(found), say=False)
-    return [*files, folder / "estimate.json"]
+    files = [folder / name for name in ("scene.toml", "markers.toml", "estimate.json")]
+    files[0].write_text(scene, encoding="utf-8")
+    files[1].write_text(tomli_w.dumps(plain(found.markers)), encoding="utf-8")
+    write_json(files[-1], _as_json(found), say=False)
+    return files
 
 
 def summary(found: Estimate) -> str:
     """Tables of errors and parameters, and the findings."""
     counts = zip(("fit", "held out"), (found.error_fit, found.error_held_out), found.before, found.errors, strict=True)
     errors = [(name, str(len(each)), number(1e3 * before), number(1e3 * after)) for name, each, before, after in counts]
-    spread = found.intervals
     rows = [
         (one.name, f"{one.value:.4g}", f"{value:.4g}", f"{low:.4g} to {high:.4g}", "yes" if seen else "no")
-        for one, value, low, high, seen in zip(found.parameters, found.value, *spread[:3], strict=True)
+        for one, value, low, high, seen in zip(found.parameters, found.value, *found.intervals[:3], strict=True)
     ]
-    tables = [
+    parts = [
         markdown_table(("markers' mean distance", "recordings", "before [mm]", "identified [mm]"), errors),
         markdown_table(("parameter", "before", "identified", "95 % interval", "in the data"), rows),
+        "\n".join(f"- {text}" for text in found.findings),
     ]
-    return "\n\n".join([*tables, *(["\n".join(f"- {text}" for text in found.findings)] if found.findings else [])])
+    return "\n\n".join(parts).rstrip()
 
 
 def _as_json(found: Estimate) -> dict[str, Any]:
@@ -146,24 +137,19 @@ def _as_json(found: Estimate) -> dict[str, Any]:
         one.name: {"value": value, "low": low, "high": high, "before": one.value, "prior": one.prior, "identified": bool(seen)}
         for one, value, low, high, seen in rows
     }
-    errors = {
-        name: {"mean": 1e3 * mean, "each": {one: 1e3 * error for one, error in each.items()}}
-        for name, each, mean in zip(("fit", "held_out"), (found.error_fit, found.error_held_out), found.errors, strict=True)
-    }
-    told = {"noise_mm": 1e3 * found.noise, "findings": found.findings, "measurement": found.measurement._asdict()}
+    parts = zip(("fit", "held_out"), (found.error_fit, found.error_held_out), found.errors, strict=True)
+    errors = {name: {"mean": 1e3 * mean, "each": {one: 1e3 * error for one, error in each.items()}} for name, each, mean in parts}
+    told = {"noise_mm": 1e3 * found.noise, "findings": found.findings, "randomize": randomize(found)}
     data = {Path(file).name: digest(Path(file)) for file in found.data}
-    return plain({"parameters": parameters, "error_mm": errors, **told, "randomize": randomize(found), "data": data, **origin()})
+    return plain({"parameters": parameters, "error_mm": errors, **told, "data": data, **origin()})
 
 
 def randomize(found: Estimate) -> dict[str, Any]:
-    """Table `randomize` of an environment with the identified scene: what the intervals leave open.
-
-    Parameters that neither the data nor a prior contain are left out. Latency comes on top of the delay that the scene has. Offsets are
-    tensions [N], of which an environment takes the share of the range of displacements where an arm is driven by these.
-    """
-    table, gains, offsets = dict[str, Any](), list[float](), list[float]()
-    tension = np.array([tendon.tension_limits for tendon in found.scene.tendons])
-    unit = np.ptp(tension, axis=1) / np.ptp(command_limits(found.scene), axis=1)  # [N] of an offset by 1
+    """Table `randomize` of an environment with the identified scene: what the intervals leave open, of parameters that the data or a prior
+    contain. Latency comes on top of the scene's delay. Offsets are tensions [N], also of arms that are driven by displacement."""
+    table, ranges = dict[str, Any](), dict[str, list[float]]()
+    tensions = [tendon.tension_limits for tendon in found.scene.tendons]
+    unit = np.ptp(tensions, axis=1) / np.ptp(command_limits(found.scene), axis=1)  # [N] of an offset by 1
     for one, value, low, high, seen in zip(found.parameters, found.value, *found.intervals[:3], strict=True):
         if not seen and one.prior is None:
             continue
@@ -172,8 +158,7 @@ def randomize(found: Estimate) -> dict[str, Any]:
         elif one.name == DELAY:
             table["latency"] = [0.0, high - value]
         elif one.name.endswith(".gain"):
-            gains += low, high
+            ranges.setdefault("tension_gain", []).extend([low, high])
         elif one.name.startswith("commands."):
-            offsets += (unit[int(one.name.split(".")[1])] * np.array([low, high])).tolist()
-    ranges = {name: [min(ends), max(ends)] for name, ends in (("tension_gain", gains), ("tension_offset", offsets)) if ends}
-    return dict[str, Any](plain(table | ranges))
+            ranges.setdefault("tension_offset", []).extend(unit[int(one.name.split(".")[1])] * np.array([low, high]))
+    return dict[str, Any](plain(table | {name: [min(ends), max(ends)] for name, ends in ranges.items()}))

@@ -1,7 +1,6 @@
 """Markers of motion capture: where they sit on the arm, the frame of their positions, and the columns of the data, from a TOML file."""
 
 import os
-import re
 from collections.abc import Mapping
 from typing import Literal
 
@@ -10,7 +9,7 @@ from pydantic import Field, field_validator
 from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.scene.scene import Scene, rod_length
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, read_toml
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, read_toml
 from soft_tendon_env.tools.types import Array, NotNegative, Number, Triple
 
 UNITS: Mapping[str, Mapping[str, float]] = {
@@ -81,23 +80,6 @@ class MarkerSet(Configuration):
         """Offsets in the sections' frames (m, 3) [m]."""
         return np.array([marker.offset for marker in self.markers.values()])
 
-    def sources(self, units: Mapping[str, str]) -> dict[str, tuple[str, float]]:
-        """Names of the columns of quantities, which are given with their SI units, and the factors to these. Raises ValueError for units
-        that `[columns]` should not have and for keys of other quantities."""
-        found = {quantity: (quantity, 1.0) for quantity in units}
-        for key, column in sorted(self.columns.items(), key=lambda item: "*" not in item[0]):  # a name of its own beats a pattern
-            pattern = re.escape(key).replace(r"\*", "(.+)")
-            matches = [match for quantity in units if (match := re.fullmatch(pattern, quantity))]
-            if not matches:
-                raise ValueError(f"columns.{key} is no quantity that is read here: {not_among(key, units)}")
-            for match in matches:
-                factors = {units[match[0]]: 1.0, **UNITS.get(units[match[0]], {})}
-                if (unit := units[match[0]] if column.unit is None else column.unit) not in factors:
-                    raise ValueError(f"columns.{key}.unit is {unit!r}: it should be one of {', '.join(factors)}")
-                name = (column.name or match[0]).replace("*", match[1] if "*" in key else "*")
-                found[match[0]] = name, column.sign * factors[unit]
-        return found
-
     def with_offsets(self, offsets: Array, frame: Frame) -> "MarkerSet":
         """The markers with other offsets (m, 3) [m], in another frame."""
         pairs = zip(self.markers.items(), offsets.tolist(), strict=True)
@@ -114,14 +96,11 @@ def load_markers(path: str | os.PathLike[str], scene: Scene) -> MarkerSet:
 
 def check_places(markers: MarkerSet, scene: Scene, source: str) -> None:
     """Raises ConfigurationError for markers beyond the rod's tip, and for offsets that are longer than the rod."""
-    length = rod_length(scene)
-    sizes = {(name, "arc_length"): marker.arc_length for name, marker in markers.markers.items()}
-    sizes |= {(name, "offset"): float(np.linalg.norm(marker.offset)) for name, marker in markers.markers.items()}
-    text = f"it should be at most the rod's length, {length:g} m"
-    problems = [
-        Problem(("markers", *key), f"is {size:g}: {text}{'; is it in mm?' * (size > 10.0 * length)}")
-        for key, size in sizes.items()
-        if size > length * (1 + 1e-9)
-    ]
+    length, problems = rod_length(scene), list[Problem]()
+    for name, marker in markers.markers.items():
+        for key, size in (("arc_length", marker.arc_length), ("offset", float(np.linalg.norm(marker.offset)))):
+            if size > length * (1 + 1e-9):
+                hint = "; is it in mm?" if size > 10.0 * length else ""
+                problems.append(Problem(("markers", name, key), f"is {size:g}: it should be at most the rod's length, {length:g} m{hint}"))
     if problems:
         raise ConfigurationError(problems, source)

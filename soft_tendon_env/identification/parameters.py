@@ -3,8 +3,7 @@
 `segments.*.young_modulus` is one parameter, by which the numbers of all matches change together, see scene.parameters. Numbers other than
 zero are estimated as a factor (in logarithm), others as a difference. Of the measurement, where a wildcard is a parameter for each match:
 `mount.rotation` (rotation vector of the real base [deg]) and `mount.shift` [m] in the scene's frame, `markers.NAME.offset` [m],
-`commands.I.gain`, `commands.I.offset` and `commands.delay` [s]; all but the delay have a normal prior. `KEY=LOW..HIGH` bounds a parameter,
-without a prior.
+`commands.I.gain`, `commands.I.offset` and `commands.delay` [s]; all but the delay have a normal prior, which bounds take the place of.
 """
 
 import contextlib
@@ -27,26 +26,19 @@ FACTOR, WIDE = 30.0, 5.0  # how far a factor may go where no bounds are given, a
 ROTATION, GAIN = 3.0, 0.1  # standard deviations of the priors of mount rotation [deg] and gains
 SHIFT, OFFSET = 0.0125, 0.025  # of those of the mount's shift and of marker offsets, as shares of the rod's length
 COMMAND_OFFSET = 0.05  # of that of a command's offset, as a share of the range of the tendon's commands
-DELAY, LONGEST_DELAY = "commands.delay", 0.5
-"""Name of the delay of commands, which the scene has as effects.actuators.delay, and its upper bound [s]."""
-HALVINGS = 40
-Bounds = tuple[float, float]
+DELAY, LONGEST_DELAY = "commands.delay", 0.5  # name of the delay, which the scene has as effects.actuators.delay, and its upper bound [s]
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """Number to estimate.
-
-    value: the scene's, around which a prior is. low, high: bounds. prior: standard deviation, None for none; of factors in parts of the
-    value. of_scene: the numbers of the scene that it stands for, None for one of the measurement.
-    """
+    """Number to estimate."""
 
     name: str
-    of_scene: SceneParameter | None
-    value: float
-    low: float
+    of_scene: SceneParameter | None  # the numbers of the scene that it stands for, None for one of the measurement
+    value: float  # the scene's, around which a prior is
+    low: float  # bounds
     high: float
-    prior: float | None
+    prior: float | None  # standard deviation, of factors in parts of the value; None: no prior
     is_factor: bool
 
     @property
@@ -63,7 +55,7 @@ class Parameter:
         return self.value * math.exp(coordinate) if self.is_factor else self.value + self.scale * coordinate
 
     @property
-    def bounds(self) -> Bounds:
+    def bounds(self) -> tuple[float, float]:
         """Least and greatest coordinate."""
         return tuple(sorted((self.coordinate(self.low), self.coordinate(self.high))))  # type: ignore[return-value] # two
 
@@ -77,11 +69,11 @@ def read_parameters(asked: Sequence[str], scene: Scene, markers: MarkerSet) -> t
     """Parameters of what is asked for, `KEY` or `KEY=LOW..HIGH`. Raises ValueError in one line."""
     measured, found = _of_measurement(scene, markers), list[Parameter]()
     for text in asked:
-        key, bounds = _parsed(text)
+        key, bounds = _parse(text)
         if key.split(".")[0] not in MEASUREMENT:
             found.append(_of_scene(key, scene, bounds))
         elif matches := [one for name, one in measured.items() if re.match(rf"{re.escape(key)}(\.|$)".replace(r"\*", r"[^.]+"), name)]:
-            found += [_given(one, bounds) for one in matches]
+            found += [_with_bounds(one, bounds) for one in matches]
         else:
             raise ValueError(f"parameter {key!r} is none of the measurement: {not_among(key, measured)}")
     keys = [key for one in found for key in (one.of_scene.keys if one.of_scene else (one.name,))]
@@ -92,12 +84,12 @@ def read_parameters(asked: Sequence[str], scene: Scene, markers: MarkerSet) -> t
     return tuple(found)
 
 
-def _parsed(text: str) -> tuple[str, Bounds | None]:
+def _parse(text: str) -> tuple[str, tuple[float, float] | None]:
     """Key, and bounds of a written text. Raises ValueError."""
     key, _, ends = text.partition("=")
+    if not ends:
+        return key.strip(), None
     with contextlib.suppress(ValueError):
-        if not ends:
-            return key.strip(), None
         low, high = map(float, ends.split(".."))
         if low < high:
             return key.strip(), (low, high)
@@ -109,9 +101,8 @@ def _of_measurement(scene: Scene, markers: MarkerSet) -> dict[str, Parameter]:
     length, commands = rod_length(scene), np.ptp(command_limits(scene), axis=1)
     usual = {f"mount.rotation.{axis}": (0.0, ROTATION) for axis in range(3)}
     usual |= {f"mount.shift.{axis}": (0.0, SHIFT * length) for axis in range(3)}
-    usual |= {
-        f"markers.{name}.offset.{i}": (at, OFFSET * length) for name, one in markers.markers.items() for i, at in enumerate(one.offset)
-    }
+    for name, marker in markers.markers.items():
+        usual |= {f"markers.{name}.offset.{axis}": (at, OFFSET * length) for axis, at in enumerate(marker.offset)}
     usual |= {f"commands.{i}.offset": (0.0, COMMAND_OFFSET * float(span)) for i, span in enumerate(commands)}
     found = [Parameter(key, None, at, at - WIDE * prior, at + WIDE * prior, prior, False) for key, (at, prior) in usual.items()]
     found += [Parameter(f"commands.{i}.gain", None, 1.0, 1.0 / FACTOR, FACTOR, GAIN, True) for i in range(len(commands))]
@@ -120,18 +111,18 @@ def _of_measurement(scene: Scene, markers: MarkerSet) -> dict[str, Parameter]:
     return {one.name: one for one in found}
 
 
-def _of_scene(key: str, scene: Scene, bounds: Bounds | None) -> Parameter:
+def _of_scene(key: str, scene: Scene, bounds: tuple[float, float] | None) -> Parameter:
     """Parameter of the scene that is asked for. Raises ValueError where bounds must be given, ConfigurationError."""
     (numbers,) = scene_parameters(scene, [key])
     value, is_factor = numbers.value, all(numbers.values)
     if not is_factor and bounds is None:
         raise ValueError(f"parameter {key!r} is {value:g}: zero has no usual range, give {key}=LOW..HIGH")
     low, high = sorted((value / FACTOR, value * FACTOR))
-    found = _given(Parameter(key, numbers, value, low, high, None, is_factor), bounds)
-    return replace(found, low=_allowed(found.low, found, scene), high=_allowed(found.high, found, scene))
+    found = _with_bounds(Parameter(key, numbers, value, low, high, None, is_factor), bounds)
+    return replace(found, low=_nearest_allowed(found.low, found, scene), high=_nearest_allowed(found.high, found, scene))
 
 
-def _given(usual: Parameter, bounds: Bounds | None) -> Parameter:
+def _with_bounds(usual: Parameter, bounds: tuple[float, float] | None) -> Parameter:
     """A parameter with the bounds that are given, without its prior. Raises ValueError for bounds that leave out the scene's own number."""
     if bounds is None:
         return usual
@@ -142,10 +133,10 @@ def _given(usual: Parameter, bounds: Bounds | None) -> Parameter:
     return replace(usual, low=low, high=high, prior=None)
 
 
-def _allowed(bound: float, parameter: Parameter, scene: Scene) -> float:
+def _nearest_allowed(bound: float, parameter: Parameter, scene: Scene) -> float:
     """The value nearest to a bound that the scene's own checks let pass, by halving."""
     share, far = 0.0, parameter.coordinate(bound)
-    for step in 0.5 ** np.arange(HALVINGS):
+    for step in 0.5 ** np.arange(40):
         with contextlib.suppress(ConfigurationError):
             scene_with_numbers(scene, parameter.of_scene.changes(parameter.at((share + step) * far)))  # type: ignore[union-attr]
             share += step

@@ -4,8 +4,7 @@ Equilibria of still holds are sought by Newton's method from the last ones that 
 each in a few iterations. Motions begin at rest under their first command; each command is held until the next sample.
 """
 
-from collections.abc import Sequence
-from functools import cached_property
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,8 +24,7 @@ from soft_tendon_env.tools.types import Array
 
 TURNED = {"gravity": ("acceleration",), "tip_load": ("force", "moment"), "fluid": ("current",)}
 """Vectors of effects in the world frame, which turn against the base when the mount does."""
-INSIDE = {"actuators", "tendon_elasticity", "tendon_friction", "nonlinear_elasticity", "viscoelastic_memory"}
-"""Effects that know nothing of the world frame."""
+INSIDE = {"actuators", "tendon_elasticity", "tendon_friction", "nonlinear_elasticity", "viscoelastic_memory"}  # know no world frame
 DIFFERENCES = (1e-4, 1e-3)  # of coordinates, central: of holds, which are exact to 1e-10, and with motions, to the steps' tolerance
 
 
@@ -98,42 +96,27 @@ class Plants:
 
 
 class Readings:
-    """Readings of recordings in one vector (N,): marker coordinates, of which unseen ones are left out."""
+    """Readings of recordings in one vector (N,): the coordinates of `measured` positions (samples of all recordings, m, 3) [m] that are
+    `seen`. cluster: index of each reading (N,) that those under the same commands share, whose errors are common."""
 
     def __init__(self, plants: Plants, recordings: Sequence[Recording]) -> None:
         self.plants, self.recordings = plants, sorted(recordings, key=lambda one: bool(one.period))  # holds, then motions
         self._rests: list[Array | None] = [None] * len(recordings)
         self._difference = DIFFERENCES[any(one.period for one in recordings)]
-        self.ends = np.cumsum([len(one.command) for one in self.recordings])
-
-    @cached_property
-    def measured(self) -> Array:
-        """Measured positions (samples of all recordings, m, 3) [m], NaN where a marker was not seen."""
-        return np.concatenate([one.positions for one in self.recordings])
-
-    @cached_property
-    def seen(self) -> Array:
-        """Which of the measured coordinates (samples, m, 3) are there."""
-        return np.isfinite(self.measured)
-
-    @cached_property
-    def group(self) -> Array:
-        """Index (recordings,) that recordings with the same commands share."""
-        return same_commands(self.recordings)
-
-    @cached_property
-    def cluster(self) -> Array:
-        """Index of the recordings with the same commands of each reading (N,), as whose errors are common."""
-        of_sample = np.repeat(self.group, [len(one.command) for one in self.recordings])[:, None, None]
-        return np.broadcast_to(of_sample, self.seen.shape)[self.seen]
+        samples = [len(one.command) for one in self.recordings]
+        self.ends, group = np.cumsum(samples), same_commands(self.recordings)
+        self.measured = np.concatenate([np.empty((0, len(plants.markers.markers), 3)), *(one.positions for one in self.recordings)])
+        self.seen = np.isfinite(self.measured)
+        self.cluster = np.broadcast_to(np.repeat(group, samples)[:, None, None], self.seen.shape)[self.seen]
 
     def positions(self, x: Array) -> Array:
         """Simulated positions (samples, m, 3) [m] at coordinates x (k,). Raises NoHoldError, ConfigurationError."""
         return self.plants.measurement(x).positions(self._poses(x))
 
-    def residual(self, x: Array) -> Array:
-        """Simulated less measured readings (N,) [m]. Raises as `positions`."""
-        return self._residual(x, self._poses(x))
+    def residual(self, x: Array, poses: Array | None = None) -> Array:
+        """Simulated less measured readings (N,) [m], from `_poses` at x, or others that are given. Raises as `positions`."""
+        simulated = self.plants.measurement(x).positions(self._poses(x) if poses is None else poses)
+        return np.asarray((simulated - self.measured)[self.seen])
 
     def jacobian(self, x: Array) -> Array:
         """Derivatives (N, k) [m] of the readings by the coordinates, by central differences within the bounds. Raises as `positions`."""
@@ -141,31 +124,27 @@ class Readings:
         for i, parameter in enumerate(self.plants.parameters):
             ends = np.clip([x[i] - self._difference, x[i] + self._difference], *parameter.bounds)
             places = [np.where(np.arange(x.size) == i, end, x) for end in ends]
-            low, high = (self._residual(at, self._poses(at) if self.plants.moves_arm[i] else still) for at in places)
+            low, high = (self.residual(at, None if self.plants.moves_arm[i] else still) for at in places)
             columns.append((high - low) / (ends[1] - ends[0]))
         return np.stack(columns, axis=-1)
 
-    def errors(self, x: Array) -> Array:
-        """Mean distance [m] of the seen markers from where they are simulated, of each recording (recordings,), NaN without any. Raises as
-        `positions`."""
-        if not self.recordings:
-            return np.zeros(0)
+    def errors(self, x: Array) -> dict[str, float]:
+        """Mean distance [m] of the seen markers from where they are simulated, by recordings, NaN without any. Raises as `positions`."""
         distance = np.linalg.norm(self.positions(x) - self.measured, axis=-1)
-        return np.array([mean_of_finite(one) for one in np.split(distance, self.ends[:-1])])
-
-    def _residual(self, x: Array, poses: Array) -> Array:
-        """The residual (N,) of simulated poses of the markers' sections."""
-        return np.asarray((self.plants.measurement(x).positions(poses) - self.measured)[self.seen])
+        return {
+            one.name: mean_of_finite(part.ravel()) for one, part in zip(self.recordings, np.split(distance, self.ends[:-1]), strict=False)
+        }
 
     def _poses(self, x: Array) -> Array:
         """Simulated poses (samples, m, 4, 4) of the markers' sections from the base. Raises NoHoldError."""
         model, measurement = self.plants.model.with_scene(self.plants.scene_at(x, self.plants.scene)), self.plants.measurement(x)
         with erring_actuators():  # by the gains and offsets that are looked for
             commands = [measurement.gain * one.command + measurement.offset for one in self.recordings]
-            simulated = [q for i, command in enumerate(commands) for q in self._simulated(model, command, i)]
-        return np.array([model.backbone_at(q, self.plants.markers.arc_lengths) for q in simulated])
+            simulated = [q for i, command in enumerate(commands) for q in self._simulate(model, command, i)]
+        places = self.plants.markers.arc_lengths
+        return np.array([model.backbone_at(q, places) for q in simulated]).reshape(-1, places.size, 4, 4)
 
-    def _simulated(self, model: Model, command: Array, i: int) -> list[Array]:
+    def _simulate(self, model: Model, command: Array, i: int) -> list[Array]:
         """Coordinates (n,) at every sample of a recording under commands (samples, n_a). Raises NoHoldError."""
         one = self.recordings[i]
         try:
@@ -181,13 +160,12 @@ class Readings:
             start = Simulation(model).reset(rest.q, tension=tension)
             return list(simulate(model, command[:-1], one.period * (len(command) - 1), one.period, start).q)
         except (SimulationDiverged, NoHoldError, StrainLimitError) as error:
-            text = f"hold {one.name!r} has no equilibrium: {error}"
-            if one.period:
-                text = f"motion {one.name!r} cannot be simulated: {error}. Its samples are {one.period:.3g} s apart, if their unit is right"
+            motion = f"cannot be simulated: {error}. Its samples are {one.period:.3g} s apart, if their unit is right"
+            text = f"motion {one.name!r} {motion}" if one.period else f"hold {one.name!r} has no equilibrium: {error}"
             raise NoHoldError(f"{one.where}: {text}.") from error
 
 
-def mean_of_finite(values: Array) -> float:
+def mean_of_finite(values: Iterable[float]) -> float:
     """Mean of the values that are there, NaN without any."""
-    there = values[np.isfinite(values)]
-    return float(there.mean()) if there.size else np.nan
+    there = [value for value in values if np.isfinite(value)]
+    return float(np.mean(there)) if there else np.nan

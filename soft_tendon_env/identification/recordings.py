@@ -5,8 +5,8 @@ Commands are `tension_i` [N] or `displacement_i` [m], one for each tendon from 0
 them empty where it was not seen. The table `[columns]` of the markers' file gives quantities other names and units.
 """
 
-import contextlib
 import itertools
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,28 +24,21 @@ REACH = 1.5  # share of the rod's length, from its base, within which a marker m
 LEAST = 0.05  # share of what is allowed from which numbers in another unit are plausible
 UNEVEN = 0.3  # share of the sample period by which times may be off equal steps
 USUAL = (1e-3, 1.0)  # sample periods [s] by which a unit of time is guessed
-LONGEST, LATEST = 100.0, 1e11  # sample period and time [s] beyond which the unit of time is wrong: the latter is in the year 5000
-SHARE = "0.25"
-"""Share of recordings that are held out by default."""
-SAME, EXACT = 0.02, 0.005
-"""How far apart commands may be that are the same, in parts of a tendon's range in the data, and at least, in parts of the strongest
-command: motors and load cells repeat no better."""
+LONGEST, LATEST = 4.0, 1e11  # sample period and time [s] from which on the unit of time is wrong: the latter is in the year 5000
+SHARE = "0.25"  # of recordings that are held out by default
+SAME, EXACT = 0.02, 0.005  # of a tendon's range in the data, and of the strongest command: how far apart commands may be that are the same
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Recorded commands and marker positions: one hold (a single sample), or a motion that begins at rest.
-
-    command (samples, n_a) in the scene's unit, each held until the next sample; positions (samples, m, 3) [m] in the scene's world frame,
-    NaN where they were not measured; period [s] between samples, 0 for a hold; columns: the numbers of its first row.
-    """
+    """Recorded commands and marker positions: one hold (a single sample), or a motion that begins at rest."""
 
     name: str
     where: str  # file and line of its first row
-    command: Array
-    positions: Array
-    period: float
-    columns: Mapping[str, float]
+    command: Array  # (samples, n_a) in the scene's unit, each held until the next sample
+    positions: Array  # (samples, m, 3) [m] in the scene's world frame, NaN where they were not measured
+    period: float  # [s] between samples, 0 for a hold
+    columns: Mapping[str, str]  # cells of its first row, by the header
 
 
 def read_recordings(paths: Sequence[str | Path], scene: Scene, markers: MarkerSet) -> list[Recording]:
@@ -60,16 +53,14 @@ def read_recordings(paths: Sequence[str | Path], scene: Scene, markers: MarkerSe
 def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
     """Recordings of one file."""
     unit = scene.effects.command_unit
-    kinds = {f"{COMMANDS[unit]}_{i}": unit for i in range(len(scene.tendons))}
+    commands = {f"{COMMANDS[unit]}_{i}": unit for i in range(len(scene.tendons))}
     places = {f"{name}_{axis}": "m" for name in markers.markers for axis in "xyz"}
-    table, sources = _table(path, markers, {**kinds, **places, "time": "s", "hold": ""})
+    table, sources = _table(path, markers, {**commands, **places, "time": "s", "hold": ""})
     rows = [where for where, _ in table.rows]
-    command, placed, times = (
-        table.numbers(sources[quantity] for quantity in group) for group in (kinds, places, {"time"} & sources.keys())
-    )
+    command, placed, times = (table.numbers(sources[name] for name in names) for names in (commands, places, {"time"} & sources.keys()))
     if np.isnan(command).any():
         row, tendon = np.argwhere(np.isnan(command))[0]
-        raise ValueError(f"{rows[row]}: {sources[[*kinds][tendon]][0]} is empty: it should be a number")
+        raise ValueError(f"{rows[row]}: {sources[[*commands][tendon]][0]} is empty: it should be a number")
     placed = placed.reshape(len(rows), -1, 3)
     placed[(placed == 0.0).all(axis=2) & (markers.arc_lengths > 0.0)] = np.nan  # as some trackers write what was not seen
     positions = markers.frame.to_scene(placed)
@@ -77,22 +68,31 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
     names = [cells[table.header.index(sources["hold"][0])] if "hold" in sources else path.stem for _, cells in table.rows]
     found = list[Recording]()
     for name, group in itertools.groupby(range(len(rows)), key=names.__getitem__):
-        samples, numbers = [*group], dict[str, float]()
+        samples = [*group]
+        where, cells = table.rows[samples[0]]
         period = _period(name, times[samples].ravel(), [rows[i] for i in samples])
-        for column, cell in zip(table.header, table.rows[samples[0]][1], strict=True):
-            with contextlib.suppress(ValueError):  # text is left out
-                numbers[column] = read_number(rows[samples[0]], column, cell)
-        found.append(Recording(name, rows[samples[0]], command[samples], positions[samples], period, numbers))
+        found.append(Recording(name, where, command[samples], positions[samples], period, dict(zip(table.header, cells, strict=True))))
         check_commands(found[-1], scene)
     return found
 
 
 def _table(path: Path, markers: MarkerSet, units: Mapping[str, str]) -> tuple[Table, dict[str, tuple[str, float]]]:
-    """Table with the columns of quantities, by the names of its header. Raises ValueError for columns that are not there, or twice."""
-    wanted, found = markers.sources(units), dict[str, tuple[str, float]]()
+    """Table of a file, and names and factors of the columns of quantities, which are given with their SI units. Raises ValueError for
+    units and keys that `[columns]` should not have, and for columns that are not there, or twice."""
+    wanted, found = {quantity: (quantity, 1.0) for quantity in units}, dict[str, tuple[str, float]]()
+    for key, column in sorted(markers.columns.items(), key=lambda item: "*" not in item[0]):  # a whole name beats a pattern
+        matches = [match for quantity in units if (match := re.fullmatch(re.escape(key).replace(r"\*", "(.+)"), quantity))]
+        if not matches:
+            raise ValueError(f"columns.{key} is no quantity that is read here: {not_among(key, units)}")
+        for match in matches:
+            factors = {units[match[0]]: 1.0, **UNITS.get(units[match[0]], {})}
+            if (unit := units[match[0]] if column.unit is None else column.unit) not in factors:
+                raise ValueError(f"columns.{key}.unit is {unit!r}: it should be one of {', '.join(factors)}")
+            name = (column.name or match[0]).replace("*", match[1] if "*" in key else "*")
+            wanted[match[0]] = name, column.sign * factors[unit]
     table = read_table(path, [name for name, _ in wanted.values()])
     for quantity, (name, factor) in wanted.items():
-        same = [column for column in table.header if column.casefold() == name.casefold()]
+        same = [head for head in table.header if head.casefold() == name.casefold()]
         if len(same := [name] * same.count(name) or same) > 1:
             raise ValueError(f"{table.where}: column {name} is there {len(same)} times")
         if same:
@@ -123,7 +123,7 @@ def _period(name: str, times: Array, wheres: Sequence[str]) -> float:
         at = int(np.argmin(change > 0.0)) + 1
         raise ValueError(f"{wheres[at]}: time is {times[at]:.9g} s after {times[at - 1]:.9g} s: it should be a number, and grow")
     middle = float(np.median(change))
-    if middle > LONGEST or times[-1] > LATEST:
+    if middle >= LONGEST or times[-1] > LATEST:
         like = next((unit for unit, factor in UNITS["s"].items() if USUAL[0] <= middle * factor < USUAL[1]), "...")
         guess = f'is it in {like}? [columns] of the markers\' file says so: time = {{ unit = "{like}" }}'
         raise ValueError(f"{wheres[0]}: samples are {middle:.4g} s apart in time: {guess}")
@@ -139,12 +139,10 @@ def check_commands(recording: Recording, scene: Scene) -> None:
     """Raises ValueError for commands outside of the scene's limits."""
     unit = scene.effects.command_unit
     for i, (least, greatest) in enumerate(command_limits(scene)):
-        values, kind = recording.command[:, i], COMMANDS[unit]
-        odd = values[(values < least) | (values > greatest)]
-        if odd.size:
-            text = f"{kind}_{i} is {odd[0]:g} {unit}: the scene's {kind}_limits are {least:g} to {greatest:g} {unit}"
-            guess = _unit_guess(f"{kind}_{i}", float(np.abs(values).max()), max(-least, greatest), unit)
-            raise ValueError(f"{recording.where}: {text}{guess}")
+        values, name = recording.command[:, i], f"{COMMANDS[unit]}_{i}"
+        if (odd := values[(values < least) | (values > greatest)]).size:
+            text = f"{name} is {odd[0]:g} {unit}: the scene's {COMMANDS[unit]}_limits are {least:g} to {greatest:g} {unit}"
+            raise ValueError(f"{recording.where}: {text}{_unit_guess(name, float(np.abs(values).max()), max(-least, greatest), unit)}")
 
 
 def _check_reach(positions: Array, length: float, path: Path, marker: str) -> None:
@@ -153,12 +151,11 @@ def _check_reach(positions: Array, length: float, path: Path, marker: str) -> No
     if np.isnan(distances).all():
         raise ValueError(f"{path}: no marker was seen")
     distance, reach = float(np.nanmax(distances)), REACH * length
+    text = f"{path}: markers are up to {distance:.4g} m from the base of a rod of {length:g} m"
     if distance > reach:
-        guess = _unit_guess(f'"{marker}_*"', distance, reach, "m") or "; is the [frame] of --markers right?"
-        raise ValueError(f"{path}: markers are up to {distance:.4g} m from the base of a rod of {length:g} m{guess}")
+        raise ValueError(text + (_unit_guess(f'"{marker}_*"', distance, reach, "m") or "; is the [frame] of --markers right?"))
     if distance < 0.01 * length:
-        text = "is the arm's length or the unit wrong? Positions are in m"
-        raise ValueError(f"{path}: all markers are within {distance:.4g} m of the base of a rod of {length:g} m: {text}")
+        raise ValueError(f"{text}: is the arm's length or the unit wrong? Positions are in m")
 
 
 def _unit_guess(quantity: str, value: float, most: float, unit: str) -> str:
@@ -169,16 +166,12 @@ def _unit_guess(quantity: str, value: float, most: float, unit: str) -> str:
 
 
 def split(recordings: Sequence[Recording], held_out: str = SHARE) -> list[list[Recording]]:
-    """Recordings to fit to, and held-out ones, each in the order of the data.
-
-    held_out: a share below 1, evenly over the data, where those with the same commands stay together; or a column, of which those that are
-    not zero are held out. "0" holds none out. Raises ValueError.
-    """
-    count = len(recordings)
+    """Recordings to fit to, and held-out ones, each in the order of the data; those with the same commands stay together in a share.
+    held_out: a share below 1, evenly over the data, or a column that is not zero there. Raises ValueError."""
     try:
         wanted = float(held_out)
     except ValueError:
-        chosen = np.array([one.columns.get(held_out, np.nan) for one in recordings])
+        chosen = np.array([read_number(one.where, held_out, one.columns.get(held_out, "")) for one in recordings])
         if np.isnan(chosen).any():
             known = not_among(held_out, {column for one in recordings for column in one.columns})
             raise ValueError(f"held_out is {held_out!r}: there is no column of that name with numbers: {known}") from None
@@ -186,19 +179,18 @@ def split(recordings: Sequence[Recording], held_out: str = SHARE) -> list[list[R
         if not 0.0 <= wanted < 1.0:
             raise ValueError(f"held_out is {wanted:g}: it should be a share from 0 to below 1, or a column")
         group = same_commands(recordings)
-        groups = round(wanted * (group.max(initial=-1) + 1))
-        chosen = np.isin(group, ((np.arange(groups) + 0.5) * (group.max(initial=-1) + 1) / max(groups, 1)).astype(int))
+        count = group.max(initial=-1) + 1
+        groups = round(wanted * count)
+        chosen = np.isin(group, ((np.arange(groups) + 0.5) * count / max(groups, 1)).astype(int))
     if chosen.all():
-        text = f"held_out is {held_out!r}, which leaves nothing to fit to of {count} recordings"
+        text = f"held_out is {held_out!r}, which leaves nothing to fit to of {len(recordings)} recordings"
         raise ValueError(f"{text}: those with the same commands stay together")
-    return [[one for one, held in zip(recordings, chosen, strict=True) if bool(held) == kind] for kind in (False, True)]
+    return [[one for one, is_out in zip(recordings, chosen, strict=True) if bool(is_out) == kind] for kind in (False, True)]
 
 
 def same_commands(recordings: Sequence[Recording]) -> Array:
-    """Index (recordings,) that recordings with the same commands share, counted from 0 in the order of the data.
-
-    Of motions the difference is the mean over their samples, since a start may be a sample late; the last command is held on.
-    """
+    """Index (recordings,) that recordings with the same commands share, from 0 in the order of the data. Of motions the difference is the
+    mean over their samples, since a start may be a sample late; the last command is held on."""
     if not recordings:
         return np.zeros(0, dtype=int)
     samples = np.arange(max(len(one.command) for one in recordings))

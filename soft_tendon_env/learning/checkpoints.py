@@ -18,8 +18,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from soft_tendon_env.evaluation.provenance import origin, write_json
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.vec_env import unwrapped
-from soft_tendon_env.policies.agent import layout_of, save_agent, strain_of
-from soft_tendon_env.policies.agent_files import CONFIG
+from soft_tendon_env.policies.agent import CONFIG, layout_of, save_agent, strain_of
 from soft_tendon_env.policies.normalization import normalization_of
 from soft_tendon_env.tools.files import check_digests, digests, read_json
 from soft_tendon_env.tools.messages import UserError, first_line

@@ -12,7 +12,8 @@ from soft_tendon_env.envs.options import check_fit, groups_of, resolved_scene
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
-from soft_tendon_env.learning.hyperparameters import hyperparameter_problems, trained_algorithms
+from soft_tendon_env.learning.hyperparameters import MODULES, hyperparameter_problems
+from soft_tendon_env.policies.network import ALGORITHMS
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, override, parsed_changes, read_toml
 from soft_tendon_env.tools.files import CONFIGS
 from soft_tendon_env.tools.types import NotNegative, Positive
@@ -75,7 +76,7 @@ class Training(Configuration):
     @field_validator("algorithm")
     @classmethod
     def _is_trained(cls, algorithm: str) -> str:
-        if algorithm not in (names := trained_algorithms()):
+        if algorithm not in (names := (*ALGORITHMS, *MODULES)):
             raise ValueError(f"should be an algorithm to train with: {not_among(algorithm, names)}")
         return algorithm
 

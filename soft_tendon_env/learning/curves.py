@@ -16,8 +16,8 @@ import numpy as np
 from soft_tendon_env.drawing.palette import styles
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.entrants import read_run, seed_folders
-from soft_tendon_env.evaluation.pictures import set_log_scale
-from soft_tendon_env.evaluation.summaries import HIGH, Tails, bootstrap_interval, interquartile_mean
+from soft_tendon_env.evaluation.pictures import save_figure, set_log_scale
+from soft_tendon_env.evaluation.summaries import HIGH, bootstrap_interval, interquartile_mean, tails
 from soft_tendon_env.evaluation.tables import FLAG, LEGEND, markdown_table, number, with_seeds
 from soft_tendon_env.tools.messages import describe
 from soft_tendon_env.tools.tables import read_numbers
@@ -69,9 +69,7 @@ def draw_curves(all_curves: list[Curves], key: str, path: Path) -> None:
     axes.set(xlabel="steps", ylabel=f"{unit.heading} RMS", title=f"{all_curves[0].task}: interquartile mean over seeds, 95 % interval")
     axes.grid(alpha=0.3, which="both")
     axes.legend(frameon=False, fontsize=8)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
-    print(f"written: {path}")
+    save_figure(figure, path)
 
 
 def curve_table(all_curves: list[Curves], key: str) -> str:
@@ -81,7 +79,7 @@ def curve_table(all_curves: list[Curves], key: str) -> str:
         last = [of_seed[-1] for of_seed in curves.rows]
         minutes, values = number(float(np.mean([row["seconds"] for row in last])) / 60.0), [unit.factor * row[key] for row in last]
         middle, low, high, mean, tail = (
-            number(float(value)) for value in (interquartile_mean(values), *bootstrap_interval(values), *Tails.of(values))
+            number(float(value)) for value in (interquartile_mean(values), *bootstrap_interval(values), *tails(values))
         )
         flag = f" {FLAG}" if any(row["diverged"] for row in last) else ""
         rows.append((curves.name, str(len(last)), f"{last[0]['steps']:.0f}", minutes, f"{middle} [{low}, {high}] / {mean} / {tail}{flag}"))

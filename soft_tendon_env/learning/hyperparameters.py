@@ -9,11 +9,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from soft_tendon_env.policies.network import algorithm_class, registered_algorithms
+from soft_tendon_env.policies.network import algorithm_class
 from soft_tendon_env.tools.configuration import Problem, not_among, shown
 
-TRAINED = ("PPO", "SAC", "TQC", "CrossQ")
-"""Algorithms of Stable-Baselines3 and sb3-contrib to train with."""
 APG, DAGGER = "APG", "DAgger"
 MODULES: Mapping[str, str] = {APG: "soft_tendon_env.learning.analytic_policy_gradient", DAGGER: "soft_tendon_env.learning.imitation"}
 """Modules of the package's own algorithms by their names, each a `BaseAlgorithm` with its settings as `settings_class`."""
@@ -32,13 +30,8 @@ RANGES: Mapping[str, tuple[float, float]] = {
 """Least and greatest of numbers beyond which algorithms would train without a word, to no good."""
 
 
-def trained_algorithms() -> tuple[str, ...]:
-    """Names of the algorithms to train with: those of Stable-Baselines3, the package's own, and those that were registered."""
-    return (*TRAINED, *MODULES, *registered_algorithms())
-
-
 def training_class(algorithm: str) -> Any:
-    """Class of an algorithm to train with, see `trained_algorithms`. Raises ModuleNotFoundError without Stable-Baselines3."""
+    """Class of an algorithm of ALGORITHMS or MODULES to train with. Raises ModuleNotFoundError without Stable-Baselines3."""
     return getattr(importlib.import_module(MODULES[algorithm]), algorithm) if algorithm in MODULES else algorithm_class(algorithm)
 
 

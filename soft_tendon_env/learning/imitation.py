@@ -76,13 +76,13 @@ class Teacher:
         late = np.array([actuation.delay(row) for row in range(episodes.size)])
         sent = np.stack([actuation.sent(row) for row in range(episodes.size)])
         target = episodes.target_ahead(LOOKS_AHEAD + int(np.ceil(late.max() / episodes.period - 1e-9)))
-        q, q_dot, tip_pose = self._arriving(sent, late)
+        q, q_dot, tip_pose = self._predict_arrival(sent, late)
         ahead = episodes.period * np.arange(target.tip_pose.shape[1], dtype=np.float64)
         tensions = np.empty((episodes.size, episodes.model.tendon_count))
         for row in range(episodes.size):
             law, begins = self._laws[row], not episodes.step_count[row]
             if law is None or begins:
-                law = self._begun(row)
+                law = self._make_controller(row)
             reference, time = self._reference(row, target, ahead - late[row]), float(episodes.arms.rows.clock[row, 0]) + late[row]
             now = ControllerInput(q[row], q_dot[row], tip_pose[row], sent[row, -1], reference, time)
             decision = law.act(now, None if begins else self.memories[row])
@@ -90,7 +90,7 @@ class Teacher:
             tensions[row] = actuation.commanded(decision.tension, row)
         return actuation.actions.action(tensions, actuation.command)
 
-    def _begun(self, row: int) -> Controller:
+    def _make_controller(self, row: int) -> Controller:
         """Controller of a row's arm as it was drawn."""
         episodes, model = self.episodes, self.episodes.arms.model_of(row)
         limits = np.stack([episodes.actuation.acting(bound, row) for bound in episodes.limits.T], axis=1)
@@ -100,7 +100,7 @@ class Teacher:
         objective = TipPosition() if episodes.task.goal else tip_pose_objective(model)
         return ReferenceGovernor(StaticFeedforward(*arm, objective), TipTracking(*arm, objective, settling_time=self._settling_time))
 
-    def _arriving(self, sent: Array, late: Array) -> tuple[Array, Array, Array]:
+    def _predict_arrival(self, sent: Array, late: Array) -> tuple[Array, Array, Array]:
         """Coordinates, rates and tip poses of rows when commands that are late by `late` (rows,) [s] arrive, after tensions sent
         (rows, m, n_a); those now where that motion fails."""
         arms, copied, period = self.episodes.arms, self._copy, self.episodes.period
@@ -170,9 +170,9 @@ class DAgger(ActorAlgorithm):
         for done in range(self.num_timesteps // self.n_envs, end):
             wanted = self._teacher.actions()
             self._shown.append((observation, wanted))
-            own = self.predict(observation, deterministic=True)[0]
+            chosen = self.predict(observation, deterministic=True)[0]
             noise = self.settings.noise * self.generator.standard_normal(wanted.shape)
-            actions = np.clip(np.where(self._leads[:, None], wanted, own) + noise, -1.0, 1.0).astype(np.float32)
+            actions = np.clip(np.where(self._leads[:, None], wanted, chosen) + noise, -1.0, 1.0).astype(np.float32)
             observation, _, ended, infos = env.step(actions)
             self._last_obs = observation
             self.num_timesteps += self.n_envs

@@ -27,8 +27,7 @@ from soft_tendon_env.learning.checkpoints import (
 )
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.vec_env import unwrapped
-from soft_tendon_env.policies.agent import NetworkPolicy, acting_policy
-from soft_tendon_env.policies.agent_files import CONFIG
+from soft_tendon_env.policies.agent import CONFIG, NetworkPolicy, acting_policy
 from soft_tendon_env.tools.files import read_json, replacing
 from soft_tendon_env.tools.messages import UserError
 from soft_tendon_env.tools.tables import read_numbers
@@ -115,7 +114,7 @@ class TrainingMonitor(ABC):
         with replacing(self._csv) as new, open(new, "w", newline="") as file:
             writer = csv.DictWriter(file, list(row))
             writer.writeheader()
-            writer.writerows({name: f"{value:.9g}" for name, value in own.items()} for own in self.curve)
+            writer.writerows({name: f"{value:.9g}" for name, value in values.items()} for values in self.curve)
         print(f"{row['steps']} of {self.training.steps} steps, {row['seconds']:.0f} s: {format_row(row)}", flush=True)
         if self._best is None or quality(row) < self._best:
             self._best = quality(row)

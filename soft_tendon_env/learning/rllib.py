@@ -26,7 +26,7 @@ from soft_tendon_env.learning.checkpoints import config_record, replace_checkpoi
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.monitor import TrainingMonitor
 from soft_tendon_env.policies.agent import save_agent
-from soft_tendon_env.policies.network import Architecture, algorithm_class, new_network
+from soft_tendon_env.policies.network import algorithm_class, new_network
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 
 COUNTERPARTS = {"batch_size": "minibatch_size", "clip_range": "clip_param", "ent_coef": "entropy_coeff", "gae_lambda": "lambda_"}
@@ -56,9 +56,8 @@ def make_runner_env(context: Mapping[str, Any]) -> VectorEnv[Any, Any, Any]:
     """Environment of a runner: `training` of the context, `num_envs` of its rows and RLlib's `worker_index`."""
     training: Training = context["training"]
     rows, index = context.get("num_envs", 1), max(getattr(context, "worker_index", 0) - 1, 0)
-    size: dict[str, Any] = {"num_envs": rows, "max_episode_steps": training.episode_steps, "threads": 1}
-    envs = gym.make_vec(IDS[training.task], vectorization_mode=BY_ROWS, **size, **training.options)
-    arms = RunnerEnv(envs, context["seed"] + rows * index)
+    more: dict[str, Any] = {"max_episode_steps": training.episode_steps, "threads": 1, **training.options}
+    arms = RunnerEnv(gym.make_vec(IDS[training.task], rows, BY_ROWS, **more), context["seed"] + rows * index)
     if not training.normalise.rewards:
         return arms
     return ClipReward(NormalizeReward(arms, gamma=training.hyperparameters.get("gamma", 0.99)), -10.0, 10.0)  # as VecNormalize
@@ -80,15 +79,14 @@ def make_config(training: Training, runners: int, done: int = 0) -> PPOConfig:
     rate, target_kl = training.learning_rate, value["target_kl"]
     register_env("soft_tendon_env", make_runner_env)
     module = RLModuleSpec(module_class=ActorCriticModule, model_config={"network": value["policy_kwargs"] or {}})
-    arms = {"training": training, "seed": training.arm_seed(done)}
     config = PPOConfig().learners(num_learners=0).rl_module(rl_module_spec=module)
     config.debugging(seed=(training.seed + done) % 2**31, log_level="ERROR")
+    arms, length = {"training": training, "seed": training.arm_seed(done)}, value["n_steps"]
     config.environment("soft_tendon_env", env_config=arms, clip_actions=True, normalize_actions=False)  # as Stable-Baselines3 does
-    share, length = training.arms // max(runners, 1), value["n_steps"]
-    sizes: dict[str, Any] = {"num_env_runners": runners, "num_envs_per_env_runner": share, "rollout_fragment_length": length}
-    config.env_runners(**sizes, gym_env_vectorize_mode=BY_ROWS)
+    config.env_runners(num_env_runners=runners, num_envs_per_env_runner=training.arms // max(runners, 1))
+    config.env_runners(rollout_fragment_length=length, gym_env_vectorize_mode=BY_ROWS)
     return config.training(
-        **{name: value[own] for own, name in COUNTERPARTS.items()},
+        **{name: value[ours] for ours, name in COUNTERPARTS.items()},
         train_batch_size_per_learner=length * training.arms,
         lr=rate if isinstance(rate, float) else [[0, rate[0]], [training.steps, rate[1]]],
         grad_clip_by="global_norm",
@@ -102,7 +100,7 @@ class ActorCriticModule(TorchRLModule, ValueFunctionAPI):
     """RLlib's module around the actor-critic network of Stable-Baselines3, as `policy`, so that agents are saved as any other."""
 
     def setup(self) -> None:
-        self.policy = new_network(Architecture("PPO", self.model_config["network"]), self.observation_space, self.action_space)
+        self.policy = new_network("PPO", self.model_config["network"], self.observation_space, self.action_space)
 
     def _forward(self, batch: dict[str, Any], **kwargs: Any) -> dict[str, Any]:
         features = self.policy.extract_features(batch[Columns.OBS], self.policy.pi_features_extractor)
@@ -118,13 +116,13 @@ class RllibTraining(TrainingMonitor):
 
     def __init__(self, training: Training, folder: Path, runners: int, checkpoint: Path | None) -> None:
         super().__init__(training, folder, checkpoint)
-        self.runners, self._done, envs = runners, self.began, self.envs
         torch.set_num_threads(1)
+        self.runners, self._done = runners, self.began
         self.algorithm: PPO = make_config(training, runners, self._done).build_algo()
         if checkpoint is not None:
             self.algorithm.restore_from_path(str((checkpoint / RLLIB).absolute()))
-        architecture = Architecture("PPO", training.hyperparameters.get("policy_kwargs") or {})
-        self._network = new_network(architecture, envs.single_observation_space, envs.single_action_space)
+        spaces = self.envs.single_observation_space, self.envs.single_action_space
+        self._network = new_network("PPO", training.hyperparameters.get("policy_kwargs") or {}, *spaces)
 
     def steps_done(self) -> int:
         return self._done
@@ -147,8 +145,6 @@ class RllibTraining(TrainingMonitor):
         """Learn all that is left. Raises UserError, and the errors of Ray and PyTorch, after which --resume goes on."""
         self.begin({**config_record(self.training, episodes_of(self.envs)), "engine": RLLIB, "runners": self.runners})
         while self._done < self.training.steps:
-            if self._done > self.began:
-                self.between_rollouts()
             self._done = int(self.algorithm.train()["num_env_steps_sampled_lifetime"])
-        self.between_rollouts(ends=True)
+            self.between_rollouts(ends=self._done >= self.training.steps)
         self.report()

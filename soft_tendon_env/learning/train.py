@@ -27,7 +27,7 @@ from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.hyperparameters import training_class
 from soft_tendon_env.learning.monitor import TrainingCallback, Watch
 from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env
-from soft_tendon_env.policies.agent_files import CONFIG
+from soft_tendon_env.policies.agent import CONFIG
 from soft_tendon_env.policies.network import policy_arguments
 from soft_tendon_env.tools.files import read_json
 from soft_tendon_env.tools.messages import first_line
@@ -96,9 +96,9 @@ def make_training_env(training: Training) -> StableBaselinesVecEnv:
 
 def make_model(training: Training) -> BaseAlgorithm:
     """Agent that has learned nothing yet, with its environment. Raises ValueError."""
-    env, own, kind = make_training_env(training), training.normalise, training_class(training.algorithm)
+    env, normalise, kind = make_training_env(training), training.normalise, training_class(training.algorithm)
     given: dict[str, Any] = {**training.hyperparameters, "learning_rate": learning_rate(training)}
-    normalised = VecNormalize(env, norm_obs=own.observations, norm_reward=own.rewards, gamma=given.get("gamma", 0.99))
+    normalised = VecNormalize(env, norm_obs=normalise.observations, norm_reward=normalise.rewards, gamma=given.get("gamma", 0.99))
     policy = "MultiInputPolicy" if isinstance(env.observation_space, gym.spaces.Dict) else "MlpPolicy"  # of tasks with goals
     given["policy_kwargs"] = policy_arguments(given.get("policy_kwargs", {}))
     if training.hindsight:

@@ -40,7 +40,7 @@ class StableBaselinesVecEnv(VecEnv):
 
     def reset(self) -> VecEnvObs:
         """New episodes of all rows, with the seeds that `seed` has set, once, and the options of `reset` from `set_options`, likewise."""
-        options = {key: [own.get(key) for own in self._options] for key in set().union(*self._options)}
+        options = {key: [of_row.get(key) for of_row in self._options] for key in set().union(*self._options)}
         observation, _ = self.env.reset(seed=self._seeds, options=options)
         self._reset_seeds()
         self._reset_options()

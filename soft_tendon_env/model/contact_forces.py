@@ -30,11 +30,11 @@ def contact_forces(model: Model, state: State) -> ContactForces:
     work, arm, contact = make_workspace(model.arm), model.arm, model.scene.effects.contact
     if contact is None:
         raise ValueError("the model's scene has no table effects.contact")
-    own = contact.parameters(model.discretisation)
+    parameters = contact.parameters(model.discretisation)
     work.xi[:], work.clock[0] = model.grid.packed(state.strain), state.time
     evaluate_forces(arm, np.zeros(arm.tendons.size), state.q, state.q_dot, TOLERANCE, work)
-    gap, position = np.empty((len(own.obstacles), len(own.samples))), np.empty((len(own.samples), 3))
+    gap, position = np.empty((len(parameters.obstacles), len(parameters.samples))), np.empty((len(parameters.samples), 3))
     force, places = np.empty((*gap.shape, 3)), contact.sample_places(model.discretisation)
-    read_contacts(own, nodes_with(work.pose, work.eta, work.base, state.time), gap, position, force)
+    read_contacts(parameters, nodes_with(work.pose, work.eta, work.base, state.time), gap, position, force)
     least = gap.min(axis=1)
     return ContactForces(force.sum(axis=1), least, np.maximum(-least, 0.0), places, position, force, gap)

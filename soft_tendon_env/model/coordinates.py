@@ -4,8 +4,8 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from soft_tendon_env.effects.base import Effects
-from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, Loaded, StaticsBased, point_field
-from soft_tendon_env.model.grid import STRAIGHT, AtPoints, Grid, at_points, chords, discretisation, make_rod, pack_range
+from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded, StaticsBased, point_field
+from soft_tendon_env.model.grid import STRAIGHT, AtPoints, Grid, at_points, chords, make_rod, pack_ranges
 from soft_tendon_env.scene.passive_fields import fields_of
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Modes, Snapshots
@@ -17,14 +17,13 @@ from soft_tendon_env.tools.types import Array
 def make_arm(scene: Scene, grid: Grid, strain: StaticsBased | Loaded | Explicit | None = None) -> Arm:
     """All that the kernels read of a scene, on this grid; strain: with the combinations of tensions and passive fields that stay."""
     here = at_points(scene, grid)
-    seen = discretisation(scene, grid, here)
-    effects = effects_outside(scene).table(seen)
+    effects = effects_outside(scene).table(here.rod)
     if effects.base.any() and effects_inside(scene):
         text = "is given, but the loads inside of a strain have to stand still beside the arm's base, which moves: leave it out"
         raise ConfigurationError([Problem(("strain", "include_loads"), text)])
     law = None if strain is None or isinstance(strain, Explicit) else strain.law
-    own = make_strain(scene, grid, here, law)
-    return Arm(rod=make_rod(scene, grid, scene.strain.free, here, seen), tendons=here.tendons, strain=own, effects=effects)
+    rod, strain = make_rod(scene, grid, scene.strain.free, here), make_strain(scene, grid, here, law)
+    return Arm(rod=rod, tendons=here.tendons, strain=strain, effects=effects)
 
 
 def effects_inside(scene: Scene) -> bool:
@@ -37,17 +36,14 @@ def effects_outside(scene: Scene) -> Effects:
     return scene.effects.outside() if effects_inside(scene) else scene.effects
 
 
-def make_strain(
-    scene: Scene, grid: Grid, here: AtPoints | None = None, law: StaticsBased | None = None
-) -> StaticsBased | Loaded | Explicit:
+def make_strain(scene: Scene, grid: Grid, here: AtPoints, law: StaticsBased | None = None) -> StaticsBased | Loaded | Explicit:
     """Arrays of the scene's strain parametrisation: an explicit basis, or a law, made anew if None, with its dead loads, if any."""
-    here = here or at_points(scene, grid)
     if isinstance(scene.strain, ExplicitStrain):
         fields = mode_fields(scene.strain.modes, grid)
-        first, last = _ranges(fields, grid)
-        elasticity, damping = (_inner(fields, fields, own, grid) for own in (here.elasticity, here.damping))
+        first, last = pack_ranges(fields.any(axis=(2, 3)) & grid.real)
+        stiffness, damping = (_inner(fields, fields, density, grid) for density in (here.elasticity, here.damping))
         tip = np.full(len(fields), grid.packs)
-        return Explicit(size=len(fields), first=first, last=last, tip=tip, field=point_field(fields), stiffness=elasticity, damping=damping)
+        return Explicit(size=len(fields), first=first, last=last, tip=tip, field=point_field(fields), stiffness=stiffness, damping=damping)
     law, dead = law or tension_law(scene, scene.strain, grid, here), scene.effects.dead_loads()
     if not (effects_inside(scene) and np.any(dead)):
         return law
@@ -64,10 +60,9 @@ def mode_fields(modes: tuple[Modes, ...], grid: Grid) -> Array:
             inside = (grid.points > a) & (grid.points < b)
             values = legendre.legvander(2 * (grid.points - a) / (b - a) - 1, group.order) * inside[..., None]
             for strain in group.strains:
-                for order in range(group.order + 1):
-                    field = np.zeros((*grid.points.shape, 6))
-                    field[..., STRAINS.index(strain)] = values[..., order]
-                    fields.append(field)
+                block = np.zeros((group.order + 1, *grid.points.shape, 6))
+                block[..., STRAINS.index(strain)] = np.moveaxis(values, -1, 0)
+                fields += [*block]
     return np.array(fields).reshape(len(fields), *grid.points.shape, 6)
 
 
@@ -85,10 +80,8 @@ def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid, here: AtPo
         passive = _orthogonal_to(actuation, passive, compliance, grid, strain.rank_tolerance)
     active = mixing.shape[1]
     rows, columns = np.nonzero(mixing)
-    present = np.abs(actuation).max(axis=(2, 3)) > 0
-    used = [present[mixing[:, j] != 0].any(axis=0) for j in range(active)]
-    ranges = [pack_range(where & grid.real) for where in used] + list(zip(*_ranges(passive, grid), strict=True))
-    first, last = np.array(ranges, dtype=np.int64).reshape(-1, 2).T.copy()
+    pulled = (mixing != 0).T.astype(int) @ actuation.any(axis=(2, 3)) > 0
+    first, last = pack_ranges(np.concatenate([pulled, passive.any(axis=(2, 3))]) & grid.real)
     return StaticsBased(
         size=active + len(passive),
         first=first,
@@ -122,11 +115,7 @@ def actuation_columns(geometry: Array, k: Array, p: Array) -> Array:
 
 
 def independent_tensions(gram: Array, tolerance: float) -> Array:
-    """Basis of the independent tensions, tensions of the strain law by coordinate: (n_a, rank).
-
-    The identity where the actuation fields are independent; otherwise orthonormal, from the projector on the tensions that strain the
-    straight arm, the tendons in order: the same tendons give the same coordinates on every machine.
-    """
+    """Basis of the independent tensions (n_a, rank), the identity where all are; else orthonormal and the same on every machine."""
     scale = np.sqrt(np.diag(gram))
     scale[scale == 0] = 1.0  # a tendon that strains nothing: all that it would strain is rigid
     sizes, directions = np.linalg.eigh(gram / np.outer(scale, scale))
@@ -153,7 +142,7 @@ def _orthogonal_to(actuation: Array, passive: Array, compliance: Array, grid: Gr
         for _ in range(2):  # the second pass removes the rounding of the first
             for b in basis:
                 rest = rest - b * _inner(b[None], rest[None], compliance, grid)[0, 0]
-        before, left = (float(np.sqrt(_inner(own[None], own[None], compliance, grid)[0, 0])) for own in (field, rest))
+        before, left = (float(np.sqrt(_inner(part[None], part[None], compliance, grid)[0, 0])) for part in (field, rest))
         if left > tolerance * before:
             basis.append(rest / left)
             found += [basis[-1]] * (i >= len(actuation))
@@ -164,9 +153,3 @@ def _inner(left: Array, right: Array, weight: Array, grid: Grid) -> Array:
     """int left^T diag(weight) right dX for fields (m, intervals, 2, 6): (m_left, m_right)."""
     weighted = right * (weight * grid.weights[..., None])
     return left.reshape(len(left), -1) @ weighted.reshape(len(right), -1).T
-
-
-def _ranges(fields: Array, grid: Grid) -> tuple[IntVector, IntVector]:
-    used = [pack_range((np.abs(field).max(axis=(1, 2)) > 0) & grid.real) for field in fields]
-    first, last = np.array(used, dtype=np.int64).reshape(-1, 2).T.copy()
-    return first, last

@@ -1,6 +1,9 @@
 """Static balance of an arm under a part of its load, 0 to 1: unbalanced force, stiffness, stability, at given coordinates."""
 
+from __future__ import annotations
+
 import math
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -8,19 +11,19 @@ import numpy as np
 
 from soft_tendon_env.mechanics.motion.equilibrium import Linearisation, linearise_balance, strain_is_continuous
 from soft_tendon_env.mechanics.types import Loaded
-from soft_tendon_env.mechanics.workspace import Workspace, make_workspace
+from soft_tendon_env.mechanics.workspace import Workspace
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.strain_limits import limit_at
+from soft_tendon_env.model.strain_limits import nearest_limit
 from soft_tendon_env.tools.types import Array
 
 ASYMMETRIC = 1e-4  # relative size of S - S^T above which loads have no potential; differences that S comes from leave 1e-6 at most
 NEUTRAL = 1e-5
-"""Eigenvalue of S, of the norm of S in the metric of the unloaded arm, that counts as 0, as where a column that has buckled rests to any
-side, and growth of a motion in a radian. Differences leave less than 1e-6."""
+"""Eigenvalue of S, of its norm in the metric of the unloaded arm, that counts as 0, as where a buckled column rests to any side, and growth
+of a motion in a radian. Differences leave less than 1e-6."""
 
 
 class At(NamedTuple):
-    """The balance at coordinates q (n,) under a part of the load."""
+    """Balance at coordinates q (n,) under a part of the load."""
 
     q: Array
     part: float
@@ -29,13 +32,26 @@ class At(NamedTuple):
     residual: float  # see statics.Equilibrium
 
 
-class Linearised(NamedTuple):
+@dataclass(eq=False)
+class Linearised:
     """The balance to first order around coordinates."""
 
+    balance: Balance
     at: At
     stiffness: Array  # S = -df/dq (n, n)
     compliance: Array  # S^-1, 0 for neutral modes
     tangent: Array  # S^-1 df/dpart (n,): at an equilibrium, dq/dpart along its path
+
+    @cached_property
+    def stability(self) -> Stability:
+        """Stability of the equilibrium: the energy has a minimum there, or, for loads without a potential, motions from it die out."""
+        balance, S = self.balance, self.balance._by_metric(self.stiffness)
+        has_potential = balance._is_symmetric(S)
+        values, vectors = np.linalg.eigh(0.5 * (S + S.T)) if has_potential else np.linalg.eig(S)
+        order = np.argsort(values.real)
+        least, flutters = float(values[order[0]].real), not has_potential and balance._flutters(self)
+        modes = balance.model.metric_unit @ vectors[:, order].real * math.sqrt(balance.energy)
+        return Stability(least > -NEUTRAL * float(np.linalg.norm(S)) and not flutters, least, modes, has_potential, flutters)
 
 
 class Stability(NamedTuple):
@@ -49,30 +65,28 @@ class Stability(NamedTuple):
 
 
 class Balance:
-    """The balance of one model under one load, f(q, part) = part (B u + F) - K, and its derivatives; None, and `obstacle`: there are none.
+    """The balance of one model under one load, f(q, part) = part (B u + F) - K, and its derivatives; None and `obstacle` where none."""
 
-    work: of the model, that nobody else uses meanwhile; its own if None.
-    """
-
-    def __init__(self, model: Model, tension: Array, work: Workspace | None = None) -> None:
+    def __init__(self, model: Model, tension: Array, work: Workspace) -> None:
+        """work: of the model, that nobody else uses meanwhile."""
         self.model, self.tension, self.size, self.energy = model, tension, model.coordinate_count, model.bending_energy
-        self.work = make_workspace(model.arm) if work is None else work
-        self.linearisations, self.obstacle = 0, ""
+        self.work, self.linearisations, self.obstacle = work, 0, ""
 
     def at(self, q: Array, part: float) -> At | None:
         """The balance at q (n,)."""
-        computed = self._computed(q, part, False, np.empty((0, self.size)))
+        computed = self._compute(q, part, False, np.empty((0, self.size)))
         return None if computed is None else computed[0]
 
-    def linearised(self, q: Array, part: float) -> Linearised | None:
+    def linearise(self, q: Array, part: float) -> Linearised | None:
         """The balance at q (n,) and its derivatives."""
         self.linearisations += 1
         unit = self.model.coordinate_scale()
-        computed = self._computed(q, part, True, np.diag(unit))
-        compliance = None if computed is None else self._inverse(stiffness := computed[1].slopes / unit)
-        if computed is None or compliance is None:
+        if (computed := self._compute(q, part, True, np.diag(unit))) is None:
             return None
-        return Linearised(computed[0], stiffness, compliance, compliance @ computed[1].rate)
+        at, out = computed
+        stiffness = out.slopes / unit
+        compliance = self._inverse(stiffness)
+        return None if compliance is None else Linearised(self, at, stiffness, compliance, compliance @ out.rate)
 
     def _inverse(self, stiffness: Array) -> Array | None:
         """Inverse (n, n) of a tangent stiffness, 0 for neutral modes; None where it is singular."""
@@ -86,9 +100,9 @@ class Balance:
         S = self._by_metric(stiffness)
         if np.isfinite(S).all() and self._is_symmetric(S):
             values, vectors = np.linalg.eigh(0.5 * (S + S.T))
-            kept = np.abs(values) > NEUTRAL * np.linalg.norm(S)
-            modes = self.model.metric_unit @ vectors[:, kept]
-            return np.asarray(modes / values[kept] @ modes.T)
+            stiff = np.abs(values) > NEUTRAL * np.linalg.norm(S)
+            modes = self.model.metric_unit @ vectors[:, stiff]
+            return np.asarray(modes / values[stiff] @ modes.T)
         self.obstacle = "the stiffness is singular: the arm gives way without further load"
         return None
 
@@ -100,25 +114,25 @@ class Balance:
         is_conservative = isinstance(strain, Loaded) and strain.has_potential and not self.model.arm.effects.load
         return is_conservative or bool(np.linalg.norm(S - S.T) <= ASYMMETRIC * np.linalg.norm(S))
 
-    @cached_property
     def unloaded(self) -> Linearised:
         """The unloaded arm, where S is G."""
-        computed = self._computed(np.zeros(self.size), 0.0, True, np.empty((0, self.size)))
+        computed = self._compute(np.zeros(self.size), 0.0, True, np.empty((0, self.size)))
         assert computed is not None, "the unloaded arm has a strain and resists every coordinate"
-        compliance = np.asarray(np.linalg.inv(computed[0].G), dtype=np.float64)
-        return Linearised(computed[0], computed[0].G, compliance, compliance @ computed[1].rate)
+        at, out = computed
+        compliance = np.asarray(np.linalg.inv(at.G), dtype=np.float64)
+        return Linearised(self, at, at.G, compliance, compliance @ out.rate)
 
     def curvature(self, q: Array, part: float, modes: Array) -> tuple[At, Array] | None:
         """The balance at q (n,), and V^T S V (m, m) for modes V (n, m), 1 for each of them on the unloaded arm."""
-        computed = self._computed(q, part, False, np.ascontiguousarray(modes.T))
+        computed = self._compute(q, part, False, np.ascontiguousarray(modes.T))
         return None if computed is None else (computed[0], modes.T @ computed[1].slopes / self.energy)
 
-    def _computed(self, q: Array, part: float, with_rate: bool, directions: Array) -> tuple[At, Linearisation] | None:
+    def _compute(self, q: Array, part: float, with_rate: bool, directions: Array) -> tuple[At, Linearisation] | None:
         n = self.size
         out = Linearisation(np.empty(n), np.empty((n, n)), np.empty(n), np.empty((n, len(directions))))
         block, reached = linearise_balance(self.model.arm, self.tension, q, part, with_rate, directions, self.work, out)
         if block >= 0:
-            limit = limit_at(self.model.arm, self.model.grid, block, q, self.work.xi, reached)
+            limit = nearest_limit(self.model.arm, self.model.grid, q, self.work.xi, reached, block)
             self.obstacle = f"no strain balances the coordinates: {limit}"
             return None
         try:
@@ -145,16 +159,6 @@ class Balance:
         if not (found := bool(strain_is_continuous(self.model.arm, q_from, q, self.work))):
             self.obstacle = "no strain balances the coordinates on the way: the tendons push past the section's stiffness"
         return found
-
-    def stability(self, here: Linearised) -> Stability:
-        """Stability of an equilibrium: the energy has a minimum there, or, for loads without a potential, motions from it die out."""
-        S = self._by_metric(here.stiffness)
-        has_potential = self._is_symmetric(S)
-        values, vectors = np.linalg.eigh(0.5 * (S + S.T)) if has_potential else np.linalg.eig(S)
-        order = np.argsort(values.real)
-        least, flutters = float(values[order[0]].real), not has_potential and self._flutters(here)
-        modes = self.model.metric_unit @ vectors[:, order].real * math.sqrt(self.energy)
-        return Stability(least > -NEUTRAL * float(np.linalg.norm(S)) and not flutters, least, modes, has_potential, flutters)
 
     def _flutters(self, here: Linearised) -> bool:
         """Whether M q_ddot + D q_dot + S q = 0 has oscillations that grow."""

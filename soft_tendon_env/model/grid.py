@@ -117,8 +117,7 @@ class AtPoints(NamedTuple):
     curvature: Array  # (intervals, 2, 3) [1/m]
     geometry: Array  # (n_a, intervals, 2, 5), see `tendon_geometry`
     tendons: Tendons
-    tendon_length: Array  # (n_a,) [m]
-    tendon_turn: Array  # (n_a,) [rad]
+    rod: Discretisation  # as effects see it
 
 
 def at_points(scene: Scene, grid: Grid) -> AtPoints:
@@ -133,14 +132,29 @@ def at_points(scene: Scene, grid: Grid) -> AtPoints:
     there = geometry[:, grid.real, :, 4].reshape(len(chord), -1)
     rate, distance = np.cross(k[grid.real].reshape(-1, 3), t), np.diff(grid.points[grid.real].ravel())[:, None]
     turn = np.diff(t, axis=1) + 0.5 * distance * (rate[:, 1:] + rate[:, :-1])
-    turned = (np.linalg.norm(turn, axis=-1) * there[:, 1:] * there[:, :-1]).sum(axis=1)
-    first, last = np.array([pack_range((own[..., 4] > 0.0).any(axis=1) & grid.real) for own in geometry], dtype=np.int64).T.copy()
+    angle = (np.linalg.norm(turn, axis=-1) * there[:, 1:] * there[:, :-1]).sum(axis=1)
+    first, last = pack_ranges((geometry[..., 4] > 0.0).any(axis=2) & grid.real)
     tendons = Tendons(size=len(geometry), geometry=point_field(geometry), first=first, last=last)
-    return AtPoints(elasticity, damping, k, geometry, tendons, length, np.asarray(turned))
+    rod = Discretisation(
+        length=float(grid.breakpoints[-1]),
+        borders=grid.breakpoints,
+        node=grid.start + grid.length,
+        point=grid.points,
+        radius=lambda arc_length: rod_radius(scene, arc_length)[0],
+        elasticity=lambda arc_length: screw_matrices(scene, arc_length)[0],
+        line_mass=lambda arc_length: screw_matrices(scene, arc_length)[2][:, 3],
+        over_nodes=lambda density: over_nodes(grid, density),
+        tendon_length=length,
+        tendon_turn=np.asarray(angle),
+        tension_limits=np.array([tendon.tension_limits for tendon in scene.tendons]),
+        effects=scene.effects,
+        step=scene.integrator.step,
+    )
+    return AtPoints(elasticity, damping, k, geometry, tendons, rod)
 
 
-def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], here: AtPoints, seen: Discretisation) -> Rod:
-    """Arrays of the rod's section; strains not named in `free` are rigid. seen: the rod as effects see it."""
+def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], here: AtPoints) -> Rod:
+    """Arrays of the rod's section; strains not named in `free` are rigid."""
     exists = np.array([strain in free for strain in STRAINS], dtype=float)
     reference = np.zeros((*grid.points.shape, 6))
     reference[..., :3] = here.curvature
@@ -148,7 +162,7 @@ def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], here: AtPoints, se
     inertia = over_nodes(grid, lambda arc_length: screw_matrices(scene, arc_length)[2])
     mass = inertia[:, 3].copy()
     mass[-1] += scene.effects.payload[3]
-    inertia += scene.effects.added_inertia(seen)
+    inertia += scene.effects.added_inertia(here.rod)
     inertia[-1] += scene.effects.payload
     last = max(STRAINS.index(strain) for strain in free)
     return Rod(
@@ -181,26 +195,6 @@ def over_nodes(grid: Grid, density: Callable[[Array], Array]) -> Array:
     return total
 
 
-def discretisation(scene: Scene, grid: Grid, here: AtPoints | None = None) -> Discretisation:
-    """The rod on this grid, as effects see it. here: its section and shape at the points, if they are at hand."""
-    here = here or at_points(scene, grid)
-    return Discretisation(
-        length=float(grid.breakpoints[-1]),
-        borders=grid.breakpoints,
-        node=grid.start + grid.length,
-        point=grid.points,
-        radius=lambda arc_length: rod_radius(scene, arc_length)[0],
-        elasticity=lambda arc_length: screw_matrices(scene, arc_length)[0],
-        line_mass=lambda arc_length: screw_matrices(scene, arc_length)[2][:, 3],
-        over_nodes=lambda density: over_nodes(grid, density),
-        tendon_length=here.tendon_length,
-        tendon_turn=here.tendon_turn,
-        tension_limits=np.array([tendon.tension_limits for tendon in scene.tendons]),
-        effects=scene.effects,
-        step=scene.integrator.step,
-    )
-
-
 def tendon_geometry(scene: Scene, grid: Grid) -> Array:
     """y, z [m], y', z' and presence (1 or 0) of every tendon at the points: (n_a, intervals, 2, 5)."""
     geometry = np.zeros((len(scene.tendons), *grid.points.shape, 5))
@@ -219,7 +213,8 @@ def chords(geometry: Array, k: Array, p: Array) -> tuple[Array, Array]:
     return d, np.cross(k, d) + p + d_prime
 
 
-def pack_range(intervals: np.ndarray) -> tuple[int, int]:
-    """First pack with a marked interval, and one past the last."""
-    marked = np.flatnonzero(intervals.reshape(-1, LANES).any(axis=1))
-    return int(marked[0]), int(marked[-1]) + 1
+def pack_ranges(intervals: np.ndarray) -> tuple[IntVector, IntVector]:
+    """First pack with a marked interval, and one past the last, of each row (m, intervals): (m,) each."""
+    marked = np.asarray(intervals.reshape(len(intervals), intervals.shape[1] // LANES, LANES).any(axis=2))
+    first, behind = marked.argmax(axis=1), marked[:, ::-1].argmax(axis=1)
+    return first.astype(np.int64), (marked.shape[1] - behind).astype(np.int64)

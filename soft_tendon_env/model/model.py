@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -19,9 +19,9 @@ from soft_tendon_env.mechanics.terms.tendons import tendon_lengths
 from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded
 from soft_tendon_env.mechanics.workspace import Workspace, make_workspace
 from soft_tendon_env.model.coordinates import effects_outside, make_arm
-from soft_tendon_env.model.grid import Grid, discretisation, make_grid, screw_matrices
-from soft_tendon_env.model.strain_limits import StrainLimitError, limit_at
-from soft_tendon_env.model.terms import Energy, Terms, empty_terms
+from soft_tendon_env.model.grid import Grid, at_points, make_grid, screw_matrices
+from soft_tendon_env.model.strain_limits import StrainLimitError, nearest_limit
+from soft_tendon_env.model.terms import Energy, Terms
 from soft_tendon_env.scene.parameters import scene_parameters, scene_with_numbers
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number
@@ -29,7 +29,6 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
 TOLERANCE = 1e-12  # relative size of the last Newton correction at which a strain counts as found: round-off
-SINGULAR = 1e-14  # least eigenvalue of a matrix, scaled to a unit diagonal, up to which it counts as singular
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,20 +43,16 @@ class Model:
     scene: Scene
     grid: Grid  # intervals and quadrature points along the rod
     arm: Arm  # what the compiled kernels read
+    _idle: list[Workspace] = field(default_factory=list)  # wait for the next evaluation: making one takes longer than to fill it
 
     def __repr__(self) -> str:
         return f"Model({self.scene.name!r}, {self.coordinate_count} coordinates, {self.tendon_count} tendons)"
 
     def with_scene(self, scene: Scene) -> Model:
-        """Model of a scene with other numbers or effects, on the same grid.
-
-        Quadrature, combinations of tensions and passive fields stay: what it computes is smooth in the numbers. Raises ConfigurationError.
-        """
-        made = Model(scene, self.grid, make_arm(scene, self.grid, self.arm.strain))
-        sizes = [(type(own.strain), own.effects.count, own.effects.state.size) for own in (self.arm, made.arm)]
-        if sizes[0] == sizes[1]:
-            made.__dict__["_idle"] = self._idle  # workspaces are as large for one as for the other
-        return made
+        """Model of a scene with other numbers or effects; grid, combinations of tensions and fields stay. Raises ConfigurationError."""
+        arm = make_arm(scene, self.grid, self.arm.strain)
+        sizes = [(type(arm.strain), arm.effects.count, arm.effects.state.size) for arm in (self.arm, arm)]
+        return Model(scene, self.grid, arm, self._idle if sizes[0] == sizes[1] else [])
 
     def with_numbers(self, changes: Mapping[str, float]) -> Model:
         """Model `with_scene` of other numbers, `{"segments.*.young_modulus": 1.1e6}`. Raises TypeError or ConfigurationError."""
@@ -71,11 +66,11 @@ class Model:
         """Difference other than in numbers of a model `with_scene`; "": there is none, and both can be rows of one batch."""
         if type(other.arm.strain) is not type(self.arm.strain):
             return "whether there are loads inside of the strain"
-        (own, ours), (their, theirs) = (([*model.acting], model.arm.effects) for model in (self, other))
-        if their[: len(own)] != own:
-            return f"which effects act, from {', '.join(own) or 'none'} to {', '.join(their) or 'none'}"
-        sizes = [[np.shape(field) for struct in table.structs[: len(own)] for field in struct] for table in (ours, theirs)]
-        is_alike = sizes[0] == sizes[1] and np.array_equal(ours.first_state, theirs.first_state[: len(own) + 1])
+        here, there, ours, theirs = [*self.acting], [*other.acting], self.arm.effects, other.arm.effects
+        if there[: len(here)] != here:
+            return f"which effects act, from {', '.join(here) or 'none'} to {', '.join(there) or 'none'}"
+        sizes = [[np.shape(values) for struct in table.structs[: len(here)] for values in struct] for table in (ours, theirs)]
+        is_alike = sizes[0] == sizes[1] and np.array_equal(ours.first_state, theirs.first_state[: len(here) + 1])
         return "" if is_alike and theirs.state.size <= ours.state.size else "the number of internal states, or of places, of an effect"
 
     @property
@@ -88,19 +83,17 @@ class Model:
         """Number of tendons n_a."""
         return self.arm.tendons.size
 
-    def terms(
-        self, q: ArrayLike, q_dot: ArrayLike, tension: ArrayLike | None = None, *, time: float = 0.0, effects: ArrayLike | None = None
-    ) -> Terms:
-        """Terms of the equation of motion (23) at q, q_dot (n,). `tension` (n_a,) matters to `stiffness` of explicit bases only.
+    def terms(self, q: ArrayLike, q_dot: ArrayLike, tension: ArrayLike | None = None, *, time: float = 0.0) -> Terms:
+        """Terms of the equation of motion (23) at q, q_dot (n,), the effects' internal states at rest at q.
 
-        time [s], on which disturbances and a moving base depend; effects (m,): internal states, see State, by default those at rest at q.
+        `tension` (n_a,) matters to `stiffness` of explicit bases only; on time [s] disturbances and a moving base depend.
         """
         with self.workspace() as work:
-            return self._evaluated(tension, q, q_dot, work, checked_number("time", time, -np.inf, "a finite number"), effects)
+            return self._evaluate(tension, q, q_dot, checked_number("time", time, -np.inf, "a finite number"), work)
 
     def tip_pose(self, q: ArrayLike) -> Array:
         """Pose of the tip in the world frame, (4, 4): forward kinematics."""
-        with self.configured(q) as work:
+        with self.configuration(q) as work:
             return _poses(work.pose.reshape(-1, 12, LANES)[-1:, :, -1])[0]
 
     def backbone(self, q: ArrayLike, points: int = 50) -> Array:
@@ -111,26 +104,25 @@ class Model:
         """Backbone at the given arc lengths (m,) [m]: poses of the sections, (m, 4, 4)."""
         places = self.arc_lengths("arc_length", arc_length)
         poses = np.tile(np.eye(4), (places.size, 1, 1))
-        with self.configured(q) as work:
+        with self.configuration(q) as work:
             poses_inside(self.grid.length, *self.grid.locate(places), work, poses)
         return poses
 
     def strain_at(self, q: ArrayLike, arc_length: ArrayLike) -> tuple[Array, Array]:
         """Strains (m, 6) at arc lengths (m,) [m] and their derivative Phi (m, 6, n), linear between the two points of an interval."""
-        places, q = self.arc_lengths("arc_length", arc_length), self._coordinates("q", q)
+        places, q = self.arc_lengths("arc_length", arc_length), checked_array("q", q, (self.coordinate_count,))
         found = np.empty((1 + q.size, places.size, 6))
-        interval, distance = self.grid.locate(places)
-        with self.configured(q) as work:
+        with self.configuration(q) as work:
             strain_from_guess(self.arm, q, TOLERANCE, work)
             strain_columns(self.arm, np.zeros(self.tendon_count), q, np.zeros_like(q), work)
-            for field, out in zip([work.xi, *work.Phi.reshape(q.size, -1)], found, strict=True):
-                strains_inside(self.grid.length, interval, distance, field, out)
+            for values, out in zip([work.xi, *work.Phi.reshape(q.size, -1)], found, strict=True):
+                strains_inside(self.grid.length, *self.grid.locate(places), values, out)
         return found[0], np.moveaxis(found[1:], 0, 2)
 
     @cached_property
     def discretisation(self) -> Discretisation:
         """The discretised rod as effects see it."""
-        return discretisation(self.scene, self.grid)
+        return at_points(self.scene, self.grid).rod
 
     @property
     def acting(self) -> dict[str, Effect]:
@@ -144,12 +136,11 @@ class Model:
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:
-        """Names of the effects with internal states or with commands of their own, and how many states, "actuators:20"; and what else says
-        what these mean."""
+        """Meaning of the numbers of a state: effects with internal states or other commands than tensions, "actuators:20"; times."""
         effects = zip(self.acting.items(), np.diff(self.arm.effects.first_state).tolist(), strict=True)
-        names = tuple(f"{name}:{size}" for (name, own), size in effects if size or own.command_unit != "N")
+        names = tuple(f"{name}:{size}" for (name, effect), size in effects if size or effect.command_unit != "N")
         memory = self.scene.effects.viscoelastic_memory
-        return names if memory is None else (*names, f"relaxation times {[own.relaxation_time for own in memory.branches]} s")
+        return names if memory is None else (*names, f"relaxation times {[branch.relaxation_time for branch in memory.branches]} s")
 
     @cached_property
     def metric(self) -> Array:
@@ -174,21 +165,21 @@ class Model:
 
     def packed_strain(self, q: ArrayLike) -> Array:
         """The strain at the points in the kernels' flat layout (points * 6,), see mechanics.types."""
-        with self.configured(q) as work:
+        with self.configuration(q) as work:
             return work.xi.copy()
 
     def tendon_lengths(self, q: ArrayLike) -> Array:
-        """Lengths of the tendons along the strained rod (n_a,) [m]; the work of constant tensions is -u times their change."""
+        """Lengths of the tendons along the strained rod (n_a,) [m]."""
         lengths = np.empty(self.tendon_count)
-        with self.configured(q) as work:
+        with self.configuration(q) as work:
             tendon_lengths(self.arm.rod, self.arm.tendons, work, lengths)
         return lengths
 
     def energy(self, q: ArrayLike, q_dot: ArrayLike, effects: ArrayLike | None = None) -> Energy:
-        """Kinetic, elastic and load energy; effects (m,): see `terms`. Raises ValueError if an effect has no potential."""
-        rod, grid, rate = self.arm.rod, self.grid, self._coordinates("q_dot", q_dot)
+        """Kinetic, elastic and load energy; effects (m,): internal states, by default at rest. Raises ValueError without a potential."""
+        rod, grid, rate = self.arm.rod, self.grid, checked_array("q_dot", q_dot, (self.coordinate_count,))
         with self.workspace() as work:
-            mass = self._evaluated(None, q, rate, work).mass
+            mass = self._evaluate(None, q, rate, 0.0, work).mass
             strain, state = grid.at_points(work.xi - rod.reference_strain, 6).reshape(-1, 6), work.state.copy()
             by_node = work.pose.reshape(-1, 12, LANES).swapaxes(1, 2).reshape(-1, 12)
         state = state if effects is None else checked_array("effects", effects, state.shape)
@@ -225,9 +216,6 @@ class Model:
             raise ValueError(f"{name} should lie between 0 and {self.length:g}, not {places.min():g} to {places.max():g}")
         return places
 
-    def _coordinates(self, name: str, value: ArrayLike) -> Array:
-        return checked_array(name, value, (self.coordinate_count,))
-
     @contextmanager
     def workspace(self) -> Iterator[Workspace]:
         """A workspace that nobody else uses, with the effects' states at rest; what it holds otherwise is of evaluations before."""
@@ -243,9 +231,9 @@ class Model:
             self._idle.append(work)
 
     @contextmanager
-    def configured(self, q: ArrayLike) -> Iterator[Workspace]:
+    def configuration(self, q: ArrayLike) -> Iterator[Workspace]:
         """A workspace with strains and poses at q (n,). Raises StrainLimitError."""
-        q = self._coordinates("q", q)
+        q = checked_array("q", q, (self.coordinate_count,))
         with self.workspace() as work:
             block, reached = configure(self.arm, q, TOLERANCE, work)
             self._check(q, work, block, reached, bool(np.isfinite(work.pose).all()))
@@ -254,33 +242,26 @@ class Model:
     def _check(self, q: Array, work: Workspace, block: int, reached: float, placed: bool) -> None:
         """Raises StrainLimitError where the strain could not be found at a block, of -1 for none, or the rod could not be placed."""
         if block >= 0:
-            nearest = limit_at(self.arm, self.grid, block, q, work.xi, reached)
+            nearest = nearest_limit(self.arm, self.grid, q, work.xi, reached, block)
             what = "coordinates and loads" if isinstance(self.arm.strain, Loaded) else "coordinates"
             raise StrainLimitError(f"no strain balances these {what} beyond {100 * reached:.3g} % of them: {nearest}")
         if not placed:
             raise StrainLimitError(f"the coordinates are too large to place the rod, up to {np.abs(q).max():.3g}")
 
-    def _evaluated(
-        self, u: ArrayLike | None, q: ArrayLike, q_dot: ArrayLike, work: Workspace, time: float = 0.0, effects: ArrayLike | None = None
-    ) -> Terms:
-        q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
+    def _evaluate(self, u: ArrayLike | None, q: ArrayLike, q_dot: ArrayLike, time: float, work: Workspace) -> Terms:
+        q, q_dot = checked_array("q", q, (self.coordinate_count,)), checked_array("q_dot", q_dot, (self.coordinate_count,))
         tension = np.zeros(self.tendon_count) if u is None else checked_array("tension", u, (self.tendon_count,))
-        if effects is not None:
-            work.state[:] = checked_array("effects", effects, work.state.shape)
         work.clock[0] = time
-        out, rests = empty_terms(self.coordinate_count, self.tendon_count), effects is None and work.state.size > 0
-        block, reached, placed = equation_of_motion(self.arm, tension, q, q_dot, rests, TOLERANCE, work, out)
+        n, n_a = self.coordinate_count, self.tendon_count
+        shapes: list[tuple[int, ...]] = [(n, n), (n,), (n, n), (n, n), (n, n_a), (n,), (n,), (4, 4), (6, n), (6,), (n, n), (n, n)]
+        out = Terms(*(np.empty(shape) for shape in shapes))
+        block, reached, placed = equation_of_motion(self.arm, tension, q, q_dot, work.state.size > 0, TOLERANCE, work, out)
         self._check(q, work, block, reached, placed != TOO_LARGE)
         if placed == TOO_FAST:
             raise OverflowError(f"the rates q_dot are too large to compute with, up to {np.abs(q_dot).max():.3g}")
         strain = self.arm.strain
         out.elastic_force[:] = (strain.stiffness if isinstance(strain, Explicit) else out.stiffness) @ q
         return out
-
-    @cached_property
-    def _idle(self) -> list[Workspace]:
-        """Workspaces that wait for the next evaluation: making one takes longer than to fill it."""
-        return []
 
     def __reduce__(self) -> tuple[type[Model], tuple[Scene, Grid, Arm]]:
         return Model, (self.scene, self.grid, self.arm)
@@ -295,10 +276,10 @@ def model_on(scene: Scene, intervals: int) -> Model:
     return Model(scene, grid, make_arm(scene, grid))
 
 
-def least_eigenvalue(matrix: Array) -> float:
-    """The least eigenvalue of a matrix scaled to a unit diagonal."""
+def is_singular(matrix: Array) -> bool:
+    """Whether the least eigenvalue of a matrix, scaled to a unit diagonal, is 0 to round-off."""
     scale = np.sqrt(np.diag(matrix))
-    return float(np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0]) if scale.min() > 0.0 else 0.0
+    return not (scale.min() > 0.0 and np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] > 1e-14)
 
 
 def _poses(rows: Array) -> Array:

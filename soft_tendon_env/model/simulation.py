@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from typing import NamedTuple
 
@@ -9,22 +10,26 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.mechanics.motion import advance, status
-from soft_tendon_env.mechanics.motion.advance import Control, Record
+from soft_tendon_env.mechanics.motion.advance import Control, Record, Scheme
+from soft_tendon_env.mechanics.motion.batch import make_batch, step_rows
 from soft_tendon_env.mechanics.motion.period_map import linearised_rollout, make_plan
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
+from soft_tendon_env.mechanics.motion.tape import make_tape
 from soft_tendon_env.mechanics.terms.external_forces import rest_states
-from soft_tendon_env.model.derivatives import Linearization, linearized
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.state import SHORTEST, State, checked_motion, state_of
 from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.model.step_control import Command, cause_of, command_table, linear_rate, step_control, step_method
-from soft_tendon_env.model.strain_limits import nearest_limit
+from soft_tendon_env.model.step_control import Command, cause_of, command_table, linear_rate, step_control, step_count, step_method
+from soft_tendon_env.model.strain_limits import StrainLimitError, nearest_limit
 from soft_tendon_env.model.tension_limits import warn_beyond_limits
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type, shown_numbers
 from soft_tendon_env.tools.types import Array
 
+Given = ArrayLike | None
 STEPS_LOGGED = 4096  # of a period that is linearised
-MOST_STEPS = 2 * 10**6  # of one call, whose commands and samples are kept
+SHARE, TOUCHING = 1e-4, 1e-2  # steps as shares of units; their factor among obstacles
+RATE, LEAST_STATE = 3.0, 1e-3  # unit of a rate, in those of its coordinate; least unit of a state
+STRAIN, SPARE, JUMP = 1e-12, 2.0, 1e3  # tolerance of the strain's Newton; factor of that of steps; ratio of sides of which one jumps
 
 
 class SimulationDiverged(RuntimeError):
@@ -35,8 +40,8 @@ class SimulationDiverged(RuntimeError):
         self.state, self.cause, self.command, self.unit = state, cause, command, unit
 
     def __str__(self) -> str:
-        held = f"{'tensions' if self.unit == 'N' else 'commands'} {shown_numbers(self.command)} {self.unit}"
-        return f"no step succeeds at {self.state.time:.6g} s under {held}: {self.cause}"
+        kind = "tensions" if self.unit == "N" else "commands"
+        return f"no step succeeds at {self.state.time:.6g} s under {kind} {shown_numbers(self.command)} {self.unit}: {self.cause}"
 
 
 class NoEquilibriumError(ValueError):
@@ -66,17 +71,12 @@ class Trajectory(NamedTuple):
     error: float  # [m], as in StepReport
     evaluations: int
 
-    @property
-    def tension(self) -> Array:
-        """The commands, where they are tensions [N]."""
-        return self.command
-
 
 class Rollout(NamedTuple):
     """Simulated motion over N periods and its linearisation: n coordinates, n_a tendons, m internal states of effects, k forces.
 
     The derivatives are those of a linearly implicit method with the matrices of the period's beginning, see
-    docs/appendix/derivatives_measured.md: 2 to 15 percent of the largest entry off on most arms, all of it at an impact.
+    docs/explanation/derivatives.md: 2 to 15 percent of the largest entry off on most arms, all of it at an impact.
     """
 
     q: Array  # (N + 1, n) where every period begins, and where the last one ends, as the next four
@@ -89,12 +89,24 @@ class Rollout(NamedTuple):
     by_force: Array  # (N, 2 n, k) by generalised forces added throughout it
 
 
+class Linearization(NamedTuple):
+    """The end of a period and its derivatives, with s = 2 n + m numbers of a state: n coordinates, their rates, m internal states.
+
+    Columns are by the numbers of the state before, then by the n_a commands; angular components before linear ones.
+    """
+
+    next: State
+    state: Array  # (s, s) of the next state by the state
+    command: Array  # (s, n_a) of the next state by the command
+    tip: Array  # (6, s + n_a) body twist of the next tip pose [rad, m]
+
+
 class Simulation:
     """Simulation of a model, one control step at a time. Commands are held over a step (zero-order hold); arguments are checked."""
 
     def __init__(self, model: Model, state: State | None = None) -> None:
         self.model = checked_type("model", model, Model, "see build_model")
-        self._method = step_method(model)
+        self._method, self._unit = step_method(model), model.command_unit
         self._limits = model.scene.effects.command_limits(model.discretisation.tension_limits).tolist()
         self._scratch = make_scratch(model.arm, self._method.columns, STEPS_LOGGED)
         self.reset()
@@ -104,32 +116,25 @@ class Simulation:
     def __repr__(self) -> str:
         return f"Simulation({self.model!r} at {self._motion.clock[0]:g} s)"
 
-    def reset(
-        self,
-        q: ArrayLike | None = None,
-        q_dot: ArrayLike | None = None,
-        *,
-        time: float = 0.0,
-        effects: ArrayLike | None = None,
-        tension: ArrayLike | None = None,
-    ) -> State:
+    def reset(self, q: Given = None, q_dot: Given = None, *, time: float = 0.0, effects: Given = None, tension: Given = None) -> State:
         """Resets to q, q_dot (n,), by default zero, at a time [s]; returns the state. Raises ValueError, TypeError, StrainLimitError.
 
         effects (m,): the effects' internal states, see State; by default those of an arm that tensions (n_a,) [N], by default zero, have
         held at q since long before.
         """
         still, clock = np.zeros(self.model.coordinate_count), np.array([checked_number("time", time, -np.inf, "a finite number")])
-        start, rate = (checked_array(name, still if own is None else own, still.shape) for name, own in (("q", q), ("q_dot", q_dot)))
-        held = self.model.command(np.zeros(self.model.tendon_count) if tension is None else tension, start)
+        start = checked_array("q", still if q is None else q, still.shape)
+        rate = checked_array("q_dot", still if q_dot is None else q_dot, still.shape)
+        command = self.model.command(np.zeros(self.model.tendon_count) if tension is None else tension, start)
         strain, work = self.model.packed_strain(start), self._scratch.work
         if effects is None and work.state.size:
             work.xi[:] = strain
-            rest_states(self.model.arm, held, work)
-        states = work.state.copy() if effects is None else checked_array("effects", effects, work.state.shape).copy()
+            rest_states(self.model.arm, command, work)
+        states = work.state.copy() if effects is None else checked_array("effects", effects, work.state.shape)
         self._take(Motion(start, rate, strain, states, clock), self.model.scene.integrator.step)
         return self.state
 
-    def reset_at_rest(self, tension: ArrayLike | None = None, *, time: float = 0.0) -> State:
+    def reset_at_rest(self, tension: Given = None, *, time: float = 0.0) -> State:
         """Resets to the static equilibrium under tensions (n_a,) [N], by default zero, and the loads at time 0; returns the state.
 
         time: what the state's time is set to [s]. Where the branch of stable equilibria ends the arm is let go to where it settles.
@@ -167,18 +172,16 @@ class Simulation:
         duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
         if duration == 0.0:
             return StepReport(0, 0, 0.0, 0)
-        warn_beyond_limits(self._limits, u, self.model.command_unit)
+        warn_beyond_limits(self._limits, u, self._unit)
         control = step_control(self.model, duration)
-        _check_length(duration, control)
-        return self._run(np.tile(u, (round(duration / control.step), 1)), control, self._sample)
+        return self._run(u[None].repeat(step_count(duration, control), axis=0), control, self._sample)
 
     def linearize(self, command: ArrayLike, duration: float) -> Linearization:
         """Linearisation of `step` over `duration` [s] under a constant command (n_a,), which leaves the simulation where it is.
 
-        Central differences with the integrator's steps held: a coordinate is moved by 1e-4 of its unit, `Model.coordinate_scale`, a rate
-        by three times that a second, a command by 1e-4 of its limit, an internal state by 1e-4 of itself; among obstacles by a hundredth of
-        these. The error is below 1e-6 of the largest entry of a block where the motion is smooth. At a kink both sides are mixed; where one
-        side jumps or fails, the other one counts. Raises what `step` raises, LinAlgError where both sides fail.
+        Central differences with the integrator's steps held, by 1e-4 of units, `Model.coordinate_scale`, limits of commands and internal
+        states, among obstacles by a hundredth of that. The error is below 1e-6 of the largest entry of a block where the motion is smooth.
+        At a kink both sides are mixed; where one jumps or fails, the other one counts. Raises as `step`, LinAlgError where both sides fail.
         """
         start, step = self._motion.copy(), self._step
         try:
@@ -186,11 +189,11 @@ class Simulation:
                 raise ValueError(f"duration should be of at most {STEPS_LOGGED} integrator steps, not {steps}")
             inputs = np.concatenate([start.q, start.q_dot, start.state, np.asarray(command, dtype=np.float64)])
             taken = self._scratch.taken[:steps].copy() if steps else np.array([[0.0, self._method.columns]])
-            return linearized(self.model, start, inputs, taken, self.state)
+            return period_derivatives(self.model, start, inputs, taken, self.state)
         finally:
             self._take(start.copy(), step)
 
-    def rollout(self, commands: ArrayLike, duration: ArrayLike, *, forces: ArrayLike | None = None, steps: int | None = None) -> Rollout:
+    def rollout(self, commands: ArrayLike, duration: ArrayLike, *, forces: Given = None, steps: int | None = None) -> Rollout:
         """Simulated motion over N periods from the present state, with its linearisation; leaves the simulation where it was.
 
         commands (N, n_a), each held for `duration` [s], or (N, p, n_a) of p parts of a period with durations (p,) [s]. forces (n, k):
@@ -205,13 +208,13 @@ class Simulation:
         checked_number("duration", float(parts.sum()), SHORTEST, "a positive number of seconds")
         plan = make_plan(self.model.arm, checked_count("commands", len(played), 1), parts.size, others)
         plan.command[:], plan.duration[:] = played.reshape(plan.command.shape), parts
-        warn_beyond_limits(self._limits, plan.command, self.model.command_unit)
+        warn_beyond_limits(self._limits, plan.command, self._unit)
         period, motion = float(plan.duration.sum()), self._motion.copy()
         steps = math.ceil(period * linear_rate(self.model)) if steps is None else checked_count("steps", steps, 1)
         control = step_control(self.model, period)
-        code, row = linearised_rollout(self.model.arm, advance.Scheme(self._method, control), motion, steps, self._scratch, plan)
+        code, row = linearised_rollout(self.model.arm, Scheme(self._method, control), motion, steps, self._scratch, plan)
         if code != status.OK:
-            raise self._diverged(code, motion, plan.command[min(row, len(plan.command) - 1), 0], control)
+            raise self._divergence(code, motion, plan.command[min(row, len(plan.command) - 1), 0], control)
         if not np.isfinite(plan.jacobian).all():
             raise np.linalg.LinAlgError("there is no linearisation of this motion: the matrix of an implicit step is singular")
         by = np.split(plan.jacobian, [2 * n, 2 * n + n_a], axis=2)
@@ -225,18 +228,18 @@ class Simulation:
     def _run(self, commands: Array, control: Control, record: Record) -> StepReport:
         """Advance by control.step under each row of commands (rows, n_a), with the record's samples evenly among them; unchecked."""
         arm, motion, durations = self.model.arm, self._motion, np.full(len(commands), control.step)
-        done = advance.advance(arm, advance.Scheme(self._method, control), commands, durations, motion, self._step, self._scratch, record)
+        done = advance.advance(arm, Scheme(self._method, control), commands, durations, motion, self._step, self._scratch, record)
         self._step = done.step
         if done.status == status.OK:
             return StepReport(done.steps, done.rejected, done.error, done.evaluations)
         self._take(self._motion, done.step)
-        raise self._diverged(done.status, self._motion, commands[done.row], control)
+        raise self._divergence(done.status, self._motion, commands[done.row], control)
 
-    def _diverged(self, code: int, motion: Motion, command: Array, control: Control) -> SimulationDiverged:
+    def _divergence(self, code: int, motion: Motion, command: Array, control: Control) -> SimulationDiverged:
         cause = cause_of(code, self.model, control)
         if code == status.NO_STRAIN:
             cause += f"; in the last good state {nearest_limit(self.model.arm, self.model.grid, motion.q, motion.xi)}"
-        return SimulationDiverged(state_of(self.model, motion, self._step), cause, command, self.model.command_unit)
+        return SimulationDiverged(state_of(self.model, motion, self._step), cause, command, self._unit)
 
 
 def simulate(model: Model, command: Command, duration: float, sample_period: float, initial: State | None = None) -> Trajectory:
@@ -253,14 +256,14 @@ def simulate(model: Model, command: Command, duration: float, sample_period: flo
     period = checked_number("sample_period", sample_period, SHORTEST, "a positive number of seconds")
     duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
     control = step_control(model, period)
-    _check_length(duration, control)
+    step_count(duration, control)
     samples = round(duration / period)
     if abs(samples * period - duration) > 1e-9 * max(duration, period):
         raise ValueError(f"duration should be a multiple of sample_period {period:g} s, not {duration:g} s")
     commands = command_table(model, command, simulation.state.time, samples, round(period / control.step), control.step)
     warn_beyond_limits(simulation._limits, commands, model.command_unit)
     start = simulation.reset_at_rest() if initial is None else simulation.state
-    record = Record(*(np.repeat(own[None], samples + 1, axis=0) for own in (start.q, start.q_dot, simulation.tip_pose)))
+    record = Record(*(value[None].repeat(samples + 1, axis=0) for value in (start.q, start.q_dot, simulation.tip_pose)))
     report = StepReport(0, 0, 0.0, 0)
     if samples:
         report = simulation._run(commands.reshape(-1, model.tendon_count), control, Record(*(values[1:] for values in record)))
@@ -269,7 +272,48 @@ def simulate(model: Model, command: Command, duration: float, sample_period: flo
     return Trajectory(times, *record, commands, simulation.state, steps, rejected, error, evaluations)
 
 
-def _check_length(duration: float, control: Control) -> None:
-    """Raises ValueError where one call would have to keep too many samples and commands."""
-    if duration > (most := MOST_STEPS * control.step):
-        raise ValueError(f"duration should be at most {most:g} s in one call, not {duration:g} s: go on from the last state")
+def ends(model: Model, start: Motion, taken: Array, inputs: Array) -> tuple[Array, Array]:
+    """States (copies, s) and tip poses (copies, 4, 4) after a period, inf where it fails. Raises LinAlgError.
+
+    inputs (copies, s + n_a): numbers of the state where it begins, and commands; taken (steps, 2): length [s] and columns of every step,
+    the same for all copies, since an order that follows their errors would jump.
+    """
+    arm, n, count = model.arm, model.coordinate_count, len(inputs)
+    batch = make_batch(arm, model.grid.places(np.zeros(0), np.zeros(0)), start, 0.0, count)
+    rows, failed = batch.rows, np.zeros(count, dtype=bool)
+    rows.q[:], rows.q_dot[:], rows.state[:], commands = np.split(inputs, [n, 2 * n, 2 * n + start.state.size], axis=1)
+    for row, q in enumerate(rows.q if rows.state.size else ()):  # a memory remembers the strain before a step
+        with contextlib.suppress(StrainLimitError):
+            rows.xi[row] = model.packed_strain(q)
+    method, control = step_method(model)._replace(strain_tolerance=STRAIN), step_control(model, taken[:, 0].sum() or 1.0)
+    control = control._replace(adaptive=False, tolerance=SPARE * control.tolerance)
+    scratch, tape = make_scratch(arm, method.columns), make_tape(arm, 0, 0)
+    for begins, (length, columns) in zip([True, *[False] * len(taken)], taken, strict=False):
+        scheme = Scheme(method._replace(columns=int(columns), least=int(columns)), control, begins)
+        step_rows(batch, scheme, np.flatnonzero(~failed), commands[:, None].copy(), np.full((count, 1), length), scratch, tape)
+        failed |= batch.outcome.status != status.OK
+    if failed[0]:
+        raise np.linalg.LinAlgError(f"the motion has no derivative: {status.MESSAGES[batch.outcome.status[0]]}")
+    states, poses = np.hstack([rows.q, rows.q_dot, rows.state]), batch.reading.tip_pose
+    states[failed], poses[failed] = np.inf, np.inf
+    return states, poses
+
+
+@np.errstate(invalid="ignore")
+def period_derivatives(model: Model, start: Motion, inputs: Array, taken: Array, following: State) -> Linearization:
+    """Linearization of a period that leads from inputs to a state by the steps taken, see `ends`. Raises LinAlgError."""
+    scale, effects = model.coordinate_scale(), model.scene.effects
+    largest = np.abs(effects.command_limits(model.discretisation.tension_limits)).max(axis=1)
+    step = SHARE * np.concatenate([scale, RATE * scale, np.maximum(np.abs(start.state), LEAST_STATE), largest])
+    step *= TOUCHING if any(effect.is_contact for effect in effects.chosen().values()) else 1.0
+    values, slopes = ends(model, start, taken, np.vstack([inputs, inputs + np.diag(step), inputs - np.diag(step)])), []
+    for value in values:
+        right, left = value[1 : step.size + 1] - value[0], value[0] - value[step.size + 1 :]
+        jumps = [(abs(a) > JUMP * abs(b)) & ((b != 0.0) | np.isinf(a)) for a, b in ((right, left), (left, right))]  # not from rest: a kink
+        slopes.append(np.moveaxis(np.select(jumps, [left, right], 0.5 * (left + right)), 0, -1) / step)
+    by, pose_slopes = slopes
+    if not np.isfinite(by).all():
+        raise np.linalg.LinAlgError("the motion has no derivative: on either side of it a step fails")
+    moved = np.einsum("ji,jkm->ikm", values[1][0][:3, :3], pose_slopes[:3])  # in the tip frame
+    tip = np.stack([moved[2, 1], moved[0, 2], moved[1, 0], *moved[:, 3]])
+    return Linearization(following, by[:, : len(by)], by[:, len(by) :], tip)

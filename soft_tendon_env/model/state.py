@@ -15,8 +15,7 @@ from soft_tendon_env.tools.checks import checked_array, checked_number, checked_
 from soft_tendon_env.tools.files import read_arrays
 from soft_tendon_env.tools.types import Array
 
-SAME_STRAIN = 1e-6  # relative difference up to which a state's strain counts as that of its coordinates
-SHORTEST = 1e-12  # [s], what may count as a time step
+SAME_STRAIN, SHORTEST = 1e-6, 1e-12  # relative difference of strains that counts as none; [s], what may count as a time step
 STATE = "state that State.save wrote"
 
 
@@ -38,7 +37,7 @@ class State:
     def save(self, path: str | Path) -> None:
         """Saves the state to an .npz file."""
         with open(path, "wb") as file:
-            np.savez(file, **{own.name: getattr(self, own.name) for own in reversed(fields(self))})
+            np.savez(file, **{entry.name: getattr(self, entry.name) for entry in reversed(fields(self))})
 
     @classmethod
     def load(cls, path: str | Path) -> State:
@@ -57,8 +56,8 @@ def checked_motion(model: Model, state: State) -> tuple[Motion, float]:
     q, q_dot = (checked_array(f"state.{name}", getattr(state, name), (model.coordinate_count,)) for name in ("q", "q_dot"))
     strain = checked_array("state.strain", state.strain, (2 * int(model.grid.real.sum()), 6))
     if tuple(state.names) != model.state_names:
-        own, given = (" + ".join(names) or "no effects with states" for names in (model.state_names, state.names))
-        raise ValueError(f"state.names should be those of the model's states, {own}; this state is of {given}")
+        wanted, given = (" + ".join(names) or "no effects with states" for names in (model.state_names, state.names))
+        raise ValueError(f"state.names should be those of the model's states, {wanted}; this state is of {given}")
     effects = checked_array("state.effects", state.effects, model.arm.effects.state.shape)
     clock = np.array([checked_number("state.time", state.time, -np.inf, "a finite number")])
     motion = Motion(q, q_dot, model.grid.packed(strain), effects, clock)

@@ -1,12 +1,8 @@
-"""Static equilibria: solve B u - K + F = 0 of (23) for the coordinates q at given tensions u, for every strain parametrisation.
-
-Of many equilibria the one found is where a slowly loaded arm goes, see load_continuation.
-"""
+"""Static equilibria B u - K + F = 0 of (23): of many the one where a slowly loaded arm goes, see load_continuation."""
 
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,8 +19,7 @@ from soft_tendon_env.model.tension_limits import erring_actuators, warn_beyond_l
 from soft_tendon_env.tools.checks import checked_array, checked_type
 from soft_tendon_env.tools.types import Array
 
-MOST_COMMANDED = 50
-SAME_TENSION = 1e-11  # relative difference of two tensions, or of the rod's length as a spring of a tendon is longer, that counts as none
+MOST_COMMANDED, SAME_TENSION = 50, 1e-11  # iterations under a command; relative difference of tensions that counts as none
 CONTRACTION = 0.5  # from a correction to the next, above which Newton's method with the stiffness of another equilibrium is given up
 SEEN = 1e-4  # share of the rod's length: how far redundant tendons may leave the tip off without a warning
 
@@ -34,22 +29,20 @@ class RedundancyWarning(UserWarning):
 
 
 class Equilibrium(NamedTuple):
-    """A static equilibrium, n coordinates.
+    """A static equilibrium, n coordinates; if not `converged`, the last one on the path from the unloaded arm to the full load.
 
-    Where `converged` is false, q is the last equilibrium on the path from the unloaded arm to the full load, and `reason` says why the
-    path goes no further. `residual` is the angle [rad] by which the unbalanced force would bend a rod as stiff as this one:
-    sqrt(f^T G^-1 f / (E_1 + q^T G q)), with E_1 from a rod bent by one radian. `stable`: the energy has a minimum, maybe a flat one, or,
-    for loads without a potential, motions M q_ddot + D q_dot + S q = 0 do not grow. `tip_error`: redundant tendons share coordinates, and
-    what the tensions do besides is left out of the strain: the distance from tip_pose to the tip with all of them in the strain.
+    `residual` is the angle by which the unbalanced force would bend a rod as stiff as this one: sqrt(f^T G^-1 f / (E_1 + q^T G q)), with
+    E_1 from a rod bent by one radian. `tip_error` is what redundant tendons, which share coordinates, do besides: the distance from
+    tip_pose to the tip with all of their tensions in the strain.
     """
 
     q: Array  # (n,)
     tip_pose: Array  # (4, 4)
     converged: bool
-    residual: float
-    reason: str  # empty when converged
+    residual: float  # [rad]
+    reason: str  # why the path goes no further; empty when converged
     iterations: int  # linearisations of the balance on the way
-    stable: bool
+    stable: bool  # the energy has a minimum, maybe a flat one; for loads without a potential M q_ddot + D q_dot + S q = 0 does not grow
     load: float  # the part of the load, tensions and effects, that q balances: 1 when converged
     tip_error: float  # [m], 0 where tendons are not redundant, infinite where no strain balances all of their tensions
 
@@ -61,12 +54,10 @@ def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None
     to its end; loads inside of the strain are there from its beginning. Where it ends before the full load (at a limit point, a
     bifurcation, at flutter, at the strain limit) the result is not `converged`, and tells the load reached and the reason.
 
-    guess: coordinates (n,) to start Newton's method from at the full load: the equilibrium next to them is found, stable or not. Where
-        there is none the branch is followed.
+    guess: coordinates (n,) to start Newton's method from at the full load: the equilibrium next to them, stable or not, if there is one.
     settle: where the branch ends let the arm go, with damping and without inertia, to where it comes to rest, and load it further.
 
-    Beyond `tension_limits` tensions are taken as they are, with a TensionLimitWarning. Raises ValueError or TypeError for arrays of wrong
-    shape or type, or with NaN or infinity.
+    Beyond `tension_limits` tensions are taken as they are, with a TensionLimitWarning. Raises ValueError or TypeError for bad arrays.
     """
     checked_type("model", model, Model, "see build_model")
     u = checked_array("tension", tension, (model.tendon_count,))
@@ -82,10 +73,10 @@ def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None
             # q = [u; 0] is at rest, and stable: S = G there, positive definite wherever the strain exists, unless it lacks a potential
             at = balance.at(model.rest_coordinates(u), 1.0)
             if at is not None and at.residual <= RESIDUAL:
-                here = None if model.arm.strain.has_potential else balance.linearised(at.q, 1.0)
-                return _found(balance, at, here is None or balance.stability(here).stable, "")
-        end = path.rest(MOST_SETTLINGS if settle else 0)
-        return _found(balance, end.point.at, end.point.stability.stable, end.reason)
+                here = None if model.arm.strain.has_potential else balance.linearise(at.q, 1.0)
+                return _found(balance, at, here is None or here.stability.stable, "")
+        end, reason = path.rest(MOST_SETTLINGS if settle else 0)
+        return _found(balance, end.at, end.stability.stable, reason)
 
 
 def rests_at_tensions(model: Model) -> bool:
@@ -94,7 +85,7 @@ def rests_at_tensions(model: Model) -> bool:
 
 
 def _found(balance: Balance, at: At, stable: bool, reason: str) -> Equilibrium:
-    loaded, tip = balance.at(at.q, 1.0) if reason else at, balance.model.tip_pose(at.q)
+    tip, loaded = balance.model.tip_pose(at.q), balance.at(at.q, 1.0) if reason else at
     residual, error = np.inf if loaded is None else loaded.residual, _tip_error(balance, at, tip)
     return Equilibrium(at.q, tip, not reason, residual, reason, balance.linearisations, stable, at.part, error)
 
@@ -111,7 +102,8 @@ def _tip_error(balance: Balance, at: At, tip: Array) -> float:
     q = rest if rests_at_tensions(model) else at.q
     try:
         every = np.concatenate([strain.law.tensions(q) + left_out, q[strain.law.active :]])
-        error = float(np.linalg.norm((replace(model, arm=with_every_tension(model.arm)).tip_pose(every) - tip)[:3, 3]))
+        whole = Model(model.scene, model.grid, with_every_tension(model.arm)).tip_pose(every)
+        error = float(np.linalg.norm((whole - tip)[:3, 3]))
     except StrainLimitError:
         error = np.inf
     if error > SEEN * model.length:
@@ -121,11 +113,9 @@ def _tip_error(balance: Balance, at: At, tip: Array) -> float:
 
 
 def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium, Array]:
-    """Static equilibrium under a command (n_a,), and the tensions (n_a,) [N] that hold it: with elastic tendons the command are their
-    actuators' displacements [m], of which tensions depend on the shape, otherwise the tensions themselves.
+    """Static equilibrium under a command (n_a,), see `Model.command_unit`, and the tensions (n_a,) [N] that hold it.
 
-    Newton's method on the tensions, every linear step of it within what tendons and actuators can hold. Where it finds none, `converged`
-    is false. Raises as `static_equilibrium`.
+    Newton's method on the tensions, within what elastic tendons and actuators can hold. Raises as `static_equilibrium`.
     """
     checked_type("model", model, Model, "see build_model")
     given, path, n_a = checked_array("command", command, (model.tendon_count,)), model.arm.effects.transmission, model.tendon_count
@@ -133,21 +123,20 @@ def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium
         return static_equilibrium(model, given), given
     limits = model.scene.effects.command_limits(model.discretisation.tension_limits)
     warn_beyond_limits(limits.tolist(), given, model.command_unit)
-    u, found, scratch = np.zeros(n_a), None, (np.zeros(n_a), np.zeros((n_a, n_a + 1)))
+    u, guess, scratch = np.zeros(n_a), None, (np.zeros(n_a), np.zeros((n_a, n_a + 1)))
     for iteration in range(MOST_COMMANDED):
         with erring_actuators():  # a word of the command is enough
-            found = static_equilibrium(model, u, None if found is None else found.q)
+            found = static_equilibrium(model, u, guess)
         shortening = path.length - model.tendon_lengths(found.q)
         wanted = np.clip(path.stiffness * (given - shortening), 0.0, path.strength)
         same = SAME_TENSION * (np.abs(wanted).max() + np.abs(u).max() + model.length * path.stiffness)
         if not found.converged or (np.abs(wanted - u) <= same).all():
             return found._replace(iterations=found.iterations + iteration), u
-        near = ChordSolver(model, found.q, u)
+        near, guess = ChordSolver(model, found.q, u), found.q
         compliance = np.diag(1.0 / path.stiffness) + near.terms.actuation.T @ near.answer
         missing = given - shortening - u / path.stiffness
         u = u.copy()
         solve_bounded(compliance, missing + compliance @ u, np.zeros(n_a), path.strength, u, *scratch)
-    assert found is not None
     return found._replace(converged=False, reason="tensions and displacements do not come to agree"), u
 
 
@@ -165,33 +154,24 @@ class ChordSolver:
         else:
             with model.workspace() as work:
                 balance = Balance(model, tension, work)
-                here = balance.linearised(q, 1.0)
+                here = balance.linearise(q, 1.0)
             if here is None:
                 raise StrainLimitError(balance.obstacle)
             self._compliance = here.compliance
         self.answer: Array = self._compliance @ self.terms.actuation
-
-    @property
-    def tip_jacobian(self) -> Array:
-        """Static Jacobian of the tip pose (6, n_a): its body twist (angular, linear) by tensions."""
-        return np.asarray(self.terms.tip_jacobian @ self.answer)
 
     def at(self, tension: Array) -> tuple[Array, Array] | None:
         """Coordinates (n,) and tip pose (4, 4) of the equilibrium under other tensions (n_a,); None where there is none."""
         q = self.model.rest_coordinates(tension) if self._known else self.q + self.answer @ (tension - self.tension)
         with self.model.workspace() as work:
             balance, size = Balance(self.model, tension, work), np.inf
-            while (at := balance.at(q, 1.0)) is not None and at.residual > RESIDUAL:
+            while (at := balance.at(q, 1.0)) is not None:
+                if at.residual <= RESIDUAL:
+                    return q, self.model.tip_pose(q)
                 change = self._compliance @ at.force
                 last, size = size, balance.angle(change)
                 if not size < CONTRACTION * last:
-                    at = None
                     break
                 q = q + change
-        if at is None:
-            found = static_equilibrium(self.model, tension, self.q)
-            return (found.q, found.tip_pose) if found.converged else None
-        try:
-            return q, self.model.tip_pose(q)
-        except StrainLimitError:
-            return None
+        found = static_equilibrium(self.model, tension, self.q)
+        return (found.q, found.tip_pose) if found.converged else None

@@ -16,11 +16,12 @@ from soft_tendon_env.scene.scene import extrapolation_columns
 from soft_tendon_env.tools.checks import checked_array
 from soft_tendon_env.tools.types import Array
 
+MOST_STEPS = 2 * 10**6  # of one call, whose commands and samples are kept
 UNSTABLE = 0.05  # estimated error, as displacement over the rod's length, that a step of fixed size may have
 STRAIN_SHARE, LOOSEST_STRAIN = 2.0, 3e-6  # tolerance of the strain's Newton, as a share of the step's over the rod's length, and the most
 BESIDE_MIDDLE, UNRESOLVED = 0.5 / np.sqrt(3.0), 0.05
-"""Place in a step from its middle where a command that is a function of time is looked at besides, a Gauss point, which no period that fits
-into steps hits; and the share of its range that it may change there otherwise than from step to step."""
+"""Place in a step from its middle, a Gauss point that no period in steps hits, where a function of time is looked at besides; share of its
+range that it may change there otherwise than from step to step."""
 RESOLVED = 0.3  # [rad], phase of the slowest vibration that one step of a linearised motion may cover
 Command = ArrayLike | Callable[[float], ArrayLike]
 
@@ -36,13 +37,13 @@ def cause_of(code: int, model: Model, control: Control) -> str:
 def step_method(model: Model) -> Extrapolated:
     """Integration method of the scene, as the kernels take it."""
     integrator, columns = model.scene.integrator, extrapolation_columns(model.scene)
-    least, strain = columns, STEP_TOLERANCE
+    least, strain, has_inertia = columns, STEP_TOLERANCE, not integrator.quasi_static
     if integrator.tolerance is not None:
         least, strain = 2, min(max(STRAIN_SHARE * integrator.tolerance / model.length, STEP_TOLERANCE), LOOSEST_STRAIN)
-    freeze_jacobian = least < columns and not integrator.quasi_static  # without inertia D is in the place of M
-    return Extrapolated(columns, least, not integrator.quasi_static, freeze_jacobian, strain)
+    return Extrapolated(columns, least, has_inertia, least < columns and has_inertia, strain)  # without inertia D is in the place of M
 
 
+@lru_cache(maxsize=8)
 def step_control(model: Model, duration: float) -> Control:
     """Step control of the scene over `duration` [s]: equal steps of at most the scene's, tolerance, smallest step."""
     integrator = model.scene.integrator
@@ -52,17 +53,19 @@ def step_control(model: Model, duration: float) -> Control:
     return Control(step, tolerance, adaptive, smallest=step * 0.5**integrator.max_halvings, horizon=horizon)
 
 
+def step_count(duration: float, control: Control) -> int:
+    """Number of integrator steps of a duration [s]. Raises ValueError where one call would have to keep too many samples and commands."""
+    if duration > (most := MOST_STEPS * control.step):
+        raise ValueError(f"duration should be at most {most:g} s in one call, not {duration:g} s: go on from the last state")
+    return round(duration / control.step)
+
+
 @lru_cache(maxsize=8)
-def slowest_vibration(model: Model) -> float:
-    """Angular frequency [rad/s] of the slowest vibration of the bare arm about its stress-free shape."""
+def linear_rate(model: Model) -> float:
+    """Steps per second in which a linearised motion resolves the slowest vibration of the bare arm, RESOLVED of its phase in each."""
     still = np.zeros(model.coordinate_count)
     terms = model.terms(still, still)
-    return float(np.sqrt(np.linalg.eigvals(np.linalg.solve(terms.mass, terms.stiffness)).real.min()))
-
-
-def linear_rate(model: Model) -> float:
-    """Steps per second [1/s] in which a linearised motion resolves the slowest vibration."""
-    return slowest_vibration(model) / RESOLVED
+    return float(np.sqrt(np.linalg.eigvals(np.linalg.solve(terms.mass, terms.stiffness)).real.min())) / RESOLVED
 
 
 class CommandWarning(UserWarning):
@@ -78,16 +81,16 @@ def command_table(model: Model, command: Command, start: float, samples: int, pe
             return np.tile(checked_array("command", command, shape[2:]), (samples, per_sample, 1))
         return np.repeat(checked_array("command", command, (samples, model.tendon_count))[:, None], per_sample, axis=1)
     middles: Array = start + step * (np.arange(samples * per_sample, dtype=np.float64) + 0.5)
-    held = _sampled(command, middles, model.tendon_count)
-    if len(held) > 1:
-        inside = _sampled(command, middles + BESIDE_MIDDLE * step, model.tendon_count) - held
-        missed = np.minimum(np.abs(inside), np.abs(inside - BESIDE_MIDDLE * np.gradient(held, axis=0))).max(axis=1)
-        if missed.max() > UNRESOLVED * np.ptp(held, axis=0).max():
+    table = _sample(command, middles, model.tendon_count)
+    if len(table) > 1:
+        inside = _sample(command, middles + BESIDE_MIDDLE * step, model.tendon_count) - table
+        missed = np.minimum(np.abs(inside), np.abs(inside - BESIDE_MIDDLE * np.gradient(table, axis=0))).max(axis=1)
+        if missed.max() > UNRESOLVED * np.ptp(table, axis=0).max():
             text = f"command(t) changes within integrator steps of {step:g} s, over which it is held, at {middles[np.argmax(missed)]:.6g} s"
             warnings.warn(f"{text}: use a shorter integrator.step; jumps belong to borders of steps", CommandWarning, stacklevel=3)
-    return held.reshape(shape)
+    return table.reshape(shape)
 
 
-def _sampled(command: Callable[[float], ArrayLike], times: Array, size: int) -> Array:
+def _sample(command: Callable[[float], ArrayLike], times: Array, size: int) -> Array:
     """The function at all times (m,): (m, size). An error names the time."""
     return np.array([checked_array(f"command({time:.6g})", command(time), (size,)) for time in times]).reshape(-1, size)

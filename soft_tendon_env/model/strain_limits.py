@@ -6,21 +6,15 @@ from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded
 from soft_tendon_env.model.grid import Grid
 from soft_tendon_env.tools.types import Array
 
-NO_CHORD = 1e-30  # of |t_c|, not to divide by zero
-
 
 class StrainLimitError(ArithmeticError):
     """Raised where no strain balances the tensions: a tendon pulls its chord to nothing, or pushes the section past its shear stiffness."""
 
 
-def limit_at(arm: Arm, grid: Grid, block: int, q: Array, xi: Array, reached: float) -> str:
-    """Message about what ended a search for the strain at a block, see mechanics."""
-    buckles = "the arm buckles under the loads inside of its strain (strain.include_loads)"
-    return buckles if block == 2 * grid.packs else nearest_limit(arm, grid, q, xi, reached)
-
-
-def nearest_limit(arm: Arm, grid: Grid, q: Array, xi: Array, reached: float = 1.0) -> str:
-    """Message that names the tendon and place nearest to the limit of what the section can balance; xi: where a part of q was reached."""
+def nearest_limit(arm: Arm, grid: Grid, q: Array, xi: Array, reached: float = 1.0, block: int = -1) -> str:
+    """Message that names what is nearest to the limit where a part of q was reached; block: at which its search ended, see mechanics."""
+    if block == 2 * grid.packs:
+        return "the arm buckles under the loads inside of its strain (strain.include_loads)"
     rod, strain, tendons = arm.rod, arm.strain, arm.tendons
     if isinstance(strain, Explicit):
         return "an explicit strain has no such limit"
@@ -31,7 +25,7 @@ def nearest_limit(arm: Arm, grid: Grid, q: Array, xi: Array, reached: float = 1.
     size = presence * np.linalg.norm(chord, axis=0)
     compliance = np.moveaxis(grid.at_points(rod.root_compliance, 6), -1, 0) ** 2
     give = compliance[0] * (y**2 + z**2) + compliance[1] * z**2 + compliance[2] * y**2 + compliance[3:].sum(axis=0)  # tr C S S^T
-    softening = np.abs(tau)[:, None, None] * (size > 0.0) / np.maximum(size, NO_CHORD) * give
+    softening = np.abs(tau)[:, None, None] * (size > 0.0) / np.maximum(size, 1e-30) * give
     tendon, *point = np.unravel_index(np.argmax(softening), size.shape)
     pull = f"pulls its own chord down to {size[tendon, *point]:.2g} of its length"
     push = "pushes the section as far as its stiffness holds"

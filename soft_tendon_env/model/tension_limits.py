@@ -29,14 +29,13 @@ def erring_actuators() -> Iterator[None]:
 
 def warn_beyond_limits(limits: Sequence[Sequence[float]], asked: Array, unit: str = "N") -> None:
     """Warns where commands (.., n_a) are beyond their limits (n_a, 2), of the first tendon, in words that do not change."""
+    if _erring.get():
+        return
     rows = asked.reshape(-1, len(limits))
-    low, high = (asked.tolist(),) * 2 if asked.ndim == 1 else (rows.min(axis=0, initial=np.inf), rows.max(axis=0, initial=-np.inf))
-    for i, (least, greatest) in enumerate(limits):
-        if (
-            (low[i] < least or high[i] > greatest)
-            and max(least - low[i], high[i] - greatest) > ROUND_OFF * (greatest - least)
-            and not _erring.get()
-        ):
+    low, high = (asked, asked) if asked.ndim == 1 else (rows.min(axis=0, initial=np.inf), rows.max(axis=0, initial=-np.inf))
+    for i, ((least, greatest), lowest, highest) in enumerate(zip(limits, low.tolist(), high.tolist(), strict=True)):
+        slack = ROUND_OFF * (greatest - least)
+        if lowest < least - slack or highest > greatest + slack:
             text = f"tendons[{i}] goes beyond its tension_limits, {least:g} to {greatest:g} {unit}: computed as asked"
             warnings.warn(f"{text}, where actuators and environments stop at the limit", TensionLimitWarning, stacklevel=3)
             return

@@ -2,8 +2,6 @@
 
 from typing import NamedTuple
 
-import numpy as np
-
 from soft_tendon_env.tools.types import Array
 
 
@@ -27,12 +25,6 @@ class Terms(NamedTuple):
     tip_bias: Array  # J_dot q_dot (6,)
     external_stiffness: Array  # -dF/dq (n, n) to first order, of effects that are stiff, as contact is
     external_damping: Array  # -dF/dq_dot (n, n) likewise, of those that damp, as a fluid does
-
-
-def empty_terms(n: int, n_a: int) -> Terms:
-    """Arrays for the terms of n coordinates and n_a tendons."""
-    shapes: tuple[int | tuple[int, ...], ...] = (n, n), n, (n, n), (n, n), (n, n_a), n, n, (4, 4), (6, n), 6, (n, n), (n, n)
-    return Terms(*(np.empty(shape) for shape in shapes))
 
 
 class Energy(NamedTuple):

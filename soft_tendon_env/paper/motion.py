@@ -1,4 +1,4 @@
-"""Motions of an arm under a control law that is continuous in time, small deviations from rest, and the sampled form of (39).
+"""Motions of an arm under a control law that is continuous in time, and the sampled form of (39).
 
 The last is the package's tip tracker in TendonRod-TipPose-v0, on the same circle, at a control period that can be kept.
 """
@@ -9,10 +9,8 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 from scipy.integrate import solve_ivp
-from scipy.optimize import root
 
 import soft_tendon_env as ste
-from soft_tendon_env.control import Controller
 from soft_tendon_env.control.feedforward import ReferenceGovernor, StaticFeedforward
 from soft_tendon_env.control.objectives import TipPose
 from soft_tendon_env.control.tip_tracking import TipTracking
@@ -27,10 +25,7 @@ TOLERANCE = 1e-4
 """Error tolerance of the integrator, relative, and absolute in coordinates and rates."""
 APART = 1e-6
 """Step of finite differences in coordinates and rates, which are of the order of 10."""
-BALANCED = 1e-8
-"""Unbalanced force in an equilibrium, in square roots of joules; tensions of 10 N store about 1 J."""
-SAMPLE_PERIOD = 0.005  # [s]
-PERIOD = 0.02  # [s]
+SAMPLE_PERIOD, PERIOD = 0.005, 0.02  # [s], of motions under continuous laws, and of control
 LIMITS = (-60.0, 60.0)  # [N]
 GAINS = {"settling_time": 0.396, "damping": 5.0, "integral_time": 0.5}  # kp and kd of the paper at vanishing periods, and an integral
 
@@ -64,26 +59,6 @@ class ClosedLoop:
         here = self.rate(t, x)
         return np.stack([(self.rate(t, x + d) - here) / APART for d in APART * np.eye(x.size)], axis=1)
 
-    def equilibrium(self, guess: np.ndarray) -> np.ndarray:
-        """Coordinates (n,) at which the arm rests, near `guess` (n,), the law being as it is at time 0. Raises ArithmeticError."""
-        still = np.zeros(guess.size)
-        equal = np.linalg.inv(np.linalg.cholesky(self.model.terms(guess, still).stiffness)).T  # of equal energy
-
-        def unbalanced(z: np.ndarray) -> np.ndarray:
-            q = guess + equal @ z
-            terms = self.model.terms(q, still)
-            force = terms.actuation @ self.law(0.0, q, still, terms) + terms.external_force - terms.elastic_force
-            return np.asarray(equal.T @ force)
-
-        found = root(unbalanced, still, options={"xtol": 1e-10})
-        if not np.abs(found.fun).max() < BALANCED:
-            raise ArithmeticError(f"no equilibrium near {guess}: the forces stay {np.abs(found.fun).max():.2g} out of balance")
-        return guess + equal @ found.x
-
-    def largest_real_part(self, q: np.ndarray) -> float:
-        """Largest real part [1/s] of the eigenvalues at rest at q (n,), time 0."""
-        return float(np.linalg.eigvals(self.jacobian(0.0, np.concatenate([q, 0.0 * q]))).real.max())
-
 
 def integrate(loop: ClosedLoop, duration: float, label: str) -> Motion:
     """Closed-loop motion from rest without tension, over `duration` [s]."""
@@ -115,19 +90,14 @@ def when(time: float) -> str:
     return "always" if time == 0.0 else "never for good" if np.isinf(time) else f"from {time:.2f} s"
 
 
-def track(scene: str, feedforward: bool, circle: Circle, duration: float) -> Motion:
-    """An episode of `duration` [s], sampled at the ends of the control periods; tensions are those of the period that ends.
-
-    feedforward: whether the controller is told the tensions that would hold the target at rest, as in the catalogue.
-    """
+def track(scene: str, circle: Circle, duration: float) -> Motion:
+    """An episode of `duration` [s], sampled at the ends of the control periods; tensions are those of the period that ends."""
     count = round(duration / PERIOD)
     options: dict[str, Any] = {"scene": scene, "target": circle.model_dump(), "tension_limits": LIMITS, "control_period": PERIOD}
     env = gym.make(IDS["TipPose"], preview=(PERIOD, 2.0 * PERIOD), max_episode_steps=count, **options)
     episodes = episodes_of(env)
     model, limits, aim = episodes.model, episodes.limits, TipPose(0.1 * episodes.model.length)
-    controller: Controller = TipTracking(model, limits, PERIOD, aim, **GAINS)
-    if feedforward:
-        controller = ReferenceGovernor(StaticFeedforward(model, limits, PERIOD, aim), controller)
+    controller = ReferenceGovernor(StaticFeedforward(model, limits, PERIOD, aim), TipTracking(model, limits, PERIOD, aim, **GAINS))
     samples = []
     say(f"Figures 5 and 6, {scene} at {1e3 * PERIOD:g} ms")
     for step in play_steps(ControllerPolicy(controller, env), env, [0]):

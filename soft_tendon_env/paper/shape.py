@@ -1,8 +1,8 @@
 """Figures 3 and 4: shapes by feedforward alone and with the feedback of (37) and (38), kp = 1000 and kd = 100.
 
-The paper gives its wanted shapes as plots only. Ours: what tendons 2, 5, 8 and 9 hold with 8, 3, 4 and 3 N, approached within 2.5 s by
-the polynomial of least degree that is twice differentiable. The shape error is ||q_bar - q||, in newton for the tensions and in
-square roots of joules for the passive coordinates, which are scaled to unit energy.
+The paper gives its desired shapes as plots only. Ours: what tendons 2, 5, 8 and 9 hold with 8, 3, 4 and 3 N. They are approached within
+2.5 s by a polynomial that is twice differentiable. The shape error is ||q_bar - q||, in newton for the tensions and in square roots of
+joules for the passive coordinates. In brackets: feedforward alone.
 """
 
 from pathlib import Path
@@ -64,7 +64,7 @@ def claim(name: str, numbers: dict[str, dict[str, float]]) -> Claim:
     ahead, back = numbers["feedforward"], numbers["feedback"]
     keys = [f"below_{part:g}_from_s" for part in PARTS]
     times = ", ".join(f"{100 * part:g} % {when(back[key])} ({when(ahead[key])})" for part, key in zip(PARTS, keys, strict=True))
-    sizes = f"root mean square {back['rms']:.2g} (feedforward {ahead['rms']:.2g})"
+    sizes = f"rms {back['rms']:.2g} ({ahead['rms']:.2g})"
     text = f"{sizes}; below {times}; at the end {back['end']:.1g} ({ahead['end']:.1g})"
     return Claim("3(b)", f"feedback converges fast, {MODELS[name]}", text, all(back[key] < ahead[key] for key in ("rms", "end", *keys)))
 

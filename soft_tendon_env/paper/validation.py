@@ -1,4 +1,4 @@
-"""Figure 2: the statics-based models against full physics, under tensions that vary, step and stay.
+"""Figure 2: the statics-based models against a model of 48 coordinates, under tensions that vary, step and stay.
 
 The paper gives its inputs as plots only. Ours: tendon i pulls A_i sin^2(pi f_i t) until 7.5 s and then as much as it did at that time;
 tendons 2 and 3 pull 8 N and 5 N more from 5 s on.
@@ -55,8 +55,8 @@ def summary(time: np.ndarray, error: np.ndarray) -> dict[str, float]:
 def claims(numbers: dict[str, dict[str, float]], length: float) -> list[Claim]:
     full, under = (numbers[name] for name in REDUCED)
     size = "mm of tip mismatch on an arm of 1 m"
-    similar = f"largest {full['largest']:.1f}, root mean square {full['rms']:.1f} {size}"
-    better = f"largest {under['largest']:.2f}, root mean square {under['rms']:.2f} mm: {full['rms'] / under['rms']:.0f} times less"
+    similar = f"largest {full['largest']:.1f}, rms {full['rms']:.1f} {size}"
+    better = f"largest {under['largest']:.2f}, rms {under['rms']:.2f} mm: {full['rms'] / under['rms']:.0f} times less"
     found = [
         Claim("2(e)", "10 coordinates move like the high-order model", similar, full["largest"] < 1e3 * SIMILAR * length),
         Claim("2(f)", "passive coordinates improve the accuracy further", better, under["rms"] < full["rms"]),

@@ -3,8 +3,7 @@
 from soft_tendon_env.policies.agent import TrainingWarning, load_agent, save_agent
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, make_policy, observation_options
 from soft_tendon_env.policies.estimators import ESTIMATORS, EstimatorEntry
-from soft_tendon_env.policies.load import load_policy, policy_options
-from soft_tendon_env.policies.names import PolicyName
+from soft_tendon_env.policies.names import PolicyName, load_policy, policy_options
 from soft_tendon_env.policies.network import register_algorithm
 from soft_tendon_env.policies.protocol import Policy
 

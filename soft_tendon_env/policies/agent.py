@@ -1,24 +1,122 @@
-"""Trained agents as policies: their network, normalisation of observations and integral action. See agent_files.py for their files."""
+"""Trained agents as policies: their files, network, normalisation of observations and integral action.
+
+An agent's folder has `weights.pt`, the tensors of its network; `statistics.npz`, mean and variance by which it sees observations, absent
+where it sees them as they are; and `config.json`, which says all else, see `AgentConfig`.
+"""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Self
 
 import gymnasium as gym
+from pydantic import AfterValidator, Field, field_validator
 
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.options import resolved_scene
-from soft_tendon_env.policies.agent_files import ARM, CONFIG, INTERFACE, AgentConfig, find_agent, read_config
 from soft_tendon_env.policies.integral import IntegralPolicy
-from soft_tendon_env.policies.network import WEIGHTS, Architecture, new_network, read_weights
+from soft_tendon_env.policies.network import ALGORITHMS, OF_PACKAGE, WEIGHTS, new_network, read_weights
 from soft_tendon_env.policies.normalization import STATISTICS, Normalization, read_normalization, save_normalization
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.files import check_digests
+from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml
+from soft_tendon_env.tools.files import check_digests, read_json, shipped_folder
+from soft_tendon_env.tools.types import Positive
 
+CONFIG = "config.json"
+AGENT = "agent"  # name of the best agent that ships for a task, as agents.toml in the folder of them all has it
+SHIPPED = (AGENT, "ppo", "sac", "dagger", "apg")
+"""Names of agents that ship: all but "agent" are those of their algorithms."""
+ARM = ("scene", "fidelity", "control_period", "tension_limits")  # options that define the arm
+INTERFACE = ("observation", "preview", "history", "sensors", "action", "tension_rate")
+"""Options that say what a policy observes and how its actions are read."""
+OF_TRAINING = (
+    *("arms", "checkpoint_every", "checkpoint_seconds", "engine", "evaluated", "evaluation", "hindsight", "learning_rate", "record"),
+    *("runners", "seconds", "seconds_learned", "seed", "start_from", "steps", "threads"),
+)
+"""Keys of config.json that concern the training alone: an agent acts as it does whatever they say."""
+
+EnvironmentOptions = Annotated[dict[str, Any], AfterValidator(lambda options: Options.parse(options, "options") and options)]
+"""Options of an environment as plain tables."""
 PHYSICS = ("segments", "tendons", "effects")  # tables of a scene that define the physical arm, as opposed to how it is computed
+
+
+class AgentConfig(Configuration):
+    """Configuration of a trained agent, config.json, as far as it acts; keys of OF_TRAINING are left out. None: not known."""
+
+    algorithm: str  # name of the algorithm that trained it
+    hyperparameters: dict[str, Any] = Field(default={})  # of the algorithm; `policy_kwargs` and `use_sde` say what the network is like
+    task: str | None = None  # name of the task that it was trained on
+    options: EnvironmentOptions = Field(default={})  # of the environment that it was trained in
+    layout: dict[str, int] | None = None  # groups of its observation in their order, with their sizes
+    strain: dict[str, Any] | None = None  # parametrisation that its arm had, which says what coordinates are; by default that of options
+    integral_time: Positive | None = None  # [s] of integral action around it, see integral.py; None: none
+    normalise: dict[str, Any] = Field(default={})  # {"observations": true} where it sees observations through its statistics
+    steps_done: int | None = Field(default=None, ge=0)  # of its training
+    files: dict[str, str] = Field(default={})  # SHA-256 of the files that belong together, by name
+
+    @classmethod
+    def parse(cls, values: Mapping[str, Any], source: str) -> Self:
+        """The configuration of a plain table. Raises ConfigurationError, also for keys that it does not know."""
+        return super().parse({key: value for key, value in values.items() if key not in OF_TRAINING}, source)
+
+    @field_validator("algorithm")
+    @classmethod
+    def _is_known(cls, algorithm: str) -> str:
+        if algorithm not in (names := sorted([*ALGORITHMS, *OF_PACKAGE])):
+            raise ValueError(f"should be an algorithm: {not_among(algorithm, names)}")
+        return algorithm
+
+
+def is_shipped(name: str) -> bool:
+    """True for the name of an agent that ships, unless there is a folder or a file of that name."""
+    return name in SHIPPED and not Path(name).exists()
+
+
+def is_agent(name: str) -> bool:
+    """True for the name of an agent: of one that ships, or the folder of one."""
+    return is_shipped(name) or (Path(name) / WEIGHTS).is_file() or (Path(name) / CONFIG).is_file() and not (Path(name) / "best").is_dir()
+
+
+def _checked_agent(name: str) -> str:
+    if not is_agent(name):
+        raise ValueError(f"should be the folder of an agent, or {', '.join(SHIPPED)}, which ship")
+    return name
+
+
+AgentName = Annotated[str, AfterValidator(_checked_agent)]  # see `find_agent`
+
+
+def trained_folder() -> Path:
+    """Folder of the agents that ship, NAME/TASK."""
+    return shipped_folder("policies/trained", "agents/trained")
+
+
+def shipped_for(task: str) -> tuple[str, ...]:
+    """Names of the agents that ship for a task, but "agent"."""
+    return tuple(name for name in SHIPPED if (trained_folder() / name / task / WEIGHTS).is_file())
+
+
+def shipped_as(name: str, task: str) -> str:
+    """Name by its algorithm of an agent that ships for a task: what "agent" stands for. Raises ValueError, FileNotFoundError for none."""
+    found = read_toml(trained_folder() / "agents.toml").get(task) if name == AGENT else name
+    if found in (there := shipped_for(task)):
+        return str(found)
+    raise FileNotFoundError(f"the agent {name!r} does not ship for {task}; what does: {', '.join(there) or 'none'}")
+
+
+def find_agent(name: str, task: str) -> Path:
+    """Folder of an agent by its name: one of `SHIPPED` for the task, or a folder. Raises ValueError, FileNotFoundError."""
+    folder = trained_folder() / shipped_as(name, task) / task if is_shipped(name) else Path(name)
+    if not (folder / WEIGHTS).is_file():
+        raise FileNotFoundError(f"{name}: there is no file {folder / WEIGHTS}")
+    return folder
+
+
+def read_config(folder: Path) -> AgentConfig:
+    """Configuration of the agent in a folder. Raises ValueError, FileNotFoundError."""
+    return AgentConfig.parse(read_json(folder / CONFIG), str(folder / CONFIG))
 
 
 class TrainingWarning(UserWarning):
@@ -43,6 +141,8 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
     was not trained with. Warns (TrainingWarning) of another task, arm, preset or control period than in its training. Raises TypeError for
     environments of other packages, ValueError, OSError, ModuleNotFoundError.
     """
+    import torch
+
     episodes = episodes_of(env)
     folder = find_agent(name, episodes.task.name)
     config = read_config(folder)
@@ -50,7 +150,15 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
     _check_agent(name, config, episodes, other_effects)
     rows = isinstance(env, gym.vector.VectorEnv)
     spaces = (env.single_observation_space, env.single_action_space) if rows else (env.observation_space, env.action_space)
-    network, normalization = _network(folder / WEIGHTS, config, *spaces), None
+    torch.set_num_threads(1)  # faster for one observation, and what other threads do does not matter
+    weights, normalization = read_weights(folder / WEIGHTS), None
+    try:
+        sde = {"use_sde": True} if config.hyperparameters.get("use_sde") else {}
+        network = new_network(config.algorithm, {**(config.hyperparameters.get("policy_kwargs") or {}), **sde}, *spaces)
+        network.load_state_dict(weights)
+    except (AssertionError, AttributeError, MemoryError, RuntimeError, TypeError, ValueError, KeyError) as error:
+        text = f"the weights are not of a {config.algorithm} policy for this environment: {' '.join(str(error).split())[:200]}"
+        raise ValueError(f"{folder / WEIGHTS}: {text}") from error
     if (folder / STATISTICS).exists():
         normalization = read_normalization(folder / STATISTICS, spaces[0])
     elif config.normalise.get("observations"):
@@ -78,21 +186,6 @@ def strain_of(scene: Scene) -> dict[str, Any]:
 
 def layout_of(episodes: Episodes) -> dict[str, int]:
     return {group: where.stop - where.start for group, where in episodes.layout.slices.items()}
-
-
-def _network(path: Path, config: AgentConfig, observations: gym.Space[Any], actions: gym.Space[Any]) -> Any:
-    """Network of an agent's weights. Raises ValueError where they are not of these spaces or its architecture."""
-    import torch
-
-    torch.set_num_threads(1)  # faster for one observation, and what other threads do does not matter
-    weights = read_weights(path)
-    try:
-        network = new_network(Architecture(config.algorithm, config.policy_arguments), observations, actions)
-        network.load_state_dict(weights)
-    except (AssertionError, AttributeError, MemoryError, RuntimeError, TypeError, ValueError, KeyError) as error:
-        text = " ".join(str(error).split())[:200]
-        raise ValueError(f"{path}: the weights are not of a {config.algorithm} policy for this environment: {text}") from error
-    return network
 
 
 def _check_agent(name: str, config: AgentConfig, episodes: Episodes, other_effects: bool) -> None:

@@ -4,7 +4,7 @@ What the controller knows comes out of the observation and of its own state; wha
 """
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.control import protocol
 from soft_tendon_env.control.catalogue import CONTROLLERS, LOOKS_AHEAD, Entry
-from soft_tendon_env.control.kalman import USUAL, Uncertainty
+from soft_tendon_env.control.kalman import USUAL, Setting, Uncertainty
 from soft_tendon_env.control.smith_predictor import SAME, SmithPredictor, whole_periods
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.tasks import TASKS, TIP
 from soft_tendon_env.mechanics.motion.pose_errors import move_poses
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
-from soft_tendon_env.policies.estimators import ESTIMATORS, PARAMETERS, EstimatorEntry, Setting
+from soft_tendon_env.policies.estimators import ESTIMATORS, PARAMETERS, EstimatorEntry
 from soft_tendon_env.policies.protocol import LostState
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.tools.checks import checked_number
@@ -48,13 +48,13 @@ def observation_options(
     estimator: of ESTIMATORS, which finds the coordinates; None: they are observed. regime: of REGIMES, what a Kalman filter is told, by
     default "sensors". latency: delay of commands [s] that the controller is to make up for, see `make_policy`.
     """
-    finds = None if estimator is None else _among("estimator", estimator, ESTIMATORS)
-    ahead = _periods_ahead(_entry(controller, task), latency, period, finds)
+    finds, reference = _among("estimator", estimator, ESTIMATORS), _among("task", task, TASKS).measured_reference
+    ahead = _periods_ahead(_among("controller", controller, CONTROLLERS.get(task, {})), latency, period, finds)
     options: dict[str, Any] = {"preview": [period * k for k in range(1, ahead + 1)]}
     if estimator is None and regime is None:
         return options
     told = _among("regime", regime or "sensors", REGIMES)
-    return {**options, "observation": (*told.measured, *TASKS[task].measured_reference), "sensors": told.sensors or ()}
+    return {**options, "observation": (*told.measured, *reference), "sensors": told.sensors or ()}
 
 
 def make_policy(
@@ -73,21 +73,20 @@ def make_policy(
     (Smith predictor), by default that of the actuators in its model; with estimator="adaptive" what it believes at first.
     Raises TypeError, ValueError; ConfigurationError where the environment does not show what the controller needs.
     """
-    finds = None if estimator is None else _among("estimator", estimator, ESTIMATORS)
+    finds = _among("estimator", estimator, ESTIMATORS)
     episodes, model = episodes_of(env), episodes_of(env).model if model is None else model
     if (differs := model.coordinate_count != episodes.model.coordinate_count) and (finds is None or episodes.task.shapes):
         there = f"{model.coordinate_count} coordinates where the environment's has {episodes.model.coordinate_count}"
         raise ValueError(f"the controller's model has {there}, which are observed: it should have the same strain parametrisation")
     believed, delay = _under_tensions(model)
     late = checked_number("latency", delay if latency is None else latency, 0.0, "a number of seconds, at least 0")
-    entry = _entry(controller, episodes.task.name)
+    entry: Entry = _among("controller", controller, CONTROLLERS.get(episodes.task.name, {}))
     _check_preview(entry, episodes, _periods_ahead(entry, late, episodes.period, finds))
     greatest = late if finds is None else finds.greatest_latency or late
     predictor = SmithPredictor(believed, greatest, episodes.period) if greatest else None
-    fields = protocol.Measurement._fields
-    seen = tuple(field for group, field in PARAMETERS.items() if group in episodes.layout.slices and field in fields)
+    seen = tuple(field for group, field in PARAMETERS.items() if group in episodes.layout.slices and field in protocol.Measurement._fields)
     noise, starts = episodes.options.randomize.noise, episodes.start_tension.copy()
-    setting = Setting(episodes.period, starts, episodes.sensors.copy(), noise, seen, late, uncertainty)
+    setting = Setting(episodes.period, starts, seen, episodes.sensors.copy(), noise, late, uncertainty)
     found = None if finds is None else finds.make(believed, setting)
     decides = entry.make(believed, episodes.limits.copy(), episodes.period)
     return ControllerPolicy(decides, env, model if differs else None, found, predictor)
@@ -117,22 +116,16 @@ def _check_preview(entry: Entry, episodes: Episodes, periods: int) -> None:
         missed = needed > told[-1] * (1.0 + SAME)
     if episodes.task.goal is None and missed.any():
         text = f"tells the target at {shown(told[1:].tolist())} s, and it is needed at every control period up to {needed[-1]:.3g} s"
-        _fail("preview", f"{text}: make the environment with observation_options()")
+        raise ConfigurationError([Problem(("preview",), f"{text}: make the environment with observation_options()")], "environment")
 
 
-def _fail(key: str, text: str) -> NoReturn:
-    raise ConfigurationError([Problem((key,), text)], "environment")
-
-
-def _among(kind: str, name: str, valid: Mapping[str, Any]) -> Any:
-    if name not in valid:
-        raise ValueError(f"{kind} is {name!r}: {not_among(name, valid)}")
-    return valid[name]
-
-
-def _entry(controller: str | Entry, task: str) -> Entry:
-    entries = CONTROLLERS.get(_among("task", task, TASKS).name, {})
-    return controller if isinstance(controller, Entry) else _among("controller", controller, entries)
+def _among(kind: str, chosen: Any, valid: Mapping[str, Any]) -> Any:
+    """Entry of a table by its name; an entry itself, or None, as it is. Raises ValueError."""
+    if not isinstance(chosen, str):
+        return chosen
+    if chosen not in valid:
+        raise ValueError(f"{kind} is {chosen!r}: {not_among(chosen, valid)}")
+    return valid[chosen]
 
 
 class ControllerPolicy:
@@ -163,10 +156,15 @@ class ControllerPolicy:
         state = ("q", "q_dot") if estimator is None else estimator.needs
         needed += [group for group, field in PARAMETERS.items() if field in state]
         needed += [] if "wanted_coordinates" in groups else of.task.reference
+        problems = list[Problem]()
         if missing := [group for group in needed if group not in groups]:
-            _fail("observation", f"lacks {', '.join(missing)}, which {name} needs: make it with observation_options()")
+            text = f"lacks {', '.join(missing)}, which {name} needs: make it with observation_options()"
+            problems.append(Problem(("observation",), text))
         if (np.diff(of.ahead) <= 0.0).any():
-            _fail("preview", f"is {of.ahead[1:].tolist()} s: it should be times that increase by at least a control period")
+            text = f"is {of.ahead[1:].tolist()} s: it should be times that increase by at least a control period"
+            problems.append(Problem(("preview",), text))
+        if problems:
+            raise ConfigurationError(problems, "environment")
 
     def predict(
         self, observation: Any, state: tuple[RowMemory, ...] | None = None, episode_start: Any = None, deterministic: bool = True
@@ -187,42 +185,42 @@ class ControllerPolicy:
         targets = _target_poses(values, poses)
         actions, after = [], []
         for row, kept in enumerate(memories):
-            own = {name: value[row] for name, value in values.items()}
+            groups = {name: value[row] for name, value in values.items()}
             target = protocol.Reference(
                 ahead=self._ahead if goal is None else np.zeros(1),
                 tip_pose=None if targets is None else targets[row],
                 tip_position=None if goal is None else goal[row : row + 1],
-                q=_target_coordinates(own, len(self._ahead)),
+                q=_target_coordinates(groups, len(self._ahead)),
             )
-            action, memory = self._decided(own, poses[row], target, self._fresh(own) if kept is None else kept)
+            action, memory = self._decide(groups, poses[row], target, self._fresh(groups) if kept is None else kept)
             actions.append(action)
             after.append(memory)
         return actions[0] if np.ndim(flat) == 1 else np.stack(actions), tuple(after)
 
-    def _decided(self, own: dict[str, Array], pose: Array, target: protocol.Reference, memory: RowMemory) -> tuple[Any, RowMemory]:
+    def _decide(self, groups: dict[str, Array], pose: Array, target: protocol.Reference, memory: RowMemory) -> tuple[Any, RowMemory]:
         """Action (n_a,) and memory of a row from its observation by group, its measured pose (4, 4) and the reference."""
-        time, estimate = memory.periods * self._period, protocol.Estimate(own.get("coordinates"), own.get("rates"))  # type: ignore[arg-type]
+        time, estimate = memory.periods * self._period, protocol.Estimate(groups.get("coordinates"), groups.get("rates"))  # type: ignore[arg-type]
         if self.estimator is not None:
-            fields = {name: own[group] for group, name in PARAMETERS.items() if name in self.estimator.needs}
+            fields = {name: groups[group] for group, name in PARAMETERS.items() if name in self.estimator.needs}
             fields |= {name: fields[name].reshape(-1, 6) for name in {"strain", "strain_rate"} & fields.keys()}
             sent = np.array(memory.sent).reshape(-1, self._start.size)
             estimate = self.estimator.estimate(protocol.Measurement(pose, sent, time, **fields), memory.estimate)
         q, q_dot, tip = estimate.q, estimate.q_dot, pose if estimate.tip_pose is None else estimate.tip_pose
         now = protocol.ControllerInput(q, q_dot, tip, memory.tension, target, time, estimate.input_error)
         if self.predictor is not None:
-            now = self.predictor.predicted(now, memory.sent, estimate.latency)
+            now = self.predictor.predict(now, memory.sent, estimate.latency)
         decision = self.controller.act(now, None if memory.decision is None else memory.decision.memory)
-        action, asked, command = self._commanded(decision.tension, q, q_dot, memory.command)
+        action, asked, command = self._command(decision.tension, q, q_dot, memory.command)
         return action, RowMemory(decision, asked, command, estimate, memory.periods + 1, (*memory.sent[1:], asked)[: self._waiting])
 
-    def _fresh(self, own: dict[str, Array]) -> RowMemory:
+    def _fresh(self, groups: dict[str, Array]) -> RowMemory:
         """The memory of a row whose episode begins: under the command that is observed, or else that of rest."""
         start, command = self._start, self._start_command
-        if not np.allclose(seen := own.get("command", command), command, 0.0, SAME_COMMAND * np.abs(self._actions.greatest)):
+        if not np.allclose(seen := groups.get("command", command), command, 0.0, SAME_COMMAND * np.abs(self._actions.greatest)):
             command, start = seen, seen if self._simulation is None else start
         return RowMemory(None, start, command, None, 0, (start,) * self._waiting)
 
-    def _commanded(self, tension: Array, q: Array, q_dot: Array, before: Array) -> tuple[NDArray[np.float32], Array, Array]:
+    def _command(self, tension: Array, q: Array, q_dot: Array, before: Array) -> tuple[NDArray[np.float32], Array, Array]:
         """The action that asks for tensions (n_a,) [N] at q, q_dot after a command (n_a,), the tensions that it asks for, and its command.
 
         Displacements are those that have these tensions where the arm would be under them at the end of the period.
@@ -257,18 +255,17 @@ def _target_poses(values: dict[str, Array], poses: Array) -> Array | None:
     """Target poses (rows, 1 + previews, 4, 4), or None where the observation has none."""
     if "target_error" not in values:
         return None
-    errors = np.concatenate([values["target_error"], values.get("preview", np.empty((len(poses), 0)))], axis=1)
-    errors = np.ascontiguousarray(errors.reshape(len(poses), -1, 6))
+    errors = np.concatenate([values["target_error"], values.get("preview", np.empty((len(poses), 0)))], axis=1).reshape(len(poses), -1, 6)
     out = np.empty((*errors.shape[:2], 4, 4))
     move_poses(poses, errors, out)
     return out
 
 
-def _target_coordinates(own: dict[str, Array], samples: int) -> Array | None:
+def _target_coordinates(groups: dict[str, Array], samples: int) -> Array | None:
     """Coordinates (samples, n) of the target of one row now and at each preview time, or None where the observation has none."""
-    if "wanted_coordinates" in own:
-        return own["wanted_coordinates"].reshape(samples, -1)
-    if "target_coordinates" not in own:
+    if "wanted_coordinates" in groups:
+        return groups["wanted_coordinates"].reshape(samples, -1)
+    if "target_coordinates" not in groups:
         return None
-    ahead = own.get("coordinate_preview", np.empty(0)).reshape(-1, own["coordinates"].size)
-    return own["coordinates"] + np.vstack([own["target_coordinates"], ahead])
+    ahead = groups.get("coordinate_preview", np.empty(0)).reshape(-1, groups["coordinates"].size)
+    return groups["coordinates"] + np.vstack([groups["target_coordinates"], ahead])

@@ -53,9 +53,9 @@ class IntegralPolicy:
             integral = np.where(np.atleast_1d(episode_start)[:, None], 0.0, integral)
         near = (np.abs(way) <= NEAR).all(axis=1, keepdims=True)
         integral = np.clip(integral + self.share * np.where(near, way, 0.0), -MOST, MOST)
-        seen, own = self._moved(observation, integral), None if state is None else state.policy
-        action, own = self.policy.predict(seen, own, episode_start, deterministic)
-        return action, IntegralMemory(own, integral)
+        seen, kept = self._move_target(observation, integral), None if state is None else state.policy
+        action, kept = self.policy.predict(seen, kept, episode_start, deterministic)
+        return action, IntegralMemory(kept, integral)
 
     def _way(self, observation: Any) -> Array:
         """To the target, in its units (rows, m)."""
@@ -65,7 +65,7 @@ class IntegralPolicy:
         rows = np.atleast_2d(observation)
         return np.concatenate([rows[:, now] for now, _ in self.ways], axis=1, dtype=np.float64)
 
-    def _moved(self, observation: Any, integral: Array) -> Any:
+    def _move_target(self, observation: Any, integral: Array) -> Any:
         """The observation, its target moved by integrals (rows, m)."""
         if isinstance(observation, dict):
             goal = observation["desired_goal"]

@@ -1,4 +1,4 @@
-"""Names of policies, parsed once into a type: a controller, a trained agent, or a user's policy.
+"""Policies by name: names are parsed once into a type, a controller, a trained agent, or a user's policy.
 
 name = PolicyName.parse("filtered:predictive@fast", "TipPose")
 env = gym.make("TendonRod-TipPose-v0", **name.options({}))
@@ -19,8 +19,7 @@ from soft_tendon_env.control.kalman import USUAL
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.options import Options, given_scene
-from soft_tendon_env.policies.agent import load_agent
-from soft_tendon_env.policies.agent_files import ARM, INTERFACE, SHIPPED, AgentConfig, find_agent, is_agent, read_config
+from soft_tendon_env.policies.agent import ARM, INTERFACE, SHIPPED, AgentConfig, find_agent, is_agent, load_agent, read_config
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.estimators import ESTIMATORS
 from soft_tendon_env.policies.protocol import Policy
@@ -29,7 +28,13 @@ from soft_tendon_env.tools.configuration import Configuration, not_among, read_t
 from soft_tendon_env.tools.files import digest, digests
 
 BEST = "best"  # name of the folder of a training's best agent, within that of the training
+ALL = "all"  # name of all controllers of the catalogue together
 ESTIMATOR = "estimator."  # prefix of parameters of the state estimator among those of a controller
+
+ZIP = """a file of Stable-Baselines3 does not say what its agent observes. Write a module mine.py and name the policy mine:agent:
+    from stable_baselines3 import PPO  # or what trained it; the statistics of a VecNormalize are not in the file
+    def agent(env): return PPO.load({path!r})
+    agent.options = {{"observation": [...]}}  # and preview, history, sensors, action, tension_rate, as in its training"""
 
 
 @dataclass(frozen=True)
@@ -64,6 +69,8 @@ class PolicyName:
         wanted = f"a controller of {task}; {not_among(controller, controllers)}"
         if prefix:
             raise ValueError(f"policy is {text!r}: what stands behind {prefix!r} should be {wanted}")
+        if path.suffix == ".zip":
+            raise ValueError(f"policy is {text!r}: {ZIP.format(path=text)}")
         agents = f"the folder of an agent (of a training: {path / BEST}), {', '.join(SHIPPED)}, which ship, module:name"
         raise ValueError(f"policy is {text!r}, no policy: it should be {agents}, or {wanted}")
 
@@ -116,8 +123,8 @@ class Controller(PolicyName):
     @property
     def entry(self) -> Entry:
         """The catalogue's entry, with its parameters."""
-        own = {name: value for name, value in self.parameters.items() if not name.startswith(ESTIMATOR)}
-        return CONTROLLERS[self.task][self.name].with_parameters(own) if own else CONTROLLERS[self.task][self.name]
+        numbers = {name: value for name, value in self.parameters.items() if not name.startswith(ESTIMATOR)}
+        return CONTROLLERS[self.task][self.name].with_parameters(numbers) if numbers else CONTROLLERS[self.task][self.name]
 
     def options(self, given: Mapping[str, Any], regime: str | None = None) -> dict[str, Any]:
         """regime: information regime of the estimator, see `observation_options`."""
@@ -128,8 +135,8 @@ class Controller(PolicyName):
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
         changed = {name.removeprefix(ESTIMATOR): value for name, value in self.parameters.items() if name.startswith(ESTIMATOR)}
-        own = self.belief is None and scene is None
-        believed = None if own else build_model(scene or episodes_of(env).model.scene, self.belief or AS_SCENE)
+        is_same = self.belief is None and scene is None
+        believed = None if is_same else build_model(scene or episodes_of(env).model.scene, self.belief or AS_SCENE)
         return make_policy(self.entry, env, believed, estimator=self.estimator, uncertainty=USUAL._replace(**changed))
 
     def fingerprint(self) -> Any:
@@ -141,20 +148,9 @@ class Agent(PolicyName):
     """A trained agent: the name of one that ships for the task, "agent" for the best of them, or its folder."""
 
     @property
-    def folder(self) -> Path:
-        """The folder of its files. Raises ValueError, FileNotFoundError."""
-        return find_agent(self.text, self.task)
-
-    @property
     def config(self) -> AgentConfig:
         """The configuration of its training. Raises ValueError, OSError."""
-        return read_config(self.folder)
-
-    @property
-    def training(self) -> str:
-        """The algorithm and the steps that trained it. Raises ValueError, OSError."""
-        steps = self.config.steps_done
-        return self.config.algorithm + ("" if steps is None else f", {steps:,} steps")
+        return read_config(find_agent(self.text, self.task))
 
     @property
     def arm(self) -> dict[str, Any]:
@@ -168,7 +164,7 @@ class Agent(PolicyName):
         return load_agent(self.text, env, other_effects)
 
     def fingerprint(self) -> Any:
-        return digests(self.folder)
+        return digests(find_agent(self.text, self.task))
 
 
 @dataclass(frozen=True)
@@ -190,16 +186,20 @@ class UserPolicy(PolicyName):
         return made
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        own = getattr(self.maker, "options", {})
-        if other := [str(name) for name in own if name not in INTERFACE]:
+        options = getattr(self.maker, "options", {})
+        if other := [str(name) for name in options if name not in INTERFACE]:
             raise ValueError(f"policy is {self.text!r}, whose options have {', '.join(other)}: it may set {', '.join(INTERFACE)} alone")
-        Options.parse(dict(own), f"options of {self.text}")
-        return {**own, **given}
+        Options.parse(dict(options), f"options of {self.text}")
+        return {**options, **given}
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
         made: Policy = self.maker(policy_environment(env, scene))
         if not hasattr(made, "predict"):
             raise ValueError(f"policy is {self.text!r}: {self.name} should make an object with predict, not {shown(made)}")
+        for key in ("observation_space", "action_space"):
+            known, there = getattr(made, key, None), [getattr(env, name) for name in (f"single_{key}", key) if hasattr(env, name)]
+            if isinstance(known, gym.Space) and known not in there:
+                raise ValueError(f"policy is {self.text!r}, made for the {key} {known}: the environment's is {there[0]}")
         return made
 
     def fingerprint(self) -> Any:
@@ -214,10 +214,24 @@ def policy_environment(env: Any, scene: Scene | None = None) -> Any:
     """
     episodes = episodes_of(env)
     options = {name: getattr(episodes.options, name) for name in (*ARM, *INTERFACE, "threshold")}
-    options |= {
-        "randomize": {"noise": episodes.options.randomize.noise},
-        **({} if scene is None else {"scene": scene, "fidelity": "scene"}),
-    }
+    options["randomize"] = {"noise": episodes.options.randomize.noise}
+    if scene is not None:
+        options |= {"scene": scene, "fidelity": AS_SCENE}
     if isinstance(env, gym.Env):
         return gym.make(IDS[episodes.task.name], **options)
     return gym.make_vec(IDS[episodes.task.name], num_envs=episodes.size, threads=1, **options)
+
+
+def policy_options(name: str, task: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of an environment in which a policy sees what it needs: its own, and those given. Raises ValueError, OSError."""
+    return PolicyName.parse(name, task).options(given)
+
+
+def load_policy(name: str, env: Any) -> Policy:
+    """The policy for an environment with the options that it needs, see `policy_options`.
+
+    name: a controller's, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where it believes in another model; an agent's folder;
+    "agent", "ppo", "sac", "dagger" or "apg", of those that ship for the environment's task; module:name of what makes one.
+    Raises TypeError for environments of other packages, ValueError, OSError, ModuleNotFoundError.
+    """
+    return PolicyName.parse(name, episodes_of(env).task.name).load(env)

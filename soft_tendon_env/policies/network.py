@@ -5,62 +5,41 @@ import inspect
 import io
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import gymnasium as gym
 
 from soft_tendon_env.tools.messages import first_line
 
 WEIGHTS = "weights.pt"
-ALGORITHMS = {
-    **dict.fromkeys(("A2C", "DDPG", "PPO", "SAC", "TD3"), "stable_baselines3"),
-    **dict.fromkeys(("ARS", "CrossQ", "RecurrentPPO", "TQC", "TRPO"), "sb3_contrib"),
-}
+ALGORITHMS: dict[str, Any] = {"PPO": "stable_baselines3", "SAC": "stable_baselines3", "TQC": "sb3_contrib", "CrossQ": "sb3_contrib"}
+"""Algorithms of other packages to train with, by name: the module that has it, or the class that was registered."""
 OF_PACKAGE = {"APG": "PPO", "DAgger": "PPO"}
 """Algorithms of this package (learning.hyperparameters.MODULES), and the one of Stable-Baselines3 whose policy networks they train."""
 OF_TRAINING = ("optimizer_class", "optimizer_kwargs")  # arguments of policies that no longer matter
-_REGISTERED: dict[str, type] = {}
 Algorithm = TypeVar("Algorithm", bound=type)
 
 
 def register_algorithm(algorithm: Algorithm) -> Algorithm:
     """Class decorator: train with an algorithm of your own, a subclass of Stable-Baselines3's `BaseAlgorithm`, by its class's name."""
-    _REGISTERED[algorithm.__name__] = algorithm
+    ALGORITHMS[algorithm.__name__] = algorithm
     return algorithm
-
-
-def registered_algorithms() -> tuple[str, ...]:
-    """Names of algorithms from outside of the package, sorted."""
-    return tuple(sorted(_REGISTERED))
-
-
-def algorithm_names() -> tuple[str, ...]:
-    """Names of all algorithms whose agents can be loaded, sorted."""
-    return tuple(sorted([*ALGORITHMS, *OF_PACKAGE, *_REGISTERED]))
-
-
-class Architecture(NamedTuple):
-    algorithm: str
-    policy: Mapping[str, Any]  # arguments of its policy, with plain values; `activation_fn` is a name in torch.nn
 
 
 def algorithm_class(algorithm: str) -> Any:
     """Class of an algorithm: registered, or in Stable-Baselines3. Raises ModuleNotFoundError."""
-    if algorithm in _REGISTERED:
-        return _REGISTERED[algorithm]
+    found = ALGORITHMS[algorithm]
     try:
-        return getattr(importlib.import_module(ALGORITHMS[algorithm]), algorithm)
+        return getattr(importlib.import_module(found), algorithm) if isinstance(found, str) else found
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(f'{algorithm} needs Stable-Baselines3: pip install "soft_tendon_env[agents]"') from error
 
 
-def new_network(architecture: Architecture, observations: gym.Space[Any], actions: gym.Space[Any]) -> Any:
-    """A policy network of Stable-Baselines3 that has learned nothing. Raises ValueError where there is none of this architecture."""
-    algorithm = architecture.algorithm
+def new_network(algorithm: str, arguments: Mapping[str, Any], observations: gym.Space[Any], actions: gym.Space[Any]) -> Any:
+    """A policy network that has learned nothing. arguments: of the policy, see `policy_arguments`. Raises ValueError for others."""
     aliases = algorithm_class(OF_PACKAGE.get(algorithm, algorithm)).policy_aliases
-    name = "MultiInput" if isinstance(observations, gym.spaces.Dict) else "Mlp"
-    kind = aliases[name + ("LstmPolicy" if algorithm == "RecurrentPPO" else "Policy")]
-    given = policy_arguments({key: value for key, value in architecture.policy.items() if key not in OF_TRAINING})
+    kind = aliases["MultiInputPolicy" if isinstance(observations, gym.spaces.Dict) else "MlpPolicy"]
+    given = policy_arguments({key: value for key, value in arguments.items() if key not in OF_TRAINING})
     known = inspect.signature(kind.__init__).parameters
     if unknown := given.keys() - known.keys():
         raise ValueError(f"policies of {algorithm} have no argument {', '.join(sorted(unknown))}")

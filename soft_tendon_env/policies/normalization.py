@@ -4,6 +4,7 @@ The formula is that of Stable-Baselines3's VecNormalize: clip((o - mean) / sqrt(
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,20 +24,21 @@ class Moments(NamedTuple):
     variance: Array  # (n,)
 
 
+@dataclass(frozen=True, eq=False)
 class Normalization:
-    """Observations as an agent sees them. moments: by key of a Dict observation, or under "" for a Box; clip: greatest magnitude of the
-    result; epsilon: added to variances."""
+    """Observations as an agent sees them."""
 
-    def __init__(self, moments: Mapping[str, Moments], clip: float, epsilon: float) -> None:
-        self.moments, self.clip, self.epsilon = dict(moments), clip, epsilon
+    moments: Mapping[str, Moments]  # by key of a Dict observation, or under "" for a Box
+    clip: float  # greatest magnitude of the result
+    epsilon: float  # added to variances
 
     def __call__(self, observation: Any) -> Any:
         """The normalised observation, of one row or many; parts without statistics pass as they are."""
         if not isinstance(observation, Mapping):
-            return self._normalised(observation, self.moments[BOX])
-        return {key: self._normalised(part, self.moments[key]) if key in self.moments else part for key, part in observation.items()}
+            return self._normalise(observation, self.moments[BOX])
+        return {key: self._normalise(part, self.moments[key]) if key in self.moments else part for key, part in observation.items()}
 
-    def _normalised(self, values: Any, moments: Moments) -> Any:
+    def _normalise(self, values: Any, moments: Moments) -> Any:
         scaled = (values - moments.mean) / np.sqrt(moments.variance + self.epsilon)
         return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
 

@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium.error import Error
 
 from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.recording.rerun_stream import RerunStream, new_recording
+from soft_tendon_env.recording.rerun_stream import RerunStream
 from soft_tendon_env.recording.wrappers import RowRecorder
 
 PORT = 9876  # at which Rerun's viewers listen by default
@@ -23,7 +23,6 @@ LAG = 0.2  # [s] from which on a simulation that is late does not try to catch u
 ROWS = 6  # of a vector environment that are shown, the first ones
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 """Variables of the environment of which one is set where windows can be opened, on Linux."""
-NAME = "soft_tendon_env"
 
 
 class RerunViewer(RerunStream):
@@ -37,9 +36,8 @@ class RerunViewer(RerunStream):
     def __init__(self, port: int) -> None:
         if not is_open(port):
             open_viewer(port)
-        recording = new_recording(NAME)
-        recording.connect_grpc(f"rerun+http://127.0.0.1:{port}/proxy")
-        super().__init__(recording, NAME, "the viewer")
+        super().__init__("soft_tendon_env", "the viewer")
+        self._open_recording().connect_grpc(f"rerun+http://127.0.0.1:{port}/proxy")
 
 
 class LiveRows:
@@ -47,8 +45,7 @@ class LiveRows:
 
     def __init__(self, episodes: Episodes) -> None:
         """Raises gymnasium.error.Error where no viewer can be opened."""
-        self._episodes, self._viewer, self._due = episodes, RerunViewer(PORT), -np.inf
-        self._recorders = dict[int, RowRecorder]()
+        self._episodes, self._viewer, self._recorders, self._due = episodes, RerunViewer(PORT), dict[int, RowRecorder](), -np.inf
         for row in range(min(episodes.size, ROWS)):
             name = "arm" if episodes.size == 1 else f"row_{row}"
             self._viewer.add_arm(name, episodes.model)

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from soft_tendon_env.recording.rerun_stream import RerunStream, new_recording
+from soft_tendon_env.recording.rerun_stream import RerunStream
 from soft_tendon_env.recording.rollout import Rollout
 
 
@@ -19,9 +19,8 @@ class RerunFile(RerunStream):
         self.path = Path(path)
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self.path.write_bytes(b"")  # Rerun itself would only warn
-        recording = new_recording(self.path.stem)
-        self._checked(recording.save, self.path)
-        super().__init__(recording, self.path.stem, str(self.path))
+        super().__init__(self.path.stem, str(self.path))
+        self._attempt(self._open_recording().save, self.path)
 
     def write(self, rollout: Rollout, arm: str = "arm", *, continues: bool = False) -> None:
         """Append an episode of an arm or, if it `continues`, the next stretch of the arm's last episode; on disk when this returns.
@@ -29,9 +28,9 @@ class RerunFile(RerunStream):
         Raises ValueError if the arm has another scene, or the file is closed, and OSError if it cannot be written.
         """
         super().write(rollout, arm, continues=continues)
-        self._checked(self._open_recording().flush)
+        self._attempt(self._open_recording().flush)
 
-    def _checked(self, action: Callable[..., None], *arguments: Path) -> None:
+    def _attempt(self, action: Callable[..., None], *arguments: Path) -> None:
         """Raises OSError."""
         try:
             action(*arguments)

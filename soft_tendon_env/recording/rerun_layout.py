@@ -2,13 +2,12 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from soft_tendon_env.drawing.palette import RGB, Style, hues, shades
+from soft_tendon_env.drawing.palette import Style
 from soft_tendon_env.drawing.shapes import camera, view_box
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.envs.tracking import error_unit
@@ -16,11 +15,6 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 
 RECENT, AHEAD = 10.0, 1.5  # times [s] that plots of a running simulation show, before now and as room for legends
-
-TOTAL = "reward"  # the scalar that the terms of rewards add up to
-
-ASPECT = 3.3  # width of the view of the arms over its height
-
 LEGEND, NO_LEGEND = rrb.PlotLegend(rrb.Corner2D.RightTop), rrb.PlotLegend(visible=False)
 
 
@@ -41,39 +35,25 @@ class DrawnArm:
     target: Array | None = None  # (1, 3) [m], the target's position in the sample before
     series: dict[str, list[str]] = field(default_factory=dict)  # names of the numbers that there are of it, by kind
 
-    @property
-    def color(self) -> RGB:
-        return self.style.colour
-
-
-class LineStyle(NamedTuple):
-    """Names and colours of the lines of one entity."""
-
-    names: list[str]
-    colors: list[RGB]
-
 
 def part(name: str) -> str:
     """A name as part of an entity's path."""
     return rr.escape_entity_path_part(name)
 
 
-def line_styles(arms: dict[str, DrawnArm]) -> dict[str, LineStyle]:
-    """Names and colours of the lines of every entity that is plotted: each arm has one colour, and a lone arm's numbers have one each."""
-    styles, alone = dict[str, LineStyle](), len(arms) == 1
+def line_styles(arms: dict[str, DrawnArm]) -> dict[str, rr.SeriesLines]:
+    """Names of the lines of every entity that is plotted, and the arm's colour where a plot has lines of several arms."""
+    styles, alone = dict[str, rr.SeriesLines](), len(arms) == 1
     for name, arm in arms.items():
+        colors = None if alone else [arm.style.colour]
         for kind, series in arm.series.items():
-            tones = hues(len(series)) if alone else shades(arm.color, len(series))
             if kind in ("tension", "action"):
-                styles[f"{kind}/{part(name)}"] = LineStyle(series, tones)
+                styles[f"{kind}/{part(name)}"] = rr.SeriesLines(names=series)
                 continue
-            for scalar, tone in zip(series, tones, strict=True):
-                of_arm = LineStyle([name], [arm.color])
-                if kind == "error":
-                    styles[f"plot/{part(scalar)}/{part(name)}"] = of_arm
-                else:
-                    own = LineStyle([scalar if alone else f"{name} {scalar}"], [tone])
-                    styles[f"{kind}/{part(name)}/{part(scalar)}"] = of_arm if scalar == TOTAL else own
+            for scalar in series:
+                entity = f"plot/{part(scalar)}/{part(name)}" if kind == "error" else f"{kind}/{part(name)}/{part(scalar)}"
+                label = name if kind == "error" else scalar if alone else f"{name} {scalar}"
+                styles[entity] = rr.SeriesLines(names=[label], colors=colors)
     return styles
 
 
@@ -90,17 +70,17 @@ def layout(arms: dict[str, DrawnArm], trail: float, *, live: bool) -> rrb.Bluepr
 def _scenery(arms: dict[str, DrawnArm], trail: float) -> rrb.Spatial3DView:
     """The arms in space, from where `render` sees one, on a floor below all of them."""
     drawn = [*arms.values()]
-    eye = camera([arm.model for arm in drawn], np.array([arm.place for arm in drawn]), ASPECT)
+    position, target, up = camera(drawn[0].model, np.array([arm.place for arm in drawn]))
     lower, upper, vertical, upright = view_box(drawn[0].model.scene)
-    height = min(arm.place @ eye.up for arm in drawn) + (lower if upright else upper)[vertical] * eye.up[vertical]
+    height = min(arm.place @ up for arm in drawn) + (lower if upright else upper)[vertical] * up[vertical]
     recent = rrb.VisibleTimeRange(
         "sim_time", start=rrb.TimeRangeBoundary.cursor_relative(seconds=-trail), end=rrb.TimeRangeBoundary.cursor_relative()
     )
     return rrb.Spatial3DView(
         origin="/world",
         name="arm" if len(arms) == 1 else "arms",
-        eye_controls=rrb.EyeControls3D(position=eye.position, look_target=eye.target, eye_up=eye.up),
-        line_grid=rrb.LineGrid3D(plane=rr.components.Plane3D(eye.up, height), spacing=0.25 * drawn[0].model.length, stroke_width=0.5),
+        eye_controls=rrb.EyeControls3D(position=position, look_target=target, eye_up=up),
+        line_grid=rrb.LineGrid3D(plane=rr.components.Plane3D(up, height), spacing=0.25 * drawn[0].model.length, stroke_width=0.5),
         overrides={f"world/{part(name)}/{line}": rrb.VisibleTimeRanges([recent]) for name in arms for line in ("trail", "target_trail")},
     )
 
@@ -125,16 +105,12 @@ def _tensions(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> list[rrb.
 
 def _others(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> list[rrb.View | rrb.Container]:
     """Rewards, what else is counted, the titles of episodes, the scene."""
-    plots: dict[str, list[str]] = {"reward": [], "reward terms": [], "other": []}
-    for arm, known in arms.items():
-        for kind in ("reward", "other"):
-            for name in known.series.get(kind, []):
-                plots["reward terms" if kind == "reward" and name != TOTAL else kind].append(f"/{kind}/{part(arm)}/{part(name)}")
-    views = [
-        rrb.TimeSeriesView(contents=shown, name=name, axis_x=axis, plot_legend=LEGEND if len(shown) > 1 else NO_LEGEND)
-        for name, shown in plots.items()
-        if shown
-    ]
+    views: list[rrb.View] = []
+    for kind in ("reward", "other"):
+        shown = [f"/{kind}/{part(arm)}/{part(name)}" for arm, known in arms.items() for name in known.series.get(kind, [])]
+        if shown:
+            legend = LEGEND if len(shown) > 1 else NO_LEGEND
+            views.append(rrb.TimeSeriesView(contents=shown, name=kind, axis_x=axis, plot_legend=legend))
     scenes = [rrb.TextDocumentView(origin=f"/scene/{part(next(iter(arms)))}", name="scene")]
     return [*views, rrb.TextLogView(origin="/episodes", name="episodes"), *scenes]
 

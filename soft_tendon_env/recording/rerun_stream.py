@@ -23,7 +23,7 @@ from soft_tendon_env.drawing.renderer import normals
 from soft_tendon_env.drawing.shapes import (
     backbones,
     base_poses,
-    body,
+    cylinders,
     drawing_stations,
     label_place,
     mount_size,
@@ -36,19 +36,18 @@ from soft_tendon_env.drawing.shapes import (
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.recording.rollout import Rollout
-from soft_tendon_env.scene.scene import rod_length, scene_to_dict
+from soft_tendon_env.scene.scene import rod_length, rod_radius, scene_to_dict
 from soft_tendon_env.tools.types import Array
 
 try:
     import pyarrow
     import rerun as rr
 
-    from soft_tendon_env.recording.rerun_layout import DrawnArm, LineStyle, layout, line_styles, part
+    from soft_tendon_env.recording.rerun_layout import DrawnArm, layout, line_styles, part
 except ImportError as error:
     raise DependencyNotInstalled('Rerun is not installed, run `pip install "soft_tendon_env[recording]"`') from error
 
 STATIONS, TRAIL = 25, 3.0  # about how many points a backbone is drawn with, and for how long [s] tips leave a line behind
-
 TARGET_COLOR, MOUNT_COLOR, SOLID_COLOR = (255, 255, 255), (110, 112, 120), (186, 164, 128)
 TRANSPARENCY = 80  # alpha of the body, of 255: the tendons inside are to be seen
 
@@ -59,23 +58,16 @@ TENDON_WIDTH, TRAIL_WIDTH, TARGET_WIDTH, TARGET_SIZE = -1.0, -1.25, -0.75, -4.0
 """Radii of lines and points in pixels: Rerun takes negative ones so."""
 
 
-def new_recording(name: str) -> rr.RecordingStream:
-    """A recording that goes nowhere yet."""
-    return rr.RecordingStream(name)
-
-
 class RerunStream:
     """A recording of Rerun, and the arms in it; `RerunFile` and `RerunViewer` say where it goes."""
 
     live = False
 
-    def __init__(self, recording: rr.RecordingStream, name: str, where: str) -> None:
+    def __init__(self, name: str, where: str) -> None:
         """`name`: of the recording, in the viewer, which keeps one layout per name; `where` it goes, for messages."""
-        self._where = where
-        self._arms: dict[str, DrawnArm] = {}
-        self._styles: dict[str, LineStyle] = {}
-        self._recording: rr.RecordingStream | None = recording
-        recording.send_recording_name(name)
+        self._where, self._arms = where, dict[str, DrawnArm]()
+        self._recording: rr.RecordingStream | None = rr.RecordingStream(name)
+        self._recording.send_recording_name(name)
 
     def __enter__(self) -> Self:
         return self
@@ -102,8 +94,8 @@ class RerunStream:
         if arm in self._arms:
             raise ValueError(f"arm {arm!r} is in {self._where} already")
         where = np.array([*(side_by_side(model, len(self._arms)) if place is None else place)], dtype=float)
-        own = palette.style(arm, [other.style for other in self._arms.values()])
-        new = DrawnArm(model, own, where, drawing_stations(model, STATIONS))
+        style = palette.style(arm, [other.style for other in self._arms.values()])
+        new = DrawnArm(model, style, where, drawing_stations(model, STATIONS))
         straight = model.grid.unpacked(model.arm.rod.reference_strain)
         backbones(model, straight[None], new.station)  # compiles, if need be, before an episode waits for it
         self._arms[arm] = new
@@ -138,7 +130,7 @@ class RerunStream:
         self._send_numbers(arm, known, rollout, times)
         known.step += rollout.samples
         known.shown += rollout.samples
-        known.time += rollout.samples * _nanoseconds(rollout.period)
+        known.time += rollout.samples * round(1e9 * rollout.period)
 
     def _open_recording(self) -> rr.RecordingStream:
         if self._recording is None:
@@ -158,16 +150,16 @@ class RerunStream:
         depth, radius = mount_size(scene)
         along_x = rr.Quaternion(xyzw=[0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)])
         behind = [-depth / 2, 0.0, 0.0]
-        tube = body(new.model, new.station, np.zeros((1, new.station.size, 3)))
-        colors = (*new.color, TRANSPARENCY)
+        radii, _ = rod_radius(scene, 0.5 * (new.station[1:] + new.station[:-1]))
+        colors = (*new.style.colour, TRANSPARENCY)
         parts: dict[str, rr.AsComponents] = {
             "": rr.Transform3D(translation=new.place),
-            "/name": rr.Points3D.from_fields(positions=[label_place(new.model)], radii=0.0, colors=new.color, show_labels=True),
-            "/body": rr.Cylinders3D.from_fields(lengths=tube.length, radii=tube.radius, fill_mode=solid, colors=colors),
+            "/name": rr.Points3D.from_fields(positions=[label_place(new.model)], radii=0.0, colors=new.style.colour, show_labels=True),
+            "/body": rr.Cylinders3D.from_fields(lengths=np.diff(new.station), radii=radii, fill_mode=solid, colors=colors),
             "/mount": rr.Cylinders3D(lengths=depth, radii=radius, centers=behind, quaternions=along_x, fill_mode=solid, colors=MOUNT_COLOR),
-            "/backbone": rr.LineStrips3D.from_fields(radii=0.5 * TENDON_WIDTH, colors=new.color),
+            "/backbone": rr.LineStrips3D.from_fields(radii=0.5 * TENDON_WIDTH, colors=new.style.colour),
             "/tendons": rr.LineStrips3D.from_fields(radii=TENDON_WIDTH),
-            "/trail": rr.LineStrips3D.from_fields(radii=TRAIL_WIDTH, colors=new.color),
+            "/trail": rr.LineStrips3D.from_fields(radii=TRAIL_WIDTH, colors=new.style.colour),
             "/tip": rr.TransformAxes3D(0.05 * length),
             "/target_backbone": rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR),
             "/target_trail": rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR),
@@ -183,9 +175,9 @@ class RerunStream:
             self._send(f"{root}/mount", times, _poses(base))
         frames = backbones(rollout.model, rollout.strain, known.station, base)
         position = frames[..., :3, 3]
-        pieces = body(rollout.model, known.station, position)
-        cylinders = rr.Cylinders3D.columns(centers=pieces.center.reshape(-1, 3), quaternions=pieces.quaternion.reshape(-1, 4))
-        self._send(f"{root}/body", times, cylinders.partition([known.station.size - 1] * rollout.samples))
+        centers, quaternions = cylinders(position)
+        pieces = rr.Cylinders3D.columns(centers=centers.reshape(-1, 3), quaternions=quaternions.reshape(-1, 4))
+        self._send(f"{root}/body", times, pieces.partition([known.station.size - 1] * rollout.samples))
         self._send(f"{root}/backbone", times, _lines(position))
         curves = tendon_curves(rollout.model, frames, known.station)
         strips = rr.LineStrips3D.columns(
@@ -248,11 +240,8 @@ class RerunStream:
 
     def _lay_out(self) -> None:
         """Send the names and colours of all lines in plots, and what the viewer is to show of all arms."""
-        styles = line_styles(self._arms)
-        for entity, style in styles.items():
-            if self._styles.get(entity) != style:
-                self._send_static(entity, rr.SeriesLines(names=style.names, colors=style.colors))
-        self._styles = styles
+        for entity, style in line_styles(self._arms).items():
+            self._send_static(entity, style)
         self._open_recording().send_blueprint(layout(self._arms, TRAIL, live=self.live))
 
 
@@ -261,15 +250,11 @@ def _kind(scalar: str) -> str:
     return "reward" if scalar.startswith("reward") else "error" if scalar.endswith("error") else "other"
 
 
-def _nanoseconds(period: float) -> int:
-    return round(1e9 * period)
-
-
 def _times(arm: DrawnArm, samples: int, period: float) -> list[rr.TimeColumn]:
     """Places of the arm's next samples on the timelines."""
     passed = np.arange(samples)
     return [
-        rr.TimeColumn("sim_time", duration=(arm.time + passed * _nanoseconds(period)).astype("timedelta64[ns]")),
+        rr.TimeColumn("sim_time", duration=(arm.time + passed * round(1e9 * period)).astype("timedelta64[ns]")),
         rr.TimeColumn("step", sequence=arm.step + passed),
         rr.TimeColumn("episode", sequence=np.full(samples, arm.episode)),
     ]

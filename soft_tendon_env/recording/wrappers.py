@@ -22,8 +22,7 @@ class RowRecorder:
 
     def __init__(self, file: "RerunStream", arm: str, episodes: Episodes, row: int, flush_period: float | None) -> None:
         self._file, self._arm, self._episodes, self._flush_period = file, arm, episodes, flush_period
-        self._buffer, self._episode, self._title, self._written = RolloutBuffer(episodes, row), -1, "", 0.0
-        self._continues = False
+        self._buffer, self._episode, self._title, self._written, self._continues = RolloutBuffer(episodes, row), -1, "", 0.0, False
 
     def begin(self, seed: int | None = None) -> None:
         """Take the state after a reset as the first sample of the next episode; one that has not ended ends here."""
@@ -61,10 +60,9 @@ class RowRecorder:
 class RecordRollout(gym.Wrapper[Any, Any, Any, Any]):
     """Records all episodes as the arm `name` of a Rerun file.
 
-    `file`: a path, or an open `RerunFile`, in which several environments can have arms; `place` (3,) [m]: where this one is drawn, "beside"
-    the others by default, None for an arm that the file has already. What is at hand is written at the end of every episode and, within
-    one, every `flush_period` seconds of wall-clock time (None: not): that is what a killed process leaves.
-    `close` completes a file given by its path; another is closed by who opened it.
+    `file`: a path, or an open `RerunFile`, in which several environments can have arms and which who opened it closes; `place` (3,) [m]:
+    where this one is drawn, "beside" the others by default, None for an arm that the file has already. What is at hand is written at the
+    end of every episode and, within one, every `flush_period` seconds of wall-clock time (None: not): what a killed process leaves.
     Raises gymnasium.error.DependencyNotInstalled without Rerun, ValueError for a second arm of one name.
     """
 
@@ -77,8 +75,7 @@ class RecordRollout(gym.Wrapper[Any, Any, Any, Any]):
         place: Sequence[float] | Literal["beside"] | None = "beside",
     ) -> None:
         super().__init__(env)
-        episodes, self._own = episodes_of(env), isinstance(file, str | Path)
-        self._file = _open(file) if isinstance(file, str | Path) else file
+        episodes, self._closes, self._file = episodes_of(env), isinstance(file, str | Path), _open(file)
         if place is not None:
             self._file.add_arm(name, episodes.model, None if place == "beside" else place)
         self._recorder = RowRecorder(self._file, name, episodes, 0, flush_period)
@@ -97,7 +94,7 @@ class RecordRollout(gym.Wrapper[Any, Any, Any, Any]):
 
     def close(self) -> None:
         self._recorder.finish()
-        if self._own:
+        if self._closes:
             self._file.close()
         super().close()
 
@@ -149,7 +146,7 @@ class VectorRecordRollout(gym.vector.VectorWrapper):
         super().close(**kwargs)
 
 
-def _open(path: str | Path) -> "RerunFile":
+def _open(file: "str | Path | RerunFile") -> "RerunFile":
     from soft_tendon_env.recording.rerun_file import RerunFile  # imports Rerun
 
-    return RerunFile(path)
+    return RerunFile(file) if isinstance(file, str | Path) else file

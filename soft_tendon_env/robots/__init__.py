@@ -1,23 +1,10 @@
 """Robots: real arms, and a simulated one in their place, behind one interface, and the loop that runs policies on them."""
 
-from typing import TYPE_CHECKING, Any
-
-from soft_tendon_env.robots.clock import Timing
+from soft_tendon_env.robots.dynamixel import DynamixelRobot
 from soft_tendon_env.robots.environment import Report, RobotEnv, rehearse, run_policy
-from soft_tendon_env.robots.protocol import Measurement, Robot, load_robot
-from soft_tendon_env.robots.safety import RobotStopped, Stop
+from soft_tendon_env.robots.protocol import Measurement, Robot
+from soft_tendon_env.robots.safety import RobotStopped, Stop, Timing
 from soft_tendon_env.robots.simulated import SimulatedRobot
 
-if TYPE_CHECKING:
-    from soft_tendon_env.robots.dynamixel import DynamixelRobot
-
 __all__ = ["DynamixelRobot", "Measurement", "Report", "Robot", "RobotEnv", "RobotStopped", "SimulatedRobot", "Stop", "Timing"]
-__all__ += ["load_robot", "rehearse", "run_policy"]
-
-
-def __getattr__(name: str) -> Any:
-    if name != "DynamixelRobot":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from soft_tendon_env.robots.dynamixel import DynamixelRobot  # here: its SDK is an extra
-
-    return DynamixelRobot
+__all__ += ["rehearse", "run_policy"]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from soft_tendon_env.robots.protocol import Measurement, Unit
+from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.scene.strain import STRAINS
 from soft_tendon_env.tools.types import COMMANDS, Array
 
@@ -29,48 +29,44 @@ def check_log(path: Path) -> None:
 
 
 class RobotLog:
-    """Writes a log, which has every row as soon as it is there, whatever comes after. Without any row there is no file in the end.
+    """Writes a log, which has every row as soon as it is there. Without any there is no file in the end. Raises as `check_log`, OSError."""
 
-    Raises as `check_log`, and OSError.
-    """
-
-    def __init__(self, path: Path, unit: Unit, senses: tuple[str, ...], tendons: int, sensors: int) -> None:
+    def __init__(self, path: Path, unit: str, senses: tuple[str, ...], tendons: int, sensors: int) -> None:
         check_log(path)
         columns = {
             "tip_pose": [f"tip_{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")],
             "tip_twist": [f"tip_{name}" for name in ("wx", "wy", "wz", "vx", "vy", "vz")],
-            "tension": [f"measured_tension_{i}" for i in range(tendons)],
-            "tendon_length": [f"tendon_length_{i}" for i in range(tendons)],
             **{name: [f"{name}_{s}_{strain}" for s in range(sensors) for strain in STRAINS] for name in ("strain", "strain_rate")},
         }
-        self.path, self._motions, self._fields = path, 0, [name for name in columns if name in senses]
-        commands = [f"{kind}_{i}" for kind in (COMMANDS[unit], "commanded") for i in range(tendons)]
-        measured = [name for field in self._fields for name in columns[field]]
-        self._rows: list[list[Any]] = [["hold", "time", "measured_time", *commands, *measured]]  # that wait for the first period
+        numbered = {"tension": "measured_tension", "tendon_length": "tendon_length", "sent": COMMANDS[unit], "asked": "commanded"}
+        columns |= {name: [f"{column}_{i}" for i in range(tendons)] for name, column in numbered.items()}
+        self.path, self._motions, self._senses = path, 0, senses
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file = open(path, "x", encoding="utf-8", newline="")
         self._writer = csv.writer(self._file, lineterminator="\n")
+        measured = [column for name in ("sent", "asked", *senses) for column in columns[name]]
+        self._writer.writerow(["hold", "time", "measured_time", *measured])
 
-    def begin(self, period: float, measured: Measurement, command: Array) -> None:
-        """Another motion begins, at time 0, from rest under a command (n_a,), with what is measured there; period: of control [s]."""
+    def begin(self, period: float, measured_time: float, reading: Reading, command: Array) -> None:
+        """Another motion begins, at time 0, from rest under a command (n_a,), with the reading there; period: of control [s]."""
         self._hold = f"{self.path.stem}.{self._motions}" if self._motions else self.path.stem
-        self._rows = [*(() if self._motions else self._rows[:1]), self._row(-period, measured, command, command)]
+        self._waiting = [self._row(-period, measured_time, reading, command, command)]  # for the first period: else it is no motion
 
-    def append(self, time: float, measured: Measurement, commanded: Array, sent: Array) -> None:
-        """A period that begins at a time [s], with what was measured then, and the commands (n_a,) that followed. Raises OSError."""
-        self._motions += bool(self._rows)
-        self._writer.writerows([*self._rows, self._row(time, measured, commanded, sent)])
-        self._rows = []
+    def append(self, time: float, measured_time: float, reading: Reading, asked: Array, sent: Array) -> None:
+        """A period that begins at a time [s], with the reading then, and the commands (n_a,) that followed. Raises OSError."""
+        self._motions += len(self._waiting)
+        self._writer.writerows([*self._waiting, self._row(time, measured_time, reading, asked, sent)])
+        self._waiting = []
         self._file.flush()
 
-    def _row(self, time: float, measured: Measurement, commanded: Array, sent: Array) -> list[Any]:
-        numbers = [sent, commanded]
-        for name in self._fields:
-            value = getattr(measured, name)
+    def _row(self, time: float, measured_time: float, reading: Reading, asked: Array, sent: Array) -> list[Any]:
+        numbers = [sent, asked]
+        for name in self._senses:
+            value = getattr(reading, name)[0]
             if name == "tip_pose":
                 value = np.r_[value[:3, 3], Rotation.from_matrix(value[:3, :3]).as_quat(canonical=True, scalar_first=True)]
             numbers.append(value.ravel())
-        return [self._hold, round(time, 9), measured.time, *np.concatenate(numbers).tolist()]
+        return [self._hold, round(time, 9), measured_time, *np.concatenate(numbers).tolist()]
 
     def close(self) -> None:
         """Closes the file; once."""

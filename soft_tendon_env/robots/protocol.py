@@ -1,15 +1,10 @@
-"""Interface of a real arm: measurements that are read, and commands of its tendons that are written. docs/how_to/robots.md has a class of
-one's own in twenty lines. What it raises ends a run safely, see safety.py."""
+"""Interface of a real arm: measurements that are read, and commands of its tendons that are written; see docs/how_to/robots.md."""
 
-import importlib
-from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from soft_tendon_env.tools.checks import checked_array, checked_number
-from soft_tendon_env.tools.configuration import shown
-from soft_tendon_env.tools.parallel import look_in_this_folder
 from soft_tendon_env.tools.types import Array
 
 Unit = Literal["N", "m"]
@@ -29,41 +24,23 @@ class Measurement(NamedTuple):
 
 
 class Robot(Protocol):
-    """A tendon-driven arm with its motors and sensors.
+    """A tendon-driven arm with its motors and sensors; `read` and `write` may raise any exception, which ends a run safely.
 
-    command_unit: "N" where it is tension-driven, "m" where it is displacement-driven. senses: fields of Measurement that it gives.
-    clock: an attribute of simulated arms alone, see clock.py; real ones live in real time.
+    clock: an attribute of simulated arms alone, see safety.Clock; real ones live in real time.
     """
 
-    command_unit: Unit
-    senses: tuple[str, ...]
+    command_unit: Unit  # "N" where it is tension-driven, "m" where it is displacement-driven
+    senses: tuple[str, ...]  # fields of Measurement that it gives
 
     def read(self) -> Measurement:
-        """The newest measurement; it returns soon. Raises any exception where the arm cannot be read."""
+        """The newest measurement; it returns soon."""
 
     def write(self, command: Array) -> Array | None:
-        """Sends a command (n_a,) and returns what was sent, in the same unit, after limits and rounding of its own; None: as it is. What is
-        sent next does not depend on it. Raises any exception where the arm cannot be reached.
-
-        Calls come one at a time; slack comes from the watchdog's thread, also while another call hangs."""
+        """Sends a command (n_a,) and returns what was sent, in the same unit, after limits and rounding of its own; None: as it is. Calls
+        come one at a time; slack comes from the watchdog's thread, also while another call hangs."""
 
     def close(self) -> None:
         """Lets go of the arm, which is slack by then."""
-
-
-def load_robot(name: str, options: Mapping[str, Any]) -> Robot:
-    """The robot that a class MODULE:CLASS, also of the current folder, makes with these keyword arguments.
-
-    Raises ValueError, TypeError, and what the class raises.
-    """
-    look_in_this_folder()
-    module, _, attribute = name.partition(":")
-    try:
-        robot: Robot = getattr(importlib.import_module(module), attribute)(**options)
-    except (ImportError, AttributeError, TypeError) as error:
-        raise ValueError(f"robot is {name!r} with the options {shown(dict(options))}: it should be MODULE:CLASS; {error}") from error
-    check_robot(robot)
-    return robot
 
 
 def check_robot(robot: Any) -> None:
@@ -72,13 +49,13 @@ def check_robot(robot: Any) -> None:
         raise TypeError(f"{type(robot).__name__} should have {missing[0]}, see soft_tendon_env.robots.Robot")
 
 
-def checked_measurement(given: Any, senses: tuple[str, ...], tendons: int, sensors: int) -> Measurement:
-    """A robot's measurement, as it says that it senses. Raises TypeError, ValueError for other shapes, for NaN, and for what is missing."""
+def check_measurement(given: Any, senses: tuple[str, ...], tendons: int, sensors: int) -> Measurement:
+    """A robot's measurement of what it senses, as arrays. Raises TypeError or ValueError for other shapes, NaN, and what is missing."""
     if not isinstance(given, Measurement):
         raise TypeError(f"read should return a Measurement, not {type(given).__name__}")
-    sizes: dict[str, tuple[int, ...]] = {"tip_pose": (4, 4), "tip_twist": (6,), "strain": (sensors, 6), "strain_rate": (sensors, 6)}
+    shapes: dict[str, tuple[int, ...]] = {"tip_pose": (4, 4), "tip_twist": (6,), "strain": (sensors, 6), "strain_rate": (sensors, 6)}
     time = checked_number("measurement.time", given.time, -np.inf, "a finite number of seconds")
-    found = {name: checked_array(f"measurement.{name}", getattr(given, name), sizes.get(name, (tendons,))) for name in senses}
+    found = {name: checked_array(f"measurement.{name}", getattr(given, name), shapes.get(name, (tendons,))) for name in senses}
     if "tip_pose" in found:
         R, row = found["tip_pose"][:3, :3], found["tip_pose"][3]
         off = max(np.abs(row - [0.0, 0.0, 0.0, 1.0]).max(), np.abs(R @ R.T - np.eye(3)).max(), 1.0 - np.sign(np.linalg.det(R)))

@@ -1,7 +1,7 @@
-"""Safe commands: limits of size and rate, checks of what is measured, and a watchdog by which the tendons go slack, whatever ends a run.
+"""Safe commands in time: absolute deadlines, limits of size and rate, checks of what is measured, and a watchdog that lets the tendons go.
 
-All ends in the hands of the watchdog, a thread of its own that no signal reaches: the command goes to slack evenly within RAMP, also while
-another call of the robot hangs. Where writing fails it is tried again for TRYING, and once more by every later `stop`.
+The watchdog is a thread of its own that no signal reaches: the command goes to slack evenly within RAMP, also while another call of the
+robot hangs. Where writing fails it is tried again for TRYING, and once more by every later `stop`.
 """
 
 import atexit
@@ -10,24 +10,80 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from queue import Empty, SimpleQueue
-from time import perf_counter
-from typing import Any, NoReturn
+from time import perf_counter, sleep
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
-from soft_tendon_env.robots.clock import Clock
-from soft_tendon_env.robots.protocol import Measurement, Robot, checked_measurement
+from soft_tendon_env.robots.protocol import Measurement, Robot, check_measurement
 from soft_tendon_env.tools.checks import checked_array
 from soft_tendon_env.tools.messages import UserError, first_line
 from soft_tendon_env.tools.types import Array
 
+SPIN = 5e-4  # [s] before a deadline at which sleeping ends: the scheduler wakes a process late by less, where it is idle
 RAMP, RAMP_STEPS = 0.03, 6  # [s] in which tendons go slack, sudden enough to be safe and not a blow, and the commands on the way
 TRYING = 1.0  # [s] for which slack is tried where it cannot be sent; a port that comes back does so within less
 HANGING = 0.1  # [s] for which slack waits for another call of the robot; one that takes longer hangs
-LOOK = 1e-3  # [s] at least between two looks of the watchdog, which looks four times in a period
 ROUNDING = 0.1  # share of the range of commands by which motors may round beyond its ends
 STRETCH = 1.25  # greatest distance of the tip from the base, in lengths of the arm: rubber stretches, trackers err by millimetres
+FINISHED = "the run ended"  # cause of the stop of a run that went on to its end
 ENDS = ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")  # of `kill`, a closed terminal, Ctrl-\ and Ctrl-Z, which act as Ctrl-C does
+
+
+class Clock:
+    """Monotonic clock. real: that of the machine; else it stands still but while somebody waits, for simulations at any speed."""
+
+    def __init__(self, real: bool = True) -> None:
+        self.real, self._times = real, {0: 0.0}  # until when each thread has waited: no lock, which an interrupt might leave shut
+
+    def now(self) -> float:
+        """The time [s]."""
+        return perf_counter() if self.real else max(self._times.values())
+
+    def wait_until(self, time: float) -> None:
+        """Waits until a time [s]; returns at once where it is past."""
+        if not self.real and time > self.now():
+            self._times[threading.get_ident()] = time
+        while self.real and (left := time - perf_counter()) > 0.0:
+            if left > SPIN:
+                sleep(left - SPIN)
+
+
+class Timing(NamedTuple):
+    """Statistics of the periods of a loop: how late each began after its deadline [s]."""
+
+    periods: int
+    overruns: int  # periods whose work ended after the next deadline
+    p50: float  # [s] of lateness
+    p99: float  # [s]
+    worst: float  # [s]
+
+    def __str__(self) -> str:
+        late = f"late by {1e3 * self.p50:.3f} ms (p50), {1e3 * self.p99:.3f} ms (p99), {1e3 * self.worst:.3f} ms (worst)"
+        return f"{self.periods} periods, {self.overruns} overruns, {late}"
+
+
+class Pacer:
+    """Absolute deadlines every `period` [s] from now on. A late period does not move the next ones: the loop catches up by short ones."""
+
+    def __init__(self, clock: Clock, period: float) -> None:
+        self.clock, self.period, self._first = clock, period, clock.now()
+        self.count, self._overruns, self._lateness = 0, 0, list[float]()
+
+    def wait(self) -> float:
+        """Waits for the next deadline; returns by how much [s] it is missed."""
+        self.count += 1
+        deadline = self._first + self.period * self.count
+        self._overruns += self.clock.now() > deadline
+        self.clock.wait_until(deadline)
+        self._lateness.append(self.clock.now() - deadline)
+        return self._lateness[-1]
+
+    @property
+    def timing(self) -> Timing:
+        """Statistics until now; zeros before the first period is over."""
+        p50, p99, worst = np.percentile(self._lateness or [0.0], [50, 99, 100]).tolist()
+        return Timing(self.count, self._overruns, p50, p99, worst)
 
 
 class RobotStopped(UserError):
@@ -49,19 +105,17 @@ class SafeRobot:
     of a command in a second; patience: periods without a new reading, or behind the deadlines, after which the arm is let go."""
 
     def __init__(self, robot: Robot, limits: Array, sensors: int, length: float, period: float, rate: float, patience: int) -> None:
-        self.robot = robot
+        self.robot, self._limits, self._sensors, self._reach, self.rate = robot, limits, sensors, STRETCH * length, rate
         self.slack = np.zeros(len(limits)) if robot.command_unit == "N" else limits[:, 0].copy()  # no tension, or all that can be let out
         self.senses = tuple(name for name in robot.senses if sensors or not name.startswith("strain"))
         self.clock: Clock = getattr(robot, "clock", None) or Clock()
-        self._limits, self._sensors, self._reach, self._period = limits, sensors, STRETCH * length, period
-        self._most, self._patience = rate * period, patience * period
+        self._period, self._patience = period, patience * period
         self._allowed = f": patience is {patience} control periods of {1e3 * period:g} ms"
         self.stopped: Stop | None = Stop("it has not begun", slack=True)
         self._sent, self._fresh, self._closed = self.slack.copy(), 0.0, False
         self._newest: Measurement | None = None
         self._lock, self._hangs = threading.Lock(), False  # of the robot's calls, and whether one does not return
-        self._told: SimpleQueue[tuple[str, threading.Event]] = SimpleQueue()
-        self._handlers = dict[int, Any]()
+        self._told, self._handlers = SimpleQueue[tuple[str, threading.Event]](), dict[int, Any]()
         threading.Thread(target=self._watch, name="watchdog", daemon=True).start()
         atexit.register(self.stop, "the interpreter ended")
 
@@ -74,11 +128,13 @@ class SafeRobot:
                     self._handlers[number] = signal.signal(number, signal.default_int_handler)
         self._newest, self._fresh, self.stopped = None, self.clock.now(), None
 
-    def read(self) -> Measurement:
-        """The newest measurement. Raises RobotStopped, also after one that fails, that cannot be, or that is too old."""
+    def read(self, late: float = 0.0) -> Measurement:
+        """The newest measurement, in a period that begins late [s]. Raises RobotStopped, also after one that fails, cannot be or is old."""
         self._refuse()
+        if late > self._patience:
+            self.fail(f"the loop is {1e3 * late:.0f} ms behind its deadlines{self._allowed}")
         try:
-            found = checked_measurement(self._alone(self.robot.read, TRYING), self.senses, self.slack.size, self._sensors)
+            found = check_measurement(self._alone(self.robot.read, TRYING), self.senses, self.slack.size, self._sensors)
             if self._newest is None or found.time > self._newest.time:
                 if found.tip_pose is not None and (far := float(np.linalg.norm(found.tip_pose[:3, 3]))) > self._reach:
                     text = f"the tip {far:.3g} m from the base, and the arm reaches {self._reach:.3g} m"
@@ -86,21 +142,18 @@ class SafeRobot:
                 self._newest, self._fresh = found, self.clock.now()
         except Exception as error:
             self.fail(f"reading failed: {first_line(error)}", error)
-        if cause := self._too_old():
-            self.stop(cause)
-        self._refuse()
+        self._refuse(self._too_old())
         assert self._newest is not None
         return self._newest
 
     def write(self, command: Array) -> Array:
         """Sends a command (n_a,) within limits and rate; returns what was sent. Raises RobotStopped, also where it cannot be sent."""
         self._refuse()
-        if not np.isfinite(command).all():
-            self.fail(f"the command was {command.tolist()}")
-        least, greatest = self._limits.T
-        wanted = np.clip(command, np.minimum(least, self._sent), greatest)  # from slack, which may lie beneath, it rises evenly
+        (least, greatest), most = self._limits.T, self.rate * self._period
         try:
-            found = self._send(np.clip(wanted, self._sent - self._most, self._sent + self._most))
+            # from slack, which may lie beneath the limits, it rises evenly
+            wanted = np.clip(checked_array("command", command, self.slack.shape), np.minimum(least, self._sent), greatest)
+            found = self._send(np.clip(wanted, self._sent - most, self._sent + most))
             if found is not None:
                 found, slop = checked_array("what write returns", found, self.slack.shape), ROUNDING * (greatest - least)
                 if not ((found >= np.minimum(least, self.slack) - slop) & (found <= greatest + slop)).all():
@@ -111,11 +164,6 @@ class SafeRobot:
             self._try(self.stopped, self.slack)
         self._refuse()
         return self._sent.copy() if found is None else found
-
-    def look_at_lateness(self, late: float) -> None:
-        """Stops where a period begins so late [s] that the loop does not catch up any more. Raises RobotStopped."""
-        if late > self._patience:
-            self.fail(f"the loop is {1e3 * late:.0f} ms behind its deadlines{self._allowed}")
 
     def fail(self, cause: str, error: Exception | None = None) -> NoReturn:
         """Stops, and raises RobotStopped with the first cause."""
@@ -129,9 +177,9 @@ class SafeRobot:
             done.wait(2.0 * (TRYING + HANGING))
         return self.stopped or Stop(cause)
 
-    def close(self) -> Stop:
+    def close(self) -> None:
         """Stops, and lets go of the robot, once; where that fails, as on a port that is lost, it stands among the failures."""
-        done = self.stop("the run ended")
+        done = self.stop(FINISHED)
         if not self._closed:
             try:
                 self.robot.close()
@@ -141,22 +189,21 @@ class SafeRobot:
             atexit.unregister(self.stop)
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
-        return done
 
     def _watch(self) -> None:
         """The watchdog: looks at the newest measurement's age, and lets the tendons go when it is told to, until the robot is closed."""
         while not self._closed:
-            cause, done = "", None
             try:
-                cause, done = self._told.get(timeout=max(0.25 * self._period, LOOK))
+                cause, done = self._told.get(timeout=0.25 * self._period)
             except Empty:
-                cause = self._too_old() if self.clock.real else ""
-            if cause and self.stopped is None:
+                if self.clock.real and (cause := self._too_old()):
+                    self._go_slack(Stop(cause))
+                continue
+            if self.stopped is None:
                 self._go_slack(Stop(cause))
-            elif done is not None and self.stopped is not None and not self.stopped.slack:
+            elif not self.stopped.slack:
                 self._try(self.stopped, self.slack)
-            if done is not None:
-                done.set()
+            done.set()
 
     def _go_slack(self, stop: Stop) -> None:
         """The ramp, and the last command again as long as it fails. Steps are left out where the robot takes longer for one."""
@@ -179,14 +226,13 @@ class SafeRobot:
             stop.failures.append(first_line(error))
 
     def _send(self, command: Array, slackens: bool = False) -> Any:
-        """Sends a command (n_a,), clipped to the limits and slack; returns what `write` does. After a stop nothing but slack is sent."""
+        """Sends a command (n_a,); returns what `write` does. After a stop nothing but slack is sent."""
 
         def send() -> Any:
             if self.stopped is not None and not slackens:
                 return None
-            held = np.clip(command, np.minimum(self._limits[:, 0], self.slack), self._limits[:, 1])
-            found = self.robot.write(held.copy())
-            self._sent = held
+            found = self.robot.write(command.copy())
+            self._sent = command
             return found
 
         return self._alone(send, HANGING if slackens else TRYING)
@@ -206,7 +252,7 @@ class SafeRobot:
         age = self.clock.now() - self._fresh
         return "" if self.stopped is not None or age <= self._patience else f"no reading for {1e3 * age:.0f} ms{self._allowed}"
 
-    def _refuse(self) -> None:
-        """Raises RobotStopped after a stop."""
-        if self.stopped is not None:
-            self.fail(self.stopped.cause)
+    def _refuse(self, cause: str = "") -> None:
+        """Raises RobotStopped after a stop, or for a cause of one."""
+        if cause or self.stopped is not None:
+            self.fail(cause)

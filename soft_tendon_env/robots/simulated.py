@@ -1,12 +1,6 @@
-"""Simulated arm behind the interface of a real one: noise, latency, rate limits and model errors, in real or in simulated time.
-
-    robot = SimulatedRobot(scene="three_tendon", fidelity="fine", model_error="stiffness-20%,latency-20ms", sensors=3)
-
-It differs from its drawing as an environment's arm does under the same options: materials, effects, actuators and sensors are drawn once.
-"""
+"""Simulated arm behind the interface of a real one: noise, latency, rate limits and model errors, in real or in simulated time."""
 
 from collections import deque
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,18 +9,16 @@ from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.options import Options, given_scene
 from soft_tendon_env.envs.randomization import Sensors
 from soft_tendon_env.envs.tasks import TASKS
-from soft_tendon_env.evaluation.conditions import NOMINAL, model_error
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.policies.regimes import SENSORS
-from soft_tendon_env.robots.clock import Clock, SteppedClock
 from soft_tendon_env.robots.protocol import Measurement, Unit
+from soft_tendon_env.robots.safety import Clock
 from soft_tendon_env.tools.checks import checked_array, checked_count
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import Array
 
-OF_ARM = ("scene", "fidelity", "tension_limits", "sensors", "randomize", "control_period")
-"""Options of environments that say what an arm is like."""
+OF_ARM = ("scene", "fidelity", "tension_limits", "sensors", "randomize", "control_period")  # options that say what an arm is like
 ROW = np.zeros(1, dtype=np.int64)
 EARLY = 1e-9  # [s] by which a command may arrive before its time: clocks are sums
 
@@ -35,37 +27,32 @@ class SimulatedRobot:
     """Simulated arm, at rest under the tensions nearest to zero until it is first read or commanded, and simulated up to the present
     whenever it is. Every field of Measurement is sensed but tensions.
 
-    Args:
-        model_error: names of soft_tendon_env.evaluation.MODEL_ERRORS, with commas between.
-        seed: of what is drawn, and of noise.
-        real_time: whether time goes on by itself; else it stands still but while a loop waits.
-        options: of environments, those in OF_ARM. Rate limits and lag are those of the scene's [effects.actuators].
-
-    Raises ConfigurationError, ValueError, TypeError.
+    seed: of what is drawn, once, and of noise. real_time: whether time goes on by itself; else it stands still but while a loop waits.
+    options: of environments, those in OF_ARM, under which it differs from its drawing as an environment's arm does. Rate limits and lag
+    are those of the scene's [effects.actuators]. Raises ConfigurationError, ValueError, TypeError.
     """
 
     senses = ("tip_pose", "tip_twist", "tendon_length", "strain", "strain_rate")
 
-    def __init__(self, model_error: str = NOMINAL, seed: int = 0, real_time: bool = True, **options: Any) -> None:
-        given = _options(model_error, options)
-        actuators = given_scene(given.scene).effects.actuators
-        delay = 0.0 if actuators is None else actuators.delay  # which is taken here, where commands may come as often as they like
+    def __init__(self, seed: int = 0, real_time: bool = True, **options: Any) -> None:
+        if problems := [Problem((name,), f"is an unknown key: {not_among(name, OF_ARM)}") for name in options if name not in OF_ARM]:
+            raise ConfigurationError(problems, "SimulatedRobot")
+        target = {"type": "hold", "pose": np.eye(4).tolist()}  # which costs nothing, and nobody sees
+        given = Options.parse({"sensors": SENSORS, **options, "target": target}, "SimulatedRobot")
+        delay = getattr(given_scene(given.scene).effects.actuators, "delay", 0.0)  # taken here, where commands come as often as they like
         undelayed = {"scene": {"scene": given.scene, "effects.actuators.delay": 0.0}} if delay else {}
         episodes = Episodes(TASKS["TipPose"], given.model_copy(update=undelayed), rows=1)
         self._episodes, self._arms, self._actuation = episodes, episodes.arms, episodes.actuation
         self.command_unit: Unit = "m" if episodes.model.command_unit == "m" else "N"
-        self.clock = Clock() if real_time else SteppedClock()
-        first = episodes.start_command
+        self.clock, first = Clock(real_time), episodes.start_command
         self._sensors = Sensors(episodes.options.randomize.noise, 1, first.size, episodes.sensors.size)
         self._readings = np.zeros(1, dtype=np.int64)
         self._arms.step(first[None, None], ROW)  # these two compile, so that no reading waits for that
         self._sensors.measured(self._arms.reading, self._readings, ROW)
         episodes.begin(ROW, [np.random.default_rng(checked_count("seed", seed, 0))])
-        self._latency, self._period = delay + self._actuation.delay(0), episodes.period
-        self._acting = self._actuation.acting(first, 0)
-        self._coming: deque[tuple[float, Array]] = deque()  # commands by the times of their arrival
+        self._latency, self._acting = delay + self._actuation.delay(0), self._actuation.acting(first, 0)
+        self._coming, self._time = deque[tuple[float, Array]](), np.inf  # commands by their arrival, and the time of the arm, once it moves
         self._sensors.begin(0, seed)
-        self._time: float | None = None
 
     def read(self) -> Measurement:
         """The arm now. Raises SimulationDiverged where its simulation does not go on."""
@@ -87,11 +74,11 @@ class SimulatedRobot:
     def _go_on(self) -> float:
         """Simulate up to now [s]."""
         now = self.clock.now()
-        time = now if self._time is None else self._time
+        time = min(now, self._time)
         while True:
             while self._coming and self._coming[0][0] <= time + EARLY:
                 self._acting = self._coming.popleft()[1]
-            until = min(now, time + self._period, self._coming[0][0] if self._coming else now)
+            until = min(now, time + self._episodes.period, self._coming[0][0] if self._coming else now)
             if until - time <= EARLY:
                 break
             self._arms.step(self._acting[None, None], ROW, np.array([[until - time]]))
@@ -100,14 +87,3 @@ class SimulatedRobot:
             time = until
         self._time = now
         return now
-
-
-def _options(errors: str, given: Mapping[str, Any]) -> Options:
-    """Options of a simulated robot with model errors. Raises ConfigurationError, ValueError."""
-    drawn, error = given.get("randomize", {}), dict(model_error(errors).randomize)
-    problems = [Problem((name,), f"is an unknown key: {not_among(name, OF_ARM)}") for name in given if name not in OF_ARM]
-    problems += [Problem(("randomize", name), f"is in the model error {errors!r} too") for name in sorted(drawn.keys() & error.keys())]
-    if problems:
-        raise ConfigurationError(problems, "SimulatedRobot")
-    target = {"type": "hold", "pose": np.eye(4).tolist()}  # which costs nothing, and nobody sees
-    return Options.parse({"sensors": SENSORS, **given, "target": target, "randomize": {**drawn, **error}}, "SimulatedRobot")

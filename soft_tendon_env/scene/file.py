@@ -19,10 +19,7 @@ def scene_names() -> tuple[str, ...]:
 
 
 def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
-    """Loads a scene from TOML: a shipped scene's name, or the path of a file whose name ends in ".toml".
-
-    Raises ConfigurationError where there is no such scene or file or it is not valid, with a line per mistake; TypeError.
-    """
+    """Loads a shipped scene by its name, or a file by its path in ".toml". Raises TypeError, ConfigurationError with a line per mistake."""
     if not isinstance(name_or_path, str | os.PathLike):
         raise TypeError(f"name_or_path should be the name of a shipped scene or the path of a TOML file, not {type(name_or_path).__name__}")
     name, path = os.fspath(name_or_path), Path(name_or_path)

@@ -11,13 +11,11 @@ from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.scene.scene import Scene, scene_to_dict
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, shown
 
-TABLES = ("segments", "tendons", "effects")
-"""Tables of a scene with the numbers of the arm; the others say how it is computed."""
-FIXED = {
+TABLES = ("segments", "tendons", "effects")  # with the numbers of the arm; the others say how it is computed
+FIXED = {  # patterns of keys whose numbers are no parameters, and why
     r"segments\.\d+\.length|tendons\.\d+\.(start|end)": "it decides where the quadrature points lie; build a model for each value",
     r"tendons\.\d+\.tension_limits\.\d": "it bounds the commands, and nothing changes with it in between",
 }
-"""Patterns of keys whose numbers are no parameters, and why."""
 KINDS = ("factor", "offset")  # of ranges, relative to the scene's number
 NUMBER = "a number, or (least, greatest): the least should come first"
 
@@ -42,7 +40,7 @@ class Parameter(NamedTuple):
 
     def changes(self, value: float) -> dict[str, float]:
         """Dotted keys and values that give the parameter a value, for `Scene.replace`."""
-        return {key: value * own if self.is_factor else value for key, own in zip(self.keys, self.values, strict=True)}
+        return {key: value * number if self.is_factor else value for key, number in zip(self.keys, self.values, strict=True)}
 
 
 class Range(NamedTuple):
@@ -55,15 +53,14 @@ class Range(NamedTuple):
     least: float
     greatest: float
 
-    def changes(self, drawn: float) -> dict[str, float]:
-        """Dotted keys and values for a number that is drawn, for `Scene.replace`."""
-        made = {"value": lambda own: drawn, "factor": lambda own: drawn * own, "offset": lambda own: drawn + own}[self.kind]
-        return {key: made(own) for key, own in zip(self.keys, self.values, strict=True)}
+    def changes(self, number: float) -> dict[str, float]:
+        """Dotted keys and values for a number of the range, for `Scene.replace`."""
+        factor, offset = {"value": (0.0, number), "factor": (number, 0.0), "offset": (1.0, number)}[self.kind]
+        return {key: factor * value + offset for key, value in zip(self.keys, self.values, strict=True)}
 
 
 def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...]:
-    """Parameters of a scene by dotted keys, in which `*` stands for every entry: `"segments.*.young_modulus"`,
-    `"tendons.3.routing.offset.0"`, `"effects.gravity.acceleration.2"`.
+    """Parameters of a scene by dotted keys, in which `*` stands for every entry, as `"segments.*.young_modulus"`.
 
     Any number of `[[segments]]`, `[[tendons]]` and `[effects]` can be one, but for lengths of segments and ends and limits of
     tendons. An effect that does nothing unless it is told to, as a tip load, need not be in the scene. Raises ConfigurationError for keys
@@ -76,7 +73,7 @@ def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...
 def scene_with_numbers(scene: Scene, changes: Mapping[str, float]) -> Scene:
     """The scene with other numbers by dotted keys, also of effects that it lacks, see `scene_parameters`. Raises ConfigurationError."""
     named = {key.split(".")[1] for key in changes if key.startswith("effects.")} - scene.effects.chosen().keys()
-    return scene.replace({**{f"effects.{name}": own for name, own in _idle_effects(named).items()}, **changes})
+    return scene.replace({**{f"effects.{name}": table for name, table in _idle_effects(named).items()}, **changes})
 
 
 def dotted_ranges(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -96,16 +93,16 @@ def ranges_of(scene: Scene, wanted: Mapping[str, Any]) -> tuple[Range, ...]:
     entries, found, drawn = _entries(scene), list[Range](), dict[str, str]()
     for name, value in wanted.items():
         places = sorted({key.rpartition(".")[2] for key in _matching(f"{name}.*", entries)})
-        parts = [(name, value)]
-        if places and places[-1].isdecimal() and _is_relative(value):
+        parts, is_vector = [(name, value)], bool(places) and places[-1].isdecimal()
+        if is_vector and _is_relative(value):
             parts = [(f"{name}.*", value)]
-        elif places and places[-1].isdecimal():
+        elif is_vector:
             if not isinstance(value, list) or len(value) != len(places):
                 _fail(name, f"is {shown(value)}: it should be a list of {len(places)}, each {NUMBER}; or {{'{KINDS[0]}': {NUMBER}}}")
-            parts = [(f"{name}.{i}", own) for i, own in enumerate(value)]
-        for key, own in parts:
+            parts = [(f"{name}.{i}", entry) for i, entry in enumerate(value)]
+        for key, given in parts:
             _, keys, values, _ = _parameter(key, entries)
-            ((kind, interval),) = own.items() if _is_relative(own) else (("value", own),)
+            ((kind, interval),) = given.items() if _is_relative(given) else (("value", given),)
             found.append(Range(key, keys, values, kind, *_interval(key, interval)))
             if twice := next((drawn[number] for number in keys if number in drawn), None):
                 _fail(key, f"draws what {twice!r} draws already")

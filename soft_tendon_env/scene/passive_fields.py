@@ -1,7 +1,7 @@
 """Passive fields from snapshots (proper orthogonal decomposition): their file, and which of those there are fit a scene.
 
-The fields are wrenches along the rod that its tendons cannot make, most important first; accuracy/proper_orthogonal_fields.py makes them.
-They are a basis: for another material or load than a file says they stay valid, and lose accuracy, which is warned of.
+They are wrenches along the rod that its tendons cannot make, see accuracy/proper_orthogonal_fields.py. For another material or load than a
+file says they stay a basis, and lose accuracy, which is warned of.
 """
 
 import functools
@@ -25,10 +25,8 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.files import data_folders, read_json, replacing
 from soft_tendon_env.tools.types import Array
 
-ALIKE = 2.0  # factor up to which the material may differ from that which fields were made for
-MATERIAL = ("young_modulus", "density", "damping")  # properties of a segment that are none of its geometry
-SUFFIX = ".fields.json"
-ARRAYS = ("tension_limits", "borders", "singular_values", "coefficients")
+MATERIAL, ALIKE = ("young_modulus", "density", "damping"), 2.0  # of a segment, and the factor up to which it may differ from the fields'
+ARRAYS, SUFFIX = ("tension_limits", "borders", "singular_values", "coefficients"), ".fields.json"
 
 
 class FieldsWarning(UserWarning):
@@ -69,18 +67,17 @@ class PassiveFields:
 
     def fits(self, scene: Scene) -> bool:
         """Whether they are of an arm of this geometry."""
-        own, others = (
-            [{name: None if name in MATERIAL else value for name, value in segment.items()} for segment in arm["segments"]]
-            for arm in (self.arm, arm_of(scene))
-        )
-        return {**self.arm, "segments": own} == {**arm_of(scene), "segments": others}
+        arms = self.arm, arm_of(scene)
+        here, there = ({**arm, "segments": [{**part, **dict.fromkeys(MATERIAL)} for part in arm["segments"]]} for arm in arms)
+        return here == there
 
     def misfit(self, scene: Scene) -> str:
         """Difference between the scene and that which they were made for, in words; empty where they fit."""
         for i, segment in enumerate(scene.segments):
-            for name, own in ((name, self.arm["segments"][i][name]) for name in MATERIAL):
-                if not own / ALIKE <= getattr(segment, name) <= own * ALIKE:
-                    return f"{name} of {own:g} in segment {i}, not {getattr(segment, name):g}"
+            for name in MATERIAL:
+                made_for, given = self.arm["segments"][i][name], getattr(segment, name)
+                if not made_for / ALIKE <= given <= made_for * ALIKE:
+                    return f"{name} of {made_for:g} in segment {i}, not {given:g}"
         (low, high), limits = self.tension_limits.T, np.array([tendon.tension_limits for tendon in scene.tendons]).T
         more = (ALIKE - 1.0) * (high - low)
         if (limits[0] < low - more).any() or (limits[1] > high + more).any():
@@ -131,8 +128,8 @@ def find_fields(scene: Scene, digest: str | None = None) -> PassiveFields | None
     paths = [path for folder in (*data_folders("fields"), SHIPPED) for path in sorted(folder.glob(f"*{SUFFIX}"))]
     everything = [_read_once(path, path.stat().st_mtime_ns) for path in paths]
     known = [fields for fields in everything if digest in (None, fields.digest) and fields.fits(scene)]
-    excess = [(bool(own.misfit(scene)), not scene.effects.includes(own.effects), len(own.effects.chosen())) for own in known]
-    return known[excess.index(min(excess))] if known else None
+    ranks = [(bool(fields.misfit(scene)), not scene.effects.includes(fields.effects), len(fields.effects.chosen())) for fields in known]
+    return known[ranks.index(min(ranks))] if known else None
 
 
 def fields_of(scene: Scene) -> PassiveFields:

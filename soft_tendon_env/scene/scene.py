@@ -13,8 +13,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.effects.base import Effects
-from soft_tendon_env.scene.radius import Radius, RadiusProfile, radius_and_slope
-from soft_tendon_env.scene.routing import Ends, Routing
+from soft_tendon_env.scene.routing import Ends, Radius, RadiusProfile, Routing
 from soft_tendon_env.scene.strain import ExplicitStrain, StaticsBased
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, override
 from soft_tendon_env.tools.types import Array, Length, NotNegative, Positive, TimeStep, Triple
@@ -73,17 +72,11 @@ class Tendon(Configuration):
 
 
 class Quadrature(Configuration):
-    """Quadrature along the rod: Magnus intervals (fourth order, two Gauss points each) per piece between neighbouring `breakpoints`.
+    """Quadrature along the rod: Magnus intervals (fourth order, two Gauss points each) per piece between neighbouring `breakpoints`."""
 
-    Attributes:
-        intervals: how many; None: `least`, or as many as the scene needs for `tolerance`, see quadrature.py.
-        tolerance: how far quadrature may displace the tip at rest under tensions within their limits, as a share of the rod's length.
-        least: fewest intervals where the scene needs fewer.
-    """
-
-    intervals: int | None = Field(default=None, ge=1, le=MOST_INTERVALS)
-    tolerance: Positive = TIP_TOLERANCE
-    least: int = Field(default=6, ge=1, le=MOST_INTERVALS)
+    intervals: int | None = Field(default=None, ge=1, le=MOST_INTERVALS)  # None: `least`, or as many as the scene needs for `tolerance`
+    tolerance: Positive = TIP_TOLERANCE  # by which the tip may be off at rest under tensions within limits, as a share of the rod's length
+    least: int = Field(default=6, ge=1, le=MOST_INTERVALS)  # fewest intervals where the scene needs fewer
 
 
 class Integrator(Configuration):
@@ -94,15 +87,13 @@ class Integrator(Configuration):
 
     With a `tolerance` [m] the order follows the error, and then the step: each step of up to `step` takes 2 columns, or as many more, up
     to `columns`, as bring its estimated error, as root mean square displacement of the rod, below the tolerance, or a shorter step.
-
-    `quasi_static` leaves inertia out: damping and elasticity alone balance tensions and loads.
     """
 
     step: TimeStep = 0.02
     columns: int | None = Field(default=None, ge=1, le=MOST_COLUMNS)
     tolerance: Annotated[float, Field(gt=0)] | None = None
     max_halvings: int = Field(default=10, ge=0, le=20)
-    quasi_static: bool = False
+    quasi_static: bool = False  # leaves inertia out: damping and elasticity alone balance tensions and loads
 
     @field_validator("tolerance")
     @classmethod
@@ -125,10 +116,7 @@ class Scene(Configuration):
     effects: Effects = Effects()
 
     def replace(self, changes: Mapping[str, Any]) -> "Scene":
-        """Copy of the scene with dotted keys set, `{"quadrature.intervals": 24, "segments.*.density": 5.0}`; same checks.
-
-        Raises `ConfigurationError`.
-        """
+        """Copy of the scene with dotted keys set, `{"segments.*.density": 5.0}`; same checks. Raises `ConfigurationError`."""
         values = {name: getattr(self, name) for name in type(self).model_fields}
         heads = {re.split(r"[.\[]", key)[0] for key in changes if isinstance(key, str)} if isinstance(changes, Mapping) else set()
         values |= scene_to_dict(self, heads & {*values})  # what is not changed need not be checked again
@@ -186,10 +174,13 @@ def rod_radius(scene: Scene, arc_length: ArrayLike) -> tuple[Array, Array]:
     """Radius [m] and its slope d radius/dX [-] at arc lengths [m] from the rod's base, each (m,). Borders: see `segment_index`."""
     arc_length = np.atleast_1d(np.asarray(arc_length, dtype=float))
     index, starts = segment_index(scene, arc_length), segment_borders(scene)
-    radius, slope = np.empty_like(arc_length), np.empty_like(arc_length)
+    radius, slope = np.zeros((2, *arc_length.shape))
     for i, segment in enumerate(scene.segments):
         here = index == i
-        radius[here], slope[here] = radius_and_slope(segment.radius, arc_length[here] - starts[i], segment.length)
+        if isinstance(segment.radius, RadiusProfile):
+            radius[here], slope[here] = segment.radius.radius_and_slope(arc_length[here] - starts[i], segment.length)
+        else:
+            radius[here] = segment.radius
     return radius, slope
 
 

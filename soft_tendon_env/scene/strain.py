@@ -36,18 +36,12 @@ class Modes(Configuration):
 
 
 class Snapshots(Configuration):
-    """Passive fields of the arm's own, by proper orthogonal decomposition of simulated motions: `soft-tendon fields SCENE` makes them.
-
-    Attributes:
-        fields: how many of them, the leading ones.
-        file: where they are, a path; None: among those that ship and those in the user's cache, by what they were made for.
-        digest: of the fields, to have these and no others; None: any that fit.
-    """
+    """Passive fields of the arm's own, by proper orthogonal decomposition of simulated motions: `soft-tendon fields SCENE` makes them."""
 
     type: Literal["snapshots"] = "snapshots"
-    fields: int = Field(ge=1, le=MOST_SNAPSHOT_FIELDS)
-    file: str | None = None
-    digest: str | None = Field(default=None, pattern="^[0-9a-f]{16}$")
+    fields: int = Field(ge=1, le=MOST_SNAPSHOT_FIELDS)  # how many of them, the leading ones
+    file: str | None = None  # a path; None: among those that ship and those in the user's cache, by what they were made for
+    digest: str | None = Field(default=None, pattern="^[0-9a-f]{16}$")  # to have these fields and no others; None: any that fit
 
 
 PassiveStrain = Annotated[
@@ -59,24 +53,16 @@ PassiveStrain = Annotated[
 class StaticsBased(Configuration):
     """Statics-based strain parametrisation (30): the strain is the static answer to tensions and to `passive` moments and forces.
 
-    The coordinates are tensions and the amplitudes of the passive fields.
-
-    Attributes:
-        strains: those that the rod has; the others are rigid (torsion and bending alone make a Kirchhoff rod).
-        passive: fields of moments [N m] and forces [N] beside those of the tendons: Legendre `Modes`, or a table with type "snapshots".
-        passive_coordinates: "orthogonal" takes from the passive fields what the tendons span already, "raw" leaves them.
-        rank_tolerance: combinations of fields below this relative size count as dependent and get no coordinate.
-        borders: arc lengths [m] that cut the rod into further pieces.
-        include_loads: whether the strain answers to dead loads too (35): gravity, the payload's weight, force and moment at the tip in the
-            world frame. Loads of other kinds stay outside, as forces on the coordinates.
+    The coordinates are tensions and the amplitudes of the passive fields. With `include_loads` the strain answers to dead loads too (35):
+    gravity, the payload's weight, force and moment at the tip in the world frame. Other loads stay outside, as forces on the coordinates.
     """
 
     type: Literal["statics_based"] = "statics_based"
-    strains: Strains = STRAINS
-    passive: PassiveStrain = ()
-    passive_coordinates: Literal["orthogonal", "raw"] = "orthogonal"
-    rank_tolerance: Annotated[Positive, Field(lt=1)] = 1e-4
-    borders: tuple[Positive, ...] = ()
+    strains: Strains = STRAINS  # those that the rod has; the others are rigid (torsion and bending alone make a Kirchhoff rod)
+    passive: PassiveStrain = ()  # fields of moments [N m] and forces [N] beside the tendons': Legendre `Modes`, or type "snapshots"
+    passive_coordinates: Literal["orthogonal", "raw"] = "orthogonal"  # to what the tendons span already; "raw" leaves fields as they are
+    rank_tolerance: Annotated[Positive, Field(lt=1)] = 1e-4  # combinations of fields below this relative size get no coordinate
+    borders: tuple[Positive, ...] = ()  # arc lengths [m] that cut the rod into further pieces
     include_loads: bool = False
 
     @property
@@ -92,10 +78,8 @@ class StaticsBased(Configuration):
     @field_validator("passive")
     @classmethod
     def _of_the_rod(cls, passive: tuple[Modes, ...] | Snapshots, info: ValidationInfo) -> tuple[Modes, ...] | Snapshots:
-        if isinstance(passive, Snapshots):
-            return passive
-        existing = info.data.get("strains", STRAINS)
-        if rigid := [strain for modes in passive for strain in modes.strains if strain not in existing]:
+        existing, groups = info.data.get("strains", STRAINS), () if isinstance(passive, Snapshots) else passive
+        if rigid := [strain for modes in groups for strain in modes.strains if strain not in existing]:
             raise ValueError(f"should name strains that the rod has, {', '.join(existing)}; not {', '.join(rigid)}")
         return passive
 

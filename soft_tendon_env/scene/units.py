@@ -12,12 +12,9 @@ from soft_tendon_env.tools.types import UNITS
 DENSITIES, MODULI = {"g/cm^3": 1e3, "t/mm^3": 1e12}, {"kPa": 1e3, "MPa": 1e6, "GPa": 1e9}
 LENGTH, MODULUS, DENSITY = (1e-3, 20.0), (1e3, 1e12), (10.0, 25e3)
 """Ranges of rods [m], endoscopes to hoses; of Young's moduli [Pa], gels to diamond; of densities [kg/m^3], foams to osmium."""
-SLENDER, FAR_OFF = 0.03, 0.2
-"""Shares of the rod's length: a usual radius or offset, and an offset outside of the rod that no arm has; radii off a wire are usual."""
-METAL, IN_MPA = 5e3, 5e5
-"""Density [kg/m^3] of metals, and of rubbers full of them; a number that no metal's modulus in MPa reaches, and such rubbers' in Pa do."""
-SOFT, STRAINED, STIFF_STRAINED = 1e7, 10.0, 2.0
-"""Modulus [Pa] of rubbers, and strains of a section at the tensions' limits that are far beyond what these, and stiffer ones, can take."""
+SLENDER, FAR_OFF = 0.03, 0.2  # shares of the rod's length: a usual radius or offset, and an offset outside of the rod that no arm has
+METAL, IN_MPA = 5e3, 5e5  # density [kg/m^3] of metals and rubbers full of them; modulus that metals have not in MPa, and such rubbers in Pa
+SOFT, STRAINED, STIFF_STRAINED = 1e7, 10.0, 2.0  # modulus [Pa] of rubbers; strains at the limits that these and stiffer ones cannot take
 CRUSHED, LEAST_BENT, PLACES = 30.0, 1.5e-3, 9
 """Strain by its own weight that not even gel in water has; angle [rad] that tensions bend arms of metres; places along tendons."""
 
@@ -33,7 +30,7 @@ def warn_of_units(scene: Scene) -> None:
         warnings.warn(text, UnitsWarning, stacklevel=4)  # where the user builds it
 
 
-def _asked(value: float, usual: float, units: Mapping[str, float]) -> str:
+def _ask(value: float, usual: float, units: Mapping[str, float]) -> str:
     """The question after the unit that brings a value nearest to a usual one; none where it has a usual size already."""
     nearest = min(["", *units], key=lambda unit: abs(math.log10(value * units.get(unit, 1.0) / usual)))
     return f": is it {nearest}?" if nearest else ""
@@ -43,14 +40,14 @@ def _unlikely(scene: Scene) -> Iterator[str]:
     """Numbers that no arm has, in words."""
     length, usual = rod_length(scene), Tendon.model_fields["tension_limits"].default
     if not LENGTH[0] <= length <= LENGTH[1]:
-        yield f"the rod is {length:g} m long{_asked(length, 0.3, UNITS)}"
+        yield f"the rod is {length:g} m long{_ask(length, 0.3, UNITS)}"
     for i, segment in enumerate(scene.segments):
         E, density = segment.young_modulus, segment.density
         if not MODULUS[0] <= E <= MODULUS[1] or (density > METAL and E < IN_MPA):
             of = f", and its density, {density:g} kg/m^3, that of a metal" if density > METAL else ""
-            yield f"segments[{i}].young_modulus is {E:g} Pa{of}{_asked(E, 5e10 if density > METAL else 5e5, MODULI)}"
+            yield f"segments[{i}].young_modulus is {E:g} Pa{of}{_ask(E, 5e10 if density > METAL else 5e5, MODULI)}"
         if not DENSITY[0] <= density <= DENSITY[1]:
-            yield f"segments[{i}].density is {density:g} kg/m^3{_asked(density, 1e3, DENSITIES)}"
+            yield f"segments[{i}].density is {density:g} kg/m^3{_ask(density, 1e3, DENSITIES)}"
         elif MODULUS[0] <= E and 9.81 * density * length / E > CRUSHED:
             yield f"a rod {length:g} m long with segments[{i}].young_modulus, {E:g} Pa, is crushed by its own weight: is it mm, or MPa?"
     bent = 0.0
@@ -59,10 +56,10 @@ def _unlikely(scene: Scene) -> Iterator[str]:
         places = start + (end - start) * (np.arange(PLACES) + 0.5) / PLACES
         offset, radius = np.linalg.norm(tendon_offset(scene, tendon, places)[0], axis=1), rod_radius(scene, places)[0]
         if (widest := radius.max()) >= length:
-            yield f"the rod has a radius of {widest:g} m on a length of {length:g} m{_asked(widest, SLENDER * length, UNITS)}"
+            yield f"the rod has a radius of {widest:g} m on a length of {length:g} m{_ask(widest, SLENDER * length, UNITS)}"
             return
         if (farthest := offset.max()) > max(FAR_OFF * length, widest):
-            yield f"tendons[{i}] is up to {farthest:g} m off the axis of a rod of {length:g} m{_asked(farthest, SLENDER * length, UNITS)}"
+            yield f"tendons[{i}] is up to {farthest:g} m off the axis of a rod of {length:g} m{_ask(farthest, SLENDER * length, UNITS)}"
             return
         modulus = np.array([segment.young_modulus for segment in scene.segments])[segment_index(scene, places)]
         pull = max(map(abs, tendon.tension_limits))

@@ -1,4 +1,4 @@
-"""Independent runs side by side, by joblib: in processes of this machine, or on a Ray cluster.
+"""Independent runs side by side: in processes of this machine, by joblib, or as tasks of a Ray cluster.
 
 Cells of an experiment, trainings of a sweep, trials of a search and motions of a calibration all go through `run_all`. In each process come
 first the user's own modules that register effects, tasks, controllers, metrics.
@@ -6,11 +6,12 @@ first the user's own modules that register effects, tasks, controllers, metrics.
 
 import contextlib
 import importlib
+import itertools
 import os
 import runpy
 import socket
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -46,26 +47,14 @@ def run_all(
 
     Raises what `call` raises, and stops the other runs then, as on Ctrl-C; ValueError where a cluster cannot be reached.
     """
-    import joblib
     from tqdm import tqdm  # not for everyone who imports an environment
 
     results, workers, main = dict[int, Result](), max(min(workers, len(runs)), 1), sys.modules["__main__"]
     script = Path(str(main.__file__)).absolute() if getattr(main, "__spec__", None) is None and hasattr(main, "__file__") else None
     origin = os.getpid(), os.environ.get(VARIABLE, ""), script
-    jobs = [joblib.delayed(_run)(call, origin, place, run) for place, run in enumerate(runs)]
-    kind, options = ("threading", {}) if workers == 1 or threads else ("loky", {"inner_max_num_threads": 1})
-    with contextlib.ExitStack() as stack:
-        if cluster is not None:
-            stack.enter_context(ray_cluster(cluster, workers, "runs side by side"))
-            from ray.util.joblib import register_ray
-            from ray.util.joblib.ray_backend import RayBackend
-
-            RayBackend.supports_return_generator = True  # Ray's results come one by one; joblib's own pool, its base, rules that out
-            register_ray()
-            kind, options = "ray", {}
-        bar = stack.enter_context(tqdm(total=len(runs), desc=label, unit=unit, leave=False, disable=QUIET))
-        stack.enter_context(joblib.parallel_config(kind, n_jobs=workers, **options))
-        found = stack.enter_context(contextlib.closing(joblib.Parallel(batch_size=1, return_as="generator_unordered")(jobs)))
+    jobs = [(call, origin, place, run) for place, run in enumerate(runs)]
+    found = _on_this_machine(jobs, workers, threads) if cluster is None else _on_cluster(jobs, workers, cluster)
+    with tqdm(total=len(runs), desc=label, unit=unit, leave=False, disable=QUIET) as bar, contextlib.closing(found):
         for place, result in found:
             results[place] = result
             if done is not None:
@@ -88,6 +77,32 @@ def _run(call: Callable[[Run], Result], origin: tuple[int, str, Path | None], pl
 _SCRIPTS = set[Path]()  # that were run in this process
 
 
+def _on_this_machine(jobs: Sequence[tuple[Any, ...]], workers: int, threads: bool) -> Generator[tuple[int, Any], None, None]:
+    """Results of `_run`, each with its place, as they come."""
+    import joblib
+
+    kind, options = ("threading", {}) if workers == 1 or threads else ("loky", {"inner_max_num_threads": 1})
+    with joblib.parallel_config(kind, n_jobs=workers, **options):
+        yield from joblib.Parallel(batch_size=1, return_as="generator_unordered")(joblib.delayed(_run)(*job) for job in jobs)
+
+
+def _on_cluster(jobs: Sequence[tuple[Any, ...]], workers: int, cluster: str) -> Generator[tuple[int, Any], None, None]:
+    """Results of `_run`, each with its place, as they come. The end of the connection to Ray stops those that still run."""
+    with ray_cluster(cluster, workers, "runs side by side"):
+        import ray
+
+        task, waiting = ray.remote(num_cpus=1)(_run), iter(jobs)
+        running = [task.remote(*job) for job in itertools.islice(waiting, workers)]
+        while running:
+            (ready,), running = ray.wait(running)
+            running += [task.remote(*job) for job in itertools.islice(waiting, 1)]
+            try:
+                found = ray.get(ready)
+            except ray.exceptions.RayTaskError as error:
+                raise error.cause from error
+            yield found
+
+
 @contextlib.contextmanager
 def ray_cluster(address: str | None, processors: int, what: str) -> Iterator[None]:
     """Ray while it is used: the cluster at an address, "auto" for this machine's, or one of this process's own, which ends with it.
@@ -99,12 +114,12 @@ def ray_cluster(address: str | None, processors: int, what: str) -> Iterator[Non
     except ImportError as error:
         raise ValueError('needs Ray: pip install "soft_tendon_env[rllib]"') from error
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # it would report to its makers
-    local: dict[str, Any] = {} if address else {"num_cpus": max(processors, os.cpu_count() or 1), "include_dashboard": False}
+    own: dict[str, Any] = {} if address else {"num_cpus": max(processors, os.cpu_count() or 1), "include_dashboard": False}
     try:
         if address is not None and ":" in address:  # Ray itself tries for minutes
             host, _, port = address.removeprefix("ray://").rpartition(":")
             socket.create_connection((host, int(port)), timeout=CONNECTING).close()
-        ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **local)
+        ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **own)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
         raise ValueError(f"Ray cannot be reached at {address or 'this machine'}: {first_line(error)}") from error
     try:

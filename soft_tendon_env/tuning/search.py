@@ -11,29 +11,30 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from optuna.trial import Trial
 from pydantic import Field, model_validator
 
+from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation.conditions import SEEDS
-from soft_tendon_env.evaluation.play import validation_scores
-from soft_tendon_env.evaluation.settings import RegimeNames, TaskName
+from soft_tendon_env.evaluation.play import evaluate_rows
+from soft_tendon_env.evaluation.settings import RegimeNames, TaskName, episode_steps
 from soft_tendon_env.evaluation.summaries import tracking_cost
 from soft_tendon_env.learning.config import Training, find_config
 from soft_tendon_env.policies import load_policy
-from soft_tendon_env.policies.agent_files import EnvironmentOptions
+from soft_tendon_env.policies.agent import EnvironmentOptions
 from soft_tendon_env.policies.names import Controller, PolicyName
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, override, parsed_changes, read_toml
 from soft_tendon_env.tools.types import NotNegative, Positive
 
-Report = Callable[[float], None]
-"""Takes the cost [m] of a trial so far; raises optuna.TrialPruned where it is not worth going on."""
+Report = Callable[[float], None]  # takes the cost [m] of a trial so far; raises optuna.TrialPruned where it is not worth going on
 
 
 class Parameter(Configuration):
-    """Range low to high of one parameter, of whole numbers where both are, searched on a logarithmic scale or not; or choices."""
+    """Range of one parameter, of whole numbers where both ends are; or choices."""
 
     low: int | float | None = None
     high: int | float | None = None
@@ -43,8 +44,7 @@ class Parameter(Configuration):
     @model_validator(mode="after")
     def _is_a_range(self) -> "Parameter":
         low, high = self.low, self.high
-        given = low is not None and high is not None and low < high and (low > 0 or not self.log)
-        if given == bool(self.choices):
+        if (low is not None and high is not None and low < high and (low > 0 or not self.log)) == bool(self.choices):
             raise ConfigurationError([Problem((), "is no range: it should have low < high (both positive where log = true), or choices")])
         return self
 
@@ -57,19 +57,12 @@ class Parameter(Configuration):
 
 
 class Search(Configuration, ABC):
-    """Hyperparameter search.
+    """Hyperparameter search."""
 
-    Attributes:
-        trials: number of trials of the study, of all machines that share it together.
-        seed: of the sampler (tree-structured Parzen estimator).
-        search: by name of a parameter {low, high, log} or {choices}.
-        episodes: number of the tuning seeds that are played in every condition.
-    """
-
-    trials: int = Field(default=20, ge=1)
-    seed: int = Field(default=0, ge=0, lt=2**31)
-    search: dict[str, Parameter] = Field(min_length=1)
-    episodes: int = Field(default=len(SEEDS["tuning"]), ge=1, le=len(SEEDS["tuning"]))
+    trials: int = Field(default=20, ge=1)  # of the study, of all machines that share it together
+    seed: int = Field(default=0, ge=0, lt=2**31)  # of the sampler (tree-structured Parzen estimator)
+    search: dict[str, Parameter] = Field(min_length=1)  # by name of a parameter {low, high, log} or {choices}
+    episodes: int = Field(default=len(SEEDS["tuning"]), ge=1, le=len(SEEDS["tuning"]))  # tuning seeds that are played in every condition
 
     @abstractmethod
     def cost(self, values: Mapping[str, Any], folder: Path, report: Report) -> float:
@@ -79,66 +72,60 @@ class Search(Configuration, ABC):
     def file(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Tables of a file that uses these values."""
 
-    def played(self, make: Callable[[Any], Policy], task: str, options: Mapping[str, Any], seconds: float, skip: float) -> float:
+    def play(self, make: Callable[[Any], Policy], task: str, options: Mapping[str, Any], seconds: float, skip: float) -> float:
         """Cost [m] of a policy over the tuning seeds, under one condition."""
-        return tracking_cost(validation_scores(make, task, options, SEEDS["tuning"][: self.episodes], seconds, skip))
+        steps = episode_steps(seconds, skip, options)
+        envs = gym.make_vec(IDS[task], num_envs=self.episodes, max_episode_steps=steps, **options)
+        try:
+            return tracking_cost(evaluate_rows(make(envs), envs, SEEDS["tuning"][: self.episodes], skip))
+        finally:
+            envs.close()
 
 
 class ControllerSearch(Search):
     """Search for parameters of a controller: costs are means over information regimes.
 
-    Attributes:
-        policy: name of the controller, such as adaptive:predictive@fast. Parameters are the keyword arguments of its class, and those of
-            control.kalman.Uncertainty with "estimator." before them.
-        task: of the environment.
-        regimes: names of REGIMES, what is observed, with noise; none: what the controller needs, exactly.
-        seconds: length of an episode; errors count from `skip` [s] on.
-        options: of the environment; `randomize` says how arms differ from what is believed.
+    Parameters are the keyword arguments of its class, and those of control.kalman.Uncertainty with "estimator." before them.
     """
 
-    policy: str
+    policy: str  # name of the controller, such as adaptive:predictive@fast
     task: TaskName = "TipPose"
-    regimes: RegimeNames = ()
-    seconds: Positive = 3.0
-    skip: NotNegative = 1.0
-    options: EnvironmentOptions = Field(default={})
+    regimes: RegimeNames = ()  # what is observed, with noise; none: what the controller needs, exactly
+    seconds: Positive = 3.0  # length of an episode
+    skip: NotNegative = 1.0  # [s] from which on errors count
+    options: EnvironmentOptions = Field(default={})  # of the environment; `randomize` says how arms differ from what is believed
 
     @model_validator(mode="after")
     def _fits(self) -> "ControllerSearch":
-        known = self._named({}).defaults
+        known = self._controller({}).defaults
         for key in self.search.keys() - known.keys():
             raise ConfigurationError([Problem(("search", key), f"is no parameter of {self.policy}: {not_among(key, known)}")])
         return self
 
-    def _named(self, values: Mapping[str, Any]) -> Controller:
+    def _controller(self, values: Mapping[str, Any]) -> Controller:
         name = PolicyName.parse(self.policy, self.task)
         if not isinstance(name, Controller):
             raise ConfigurationError([Problem(("policy",), f"is {self.policy!r}: it should be a controller, others have no parameters")])
         return name.with_parameters({**name.parameters, **values})
 
     def cost(self, values: Mapping[str, Any], folder: Path, report: Report) -> float:
-        name, costs = self._named(values), list[float]()
+        name, costs = self._controller(values), list[float]()
         for regime in self.regimes or (None,):
             noise = {"noise": dict(REGIMES[regime].noise)} if regime else {}
             options = {**name.options(self.options, regime), "randomize": {**noise, **self.options.get("randomize", {})}}
-            costs.append(self.played(name.load, self.task, options, self.seconds, self.skip))
+            costs.append(self.play(name.load, self.task, options, self.seconds, self.skip))
             report(float(np.mean(costs)))
         return float(np.mean(costs))
 
     def file(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        return {"policy": self.policy, "parameters": dict(self._named(values).parameters)}
+        return {"policy": self.policy, "parameters": dict(self._controller(values).parameters)}
 
 
 class TrainingSearch(Search):
-    """Search for keys of a training by the best agent of a short one.
+    """Search for keys of a training by the best agent of a short one."""
 
-    Attributes:
-        training: name of a training that ships, or path of a TOML file.
-        set: dotted keys of it that all trials change, such as steps = 60_000.
-    """
-
-    training: str
-    set: dict[str, Any] = Field(default={})
+    training: str  # name of a training that ships, or path of a TOML file
+    set: dict[str, Any] = Field(default={})  # dotted keys of it that all trials change, such as steps = 60_000
 
     @model_validator(mode="after")
     def _fits(self) -> "TrainingSearch":
@@ -160,7 +147,7 @@ class TrainingSearch(Search):
         finally:
             shutil.rmtree(folder / "last", ignore_errors=True)  # nothing goes on from it
         make = partial(load_policy, str(folder / "best"))
-        return self.played(make, training.task, training.options, training.seconds, training.evaluation.skip)
+        return self.play(make, training.task, training.options, training.seconds, training.evaluation.skip)
 
     def file(self, values: Mapping[str, Any]) -> dict[str, Any]:
         table = read_toml(find_config(self.training))

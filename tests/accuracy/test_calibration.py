@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.accuracy import calibration as module
-from soft_tendon_env.accuracy.calibration import MARGIN, Calibration, calibrate, calibrated, calibration_digest, recommended
-from soft_tendon_env.accuracy.pareto import Point, measure
+from soft_tendon_env.accuracy.calibration import MARGIN, Calibration, calibrate, calibrated, calibration_digest, cheapest_point
+from soft_tendon_env.accuracy.pareto import Point, Setting, measure
 from soft_tendon_env.accuracy.reference import LEVELS, Reference, reference_motions
-from soft_tendon_env.accuracy.settings import Setting
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
@@ -44,7 +43,7 @@ def cache(made, tmp_path, monkeypatch):
     shutil.copytree(made, tmp_path, dirs_exist_ok=True)
     monkeypatch.setattr(files, "cache_parents", lambda: [tmp_path])
     monkeypatch.setattr(module, "usual_inputs", short)
-    monkeypatch.setattr(module, "made_fields", lambda scene: None)
+    monkeypatch.setattr(module, "ensure_fields", lambda scene: None)
     return tmp_path / "soft_tendon_env" / "calibrations"
 
 
@@ -60,11 +59,11 @@ def test_the_cheapest_within_the_tolerance_is_chosen():
     dear, good, cheap = point("dear", 1e-4, 3.0), point("good", 5e-4, 2.0), point("cheap", 2e-3, 1.0)
     found = example(dear, cheap, good)
     for tolerance, best in ((1e-3, good), (MARGIN * 5.01e-4, good), (MARGIN * 4.99e-4, dear)):
-        assert recommended(ARM, found, tolerance) is best
+        assert cheapest_point(ARM, found, tolerance) is best
     assert [own.setting.name for own in found.front] == ["cheap", "good", "dear"]
     assert example(good, bars=(0.0, 1e-4)).within(good) == pytest.approx(MARGIN * 6e-4)
     with pytest.raises(ConfigurationError, match="no setting keeps the tip of 'three_tendon' within 0.01mm .* keeps within 0.2mm"):
-        recommended(ARM, found, 1e-5)
+        cheapest_point(ARM, found, 1e-5)
 
 
 def test_the_setting_holds_on_motions_that_it_was_not_calibrated_on():
@@ -112,4 +111,4 @@ def test_fields_of_the_arms_own_are_made_once_and_kept(cache, monkeypatch):
     made = []
     monkeypatch.setattr(module, "make_passive_fields", lambda scene: made.append(scene) or fields)
     assert module.own_fields(arm) is None
-    assert module.made_fields(arm).digest == module.made_fields(arm).digest == fields.digest and made == [arm]
+    assert module.ensure_fields(arm).digest == module.ensure_fields(arm).digest == fields.digest and made == [arm]

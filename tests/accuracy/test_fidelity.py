@@ -5,7 +5,7 @@ import warnings
 import pytest
 
 from soft_tendon_env.accuracy.fidelity import PRESETS, FidelityWarning, at_fidelity, build_model
-from soft_tendon_env.accuracy.reference import distance, reference_motions, tips
+from soft_tendon_env.accuracy.reference import distance, reference_motions, trajectory
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.scene.file import load_scene, scene_names
 from soft_tendon_env.scene.scene import rod_length
@@ -46,7 +46,7 @@ def test_standard_is_near_full_physics_and_fast_not_far(name):
     (exact,) = reference_motions(scene, [tensions], 5e-5 * length).tips
     for fidelity, allowed in (("fast", 1e-2), ("standard", 2e-3), ("fine", 2e-4)):
         model = build_model(scene, fidelity)
-        assert distance(tips(model, tensions), exact) < allowed * length, fidelity
+        assert distance(trajectory(model, tensions), exact) < allowed * length, fidelity
 
 
 def test_a_fidelity_that_nobody_said_is_told_where_it_matters():

@@ -13,7 +13,6 @@ from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.cli.main import COMMANDS, register_command, shipped_command
 from soft_tendon_env.compiler.compilation import cache_folder
 from soft_tendon_env.effects import EFFECTS
-from soft_tendon_env.evaluation import demo
 from soft_tendon_env.scene.file import SHIPPED
 from soft_tendon_env.tools import files
 
@@ -41,8 +40,8 @@ QUICK = [
     ),
     (("train", "{config}", "--seed", "3"), ["PPO on TipPose, 128 steps, seed 3"], ["runs/small/seed_3/best/weights.pt"]),
     pytest.param(
-        ("demo", "--agent", "{best}", "--episodes", "1", "--seconds", "0.2"),
-        ["\n| agent (PPO) ", "cannot push"],
+        ("demo", "--episodes", "1", "--seconds", "0.2"),
+        ["\n| agent (the best) ", "\n| PPO ", "cannot push"],
         ["demo.rrd", "demo.png"],
         marks=pytest.mark.slow,  # it draws
     ),
@@ -59,7 +58,7 @@ QUICK = [
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch, tmp_path):
-    """A short motion of accuracy, few passive fields in a folder of their own, and the demo on a small arm."""
+    """A short motion of accuracy, and few passive fields in a folder of their own."""
 
     monkeypatch.chdir(tmp_path)
     cache_folder()  # of kernels, which stays as it is
@@ -67,8 +66,6 @@ def small(monkeypatch, tmp_path):
     for name, value in (("RUNS", 1), ("TESTS", 1), ("COUNTS", (0, 3))):
         monkeypatch.setattr(proper_orthogonal_fields, name, value)
     monkeypatch.setattr(calibration, "usual_inputs", lambda scene: [motion_tensions(scene, "redrawn", 0, 0.2)])
-    monkeypatch.setattr(demo, "ARM", {"scene": "three_tendon", "fidelity": "fast"})
-    monkeypatch.setattr(demo, "shipped_for", lambda task: ())  # agents of another arm
 
 
 @pytest.mark.parametrize("arguments, printed, left", QUICK, ids=lambda value: value[0] if value and value[0] in COMMANDS else "")

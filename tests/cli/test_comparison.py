@@ -88,4 +88,4 @@ def rewrite(run, **changes):
 def test_folders_that_are_no_sweep(runs, spoil, said):
     spoil(runs)
     with pytest.raises((ValueError, OSError), match=re.escape(said)):
-        comparison.shared_arms(settings.EpisodeSettings(), "TipPose", entrants.every_file(entrants.agents_of("TipPose", [str(runs)])))
+        comparison.shared_arms(settings.EpisodeSettings(), "TipPose", entrants.agents_of("TipPose", [str(runs)]))

@@ -40,7 +40,6 @@ OPTIONS = [
     ("compare --config own.toml --task TipPose --cluster 127.0.0.1:1", "Ray"),  # is not there, or does not answer
     ("compare --config own.toml --write-docs docs.md", "docs.md should have the lines <!-- compare Reach --> and "),
     ("run feedforward --seconds 0.01", "seconds is 0.01: it should be at least one control period, 0.02 s, and skip"),
-    ("demo --agent tracking", "--agent is 'tracking': it should be the folder of an agent"),
     ("train ppo_tip_pos", "neither the path of a .toml file nor a training that ships: did you mean 'ppo_tip_pose'?"),
     ("train ppo_tip_pose --runners 3", "--runners is for --engine rllib"),
     ("sweep ppo_tip_pose other/ppo_tip_pose.toml", "has two files ppo_tip_pose.toml, whose runs would share a folder"),

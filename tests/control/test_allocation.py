@@ -29,4 +29,3 @@ def test_another_solver_agrees_and_the_conditions_of_an_optimum_hold(problem):
     assert (slope[at_least] > 0.0).all() and (slope[at_greatest] < 0.0).all()
     np.testing.assert_allclose(slope[~at_least & ~at_greatest], 0.0, atol=1e-9)
     np.testing.assert_allclose(found.multipliers, -slope * slope.size, atol=1e-9)  # what the bounds push back with
-    assert found.limited == np.mean(at_least | at_greatest)

@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 
 from soft_tendon_env.control import CONTROLLERS, ControllerInput, Reference
 from soft_tendon_env.control.feedforward import StaticFeedforward
-from soft_tendon_env.control.objectives import Dynamics, TipPose, TipPosition
+from soft_tendon_env.control.objectives import TipPose, TipPosition
 from soft_tendon_env.model.inverse_statics import tension_for_tip_pose
 from soft_tendon_env.model.statics import static_equilibrium
 
@@ -65,8 +65,7 @@ def far():
 def missed(posed, model, target, tip):
     """How far a tip is from the target [m], as controllers of the pose count, or those of the position alone."""
     objective = TipPose(0.1 * model.length) if posed else TipPosition()
-    rest = np.zeros(model.coordinate_count)
-    return np.linalg.norm(objective.aim(Dynamics(rest, rest, model.terms(rest, rest)._replace(tip_pose=tip)), target, 0.0, PERIOD).error)
+    return np.linalg.norm(objective.error(np.zeros(model.coordinate_count), tip, target, 0.0))
 
 
 def least_missed(posed, model, target, limits):

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import ExtendedKalmanFilter, Measurement, Sensing
+from soft_tendon_env.control import ExtendedKalmanFilter, Measurement, Setting
 from soft_tendon_env.model.simulation import Simulation
 
 PERIOD = 0.02
@@ -66,8 +66,8 @@ def arm(build):
     return build("three_tendon", {"quadrature.intervals": 4})
 
 
-def filter_of(model, uses=("tendon_length",), **more):
-    return ExtendedKalmanFilter(model, PERIOD, np.zeros(model.tendon_count), Sensing(uses, SENSORS), **more)
+def filter_of(model, uses=("tendon_length",), greatest_latency=None, **more):
+    return ExtendedKalmanFilter(model, Setting(PERIOD, np.zeros(model.tendon_count), uses, SENSORS, **more), greatest_latency)
 
 
 @pytest.mark.parametrize("uses", [("tendon_length",), ("tendon_length", "strain"), EVERYTHING])

@@ -98,4 +98,4 @@ def test_names_that_are_not_listed_are_refused(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["generated.py", "docs/none.md"])
     with pytest.raises(SystemExit):
         generated.main()
-    assert "docs/none.md is not in docs/generated.toml: docs/appendix/fidelity.md" in capsys.readouterr().err
+    assert "docs/none.md is not in docs/generated.toml: docs/appendix/speed.md" in capsys.readouterr().err

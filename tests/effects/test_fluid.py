@@ -5,7 +5,6 @@ import pytest
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit
-from soft_tendon_env.model.grid import discretisation
 from soft_tendon_env.model.statics import static_equilibrium
 
 LENGTH, RADIUS, YOUNG, DENSITY = 0.3, 0.01, 5e5, 1070.0
@@ -34,7 +33,7 @@ def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(
     model = uniform(("torsion", "bend_y", "bend_z", "stretch"), 0, fluid)
     n, added = 4, model.scene.effects.fluid
     q, v = np.array([1.0, 2.0, -3.0, 0.05]), np.array([2.0, 5.0, 3.0, 0.4])
-    mass = added.displaced_mass(discretisation(model.scene, model.grid))[:, 0]
+    mass = added.displaced_mass(model.discretisation)[:, 0]
 
     def parts(q):
         work = workspace_at(model, q)

@@ -10,7 +10,7 @@ import pytest
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import evaluate, experiment
 from soft_tendon_env.evaluation.experiment import Cell, Experiment, code_digest, measure
-from soft_tendon_env.policies.load import load_policy
+from soft_tendon_env.policies.names import load_policy
 from soft_tendon_env.scene.file import load_scene, save_scene
 
 ARM = {"scene": "three_tendon", "fidelity": "fast"}
@@ -77,7 +77,7 @@ def test_a_key_is_of_all_that_a_result_depends_on(tmp_path):
         key(alone=True, rows=False),
         key(options={**options, "target": "circle"}),
         key(options={**options, "randomize": {"payload": 0.1}}),
-        key(told={"scene": "three_tendon"}),
+        key(controller_scene={"scene": "three_tendon"}),
         CELL._replace(options=options).key("other code"),
         key(own.read_text() + "\n[effects.gravity]\nacceleration = [0.0, 0.0, -9.8]\n"),
     ]

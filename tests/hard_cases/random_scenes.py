@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 import soft_tendon_env as ste
+from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.equilibrium_residual import Balance
 from soft_tendon_env.model.load_continuation import LoadPath
 from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene, rod_length
@@ -128,8 +129,8 @@ def slow_loading(model, tension, move=MOVES[0]):
 
     Newton's method along the tangent; parts of the load are halved until the move is small and its end is stable.
     """
-    path = LoadPath(Balance(model, tension))
-    here, part = path.start(), FIRST_PART
+    path = LoadPath(Balance(model, tension, make_workspace(model.arm)))
+    here, part = path.balance.unloaded(), FIRST_PART
     while here.at.part < 1.0:
         aim = min(here.at.part + part, 1.0)
         ahead = path.equilibrium(here.at.q + (aim - here.at.part) * here.tangent, aim)

@@ -19,13 +19,12 @@ HEAD = """\
 
 {stamp}
 
-Numerical robustness: what is known to break simulators of soft arms, and what this one does. Every row is a test in
-`tests/hard_cases`, whose docstring says why the case is hard and what is expected; `python tests/hard_cases/table.py` runs them.
-Where a test runs with several parameters, the smallest and the largest number are shown.
-
-| case | measured |
-|---|---|
+Inputs and arms that are known to break simulators of soft arms, and what was measured. Each is a test in `tests/hard_cases`, whose
+docstring says why the case is hard and what is expected. A test with several parameters has the least and the greatest number; at most
+{numbers} quantities are listed. `python tests/hard_cases/table.py` runs the tests and writes this page.
 """
+NUMBERS = 3
+"""Quantities of a case that are listed."""
 
 
 def cases() -> dict[str, str]:
@@ -39,9 +38,14 @@ def cases() -> dict[str, str]:
 
 
 def listed() -> list[str]:
-    """The cases in the committed table."""
-    rows = TABLE.read_text(encoding="utf-8").split("|---|---|\n")[1].splitlines()
-    return [row.split("`")[1] for row in rows if row.startswith("| `")]
+    """The cases on the committed page."""
+    found, file = [], ""
+    for line in TABLE.read_text(encoding="utf-8").splitlines():
+        if line.startswith("## "):
+            file = f"test_{line.removeprefix('## ').lower().replace(' ', '_')}.py"
+        elif line.startswith("- `"):
+            found.append(f"{file}::test_{line.split('`')[1]}")
+    return found
 
 
 class Measurements:
@@ -63,20 +67,30 @@ class Measurements:
     def summary(self, case: str) -> str:
         unhappy = sorted(self.outcomes.get(case, {"not run"}) - {"passed"})
         numbers = [f"{what}: {_span(values)}" for what, values in self.values.get(case, {}).items()]
-        return "; ".join([*unhappy, *numbers]) or "holds"
+        return "; ".join([*unhappy, *numbers[:NUMBERS]]) or "holds"
 
 
 def _span(values: list[float]) -> str:
     least, greatest = f"{min(values):.2g}", f"{max(values):.2g}"
-    return least if least == greatest else f"{least} to {greatest}"
+    return least if least == greatest else f"{least}…{greatest}"
+
+
+def page(summaries: dict[str, str], stamp: str) -> str:
+    """The page: a section for every file, a line for every case."""
+    lines, last = [HEAD.format(stamp=stamp, numbers=NUMBERS).rstrip()], ""
+    for case, summary in summaries.items():
+        file, _, test = case.partition("::")
+        if file != last:
+            lines.append(f"\n## {file.removeprefix('test_').removesuffix('.py').replace('_', ' ').capitalize()}\n")
+        lines.append(f"- `{test.removeprefix('test_')}`: {summary}")
+        last = file
+    return "\n".join(lines) + "\n"
 
 
 def main() -> int:
     measurements = Measurements()
     status = pytest.main(["-q", str(HERE), f"--ignore={HERE / 'test_table.py'}"], plugins=[measurements])
-    TABLE.parent.mkdir(exist_ok=True)
-    head = HEAD.format(stamp=stamp())
-    TABLE.write_text(head + "".join(f"| `{case}` | {measurements.summary(case)} |\n" for case in cases()), encoding="utf-8")
+    TABLE.write_text(page({case: measurements.summary(case) for case in cases()}, stamp()), encoding="utf-8")
     return int(status)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
+from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.equilibrium_residual import Balance
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.routing import HelixRouting, StraightRouting
@@ -229,7 +230,7 @@ def test_column_under_its_own_weight(column, measured, part):
     measured("load reached / Greenhill's", loaded.load / min(part, 1.0))
     assert loaded.converged == (part > 1) and loaded.load == pytest.approx(min(part, 1.0), rel=0.01) and settled.converged
     straight = static_equilibrium(model, slack, loaded.q)
-    stiffness = Balance(model, slack).linearised(straight.q, 1.0).stiffness
+    stiffness = Balance(model, slack, make_workspace(model.arm)).linearise(straight.q, 1.0).stiffness
     least = np.linalg.eigvalsh(0.5 * (stiffness + stiffness.T))[0]
     assert straight.converged and straight.stable == (part > 1)
     assert np.abs(straight.tip_pose[1:3, 3]).max() < 1e-9 and (least > 0) == (part > 1)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
-from soft_tendon_env.model.quadrature import QuadratureWarning, quadrature_estimate
+from soft_tendon_env.model.build import QuadratureWarning, quadrature_estimate
 from soft_tendon_env.scene.scene import TIP_TOLERANCE
 
 ALONG = np.linspace(0.0, 0.3, 61)

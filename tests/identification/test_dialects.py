@@ -80,7 +80,7 @@ def test_columns_have_names_units_and_signs(tmp_path, columns, factors, header):
             table(numbers=NUMBERS * [1, 1, 1, 1e3, 1e3, 1e3]),
             '0.3 m; is it in mm? [columns] of the markers\' file says so: "m_*" = { unit = "mm" }',
         ),
-        (table(numbers=NUMBERS * [1, 1, 1, 1e-3, 1e-3, 1e-3]), "all markers are within"),
+        (table(numbers=NUMBERS * [1, 1, 1, 1e-3, 1e-3, 1e-3]), "is the arm's length or the unit wrong? Positions are in m"),
         (table().replace("0.5", "-0.5"), "line 2: tension_0 is -0.5 N: the scene's tension_limits are 0 to 5 N"),
         (table().replace("0.031", "0.03l"), "line 2: m_y is '0.03l'"),
     ],
@@ -122,6 +122,7 @@ def test_times_are_read_in_their_unit(tmp_path, period, begin, unit):
             "line 6: time goes on by 0.03 s: it should in equal steps, which are 0.01 s in the middle; a row",
         ),
         ([1.7634e12, 1.7634e12 + 20, 1.7634e12 + 40], "line 2: samples are 20 s apart in time: is it in ms?"),
+        ([0.0, 10.0, 20.0], "line 2: samples are 10 s apart in time: is it in ms?"),
         ([0.0], "line 2: a motion should have at least two samples"),
     ],
 )

@@ -56,8 +56,8 @@ def test_teacher_tracks_on_every_arm_as_drawn(task, action):
 def test_teacher_makes_up_for_the_delay_that_was_drawn(monkeypatch):
     late = {"latency": 0.06}
     aware = taught("TipPose", 60, randomize=late)[-25:-1].max()
-    arriving = imitation.Teacher._arriving
-    monkeypatch.setattr(imitation.Teacher, "_arriving", lambda self, sent, late: arriving(self, sent, 0.0 * late))
+    arriving = imitation.Teacher._predict_arrival
+    monkeypatch.setattr(imitation.Teacher, "_predict_arrival", lambda self, sent, late: arriving(self, sent, 0.0 * late))
     assert taught("TipPose", 60, randomize=late)[-25:-1].max() > 3.0 * aware
 
 

@@ -90,6 +90,7 @@ def test_runners_have_the_rows_of_one_environment_each_its_own():
             np.testing.assert_array_equal(np.concatenate([result[part] for result in results]), expected[part])
 
 
+@pytest.mark.filterwarnings("ignore:.*Overriding environment rllib")  # of RLlib, which registers one per training of a process
 @pytest.mark.parametrize("task, runners", [("TipPose", 2), ("Reach", 0)])
 def test_a_training_leaves_what_one_of_stable_baselines3_does_and_goes_on(running, tmp_path, task, runners):
     chosen = training(task=task)

@@ -17,7 +17,7 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS, evaluate, summarise
 from soft_tendon_env.learning import checkpoints, config, monitor, train
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env
-from soft_tendon_env.policies import load
+from soft_tendon_env.policies import load_policy, policy_options
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -73,8 +73,8 @@ def test_every_algorithm_learns_is_saved_loaded_and_evaluated(tmp_path, run):
         assert name == "last" or found["evaluated"]["steps"] == found["steps_done"]
         assert found["algorithm"] == chosen.algorithm and found["record"]["versions"]["torch"]
     path = str(tmp_path / "last")
-    env = gym.make(IDS[chosen.task], max_episode_steps=20, **load.policy_options(path, chosen.task, {}))
-    summary = summarise(evaluate(load.load_policy(path, env), env, VALIDATION_SEEDS[:2], chosen.evaluation.skip))
+    env = gym.make(IDS[chosen.task], max_episode_steps=20, **policy_options(path, chosen.task, {}))
+    summary = summarise(evaluate(load_policy(path, env), env, VALIDATION_SEEDS[:2], chosen.evaluation.skip))
     error = next(iter(summary.errors))
     assert summary.errors[error].rms == pytest.approx(rows[-1][f"{error}_rms"], rel=1e-3), "as the learning curve says"
 

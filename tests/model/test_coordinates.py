@@ -46,7 +46,7 @@ def test_redundant_tendons_get_as_many_coordinates_as_they_strain():
 def test_orthogonal_passive_fields(name):
     """Orthogonal to every actuation field and to each other in compliance, each of unit energy."""
     scene, grid = scene_and_grid(name)
-    strain, actuation = make_strain(scene, grid), tendon_fields(scene, grid)
+    strain, actuation = make_strain(scene, grid, at_points(scene, grid)), tendon_fields(scene, grid)
     passive = passive_fields(strain, grid)
     assert len(passive) == strain.size - strain.active == int(name[6:8]) - 10
     np.testing.assert_allclose(inner(passive, passive, scene, grid), np.eye(len(passive)), atol=1e-11)
@@ -58,7 +58,7 @@ def test_passive_fields_that_the_tendons_span_are_dropped():
     """Three straight tendons span constant bending and stretch exactly; torsion is left."""
     modes = [{"strains": list(ANGULAR), "order": 0, "span": "rod"}]
     scene, grid = scene_and_grid("three_tendon", **{"strain.passive": modes})
-    strain = make_strain(scene, grid)
+    strain = make_strain(scene, grid, at_points(scene, grid))
     assert strain.size == 4
     field = passive_fields(strain, grid)[0][grid.real]
     assert field[..., 0].all() and np.abs(field[..., 1:]).max() < 1e-10 * np.abs(field[..., 0]).max()

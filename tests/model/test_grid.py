@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.model.grid import GAUSS, at_points, discretisation, make_grid, make_rod, newton_cotes
+from soft_tendon_env.model.grid import GAUSS, at_points, make_grid, make_rod, newton_cotes
 from soft_tendon_env.scene.file import load_scene, scene_names
 from soft_tendon_env.scene.scene import rod_length
 from soft_tendon_env.scene.strain import STRAINS
 
 
 def rod_of(scene, grid, free):
-    return make_rod(scene, grid, free, at_points(scene, grid), discretisation(scene, grid))
+    return make_rod(scene, grid, free, at_points(scene, grid))
 
 
 def grid_of(name, intervals):

@@ -5,8 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
-from soft_tendon_env.model.build import build_model
-from soft_tendon_env.model.quadrature import QuadratureTest, QuadratureWarning, quadrature_estimate
+from soft_tendon_env.model.build import QuadratureTest, QuadratureWarning, build_model, quadrature_estimate
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import MOST_INTERVALS, TIP_TOLERANCE

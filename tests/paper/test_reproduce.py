@@ -54,21 +54,16 @@ def test_tip_converges_to_the_circle(reproduced, tmp_path):
     for name in ("fully actuated", "underactuated", "underactuated, as printed", *(f"{of}, sampled" for of in ACTUATED)):
         own, figure = numbers["tip_error"][name], "5(c)" if name.startswith("fully") else "6(c)"
         assert own["start_mm"] == pytest.approx(255.0, abs=0.1), "mm from the straight arm to the circle"
-        assert own["small_from_s"] < (0.7 if "sampled" in name else 0.6)
-        assert holds[figure, f"our threshold in addition: below 2.5 mm within 1 s, {name}"]
         lasting = own["below_1_mm_from_s"] is not None
-        assert holds[figure, f"tip error falls below 1 mm and stays there, {name}"] == lasting
+        assert holds[figure, f"tip error stays below 1 mm, {name}"] == lasting
         assert lasting == (not name.startswith("underactuated") or "sampled" in name), "(39) asks for forces that tensions cannot make"
-    assert all(max(parts) < 0.0 for name, parts in numbers["largest_real_parts_1_per_s"].items() if name in ACTUATED)
-    same = [numbers["largest_real_parts_1_per_s"][name] for name in ("underactuated", "underactuated, moments")]
-    assert same[0] == pytest.approx(same[1], abs=0.02), "in the energy, it hardly matters which passive coordinates there are"
     assert "breaks down" in printed
     assert is_picture(tmp_path / "figure_5.png") and is_picture(tmp_path / "figure_6.png")
 
 
 @pytest.mark.parametrize("scene", ["paper", "paper_16dof"])
 def test_the_sampled_controller_stays_below_a_millimetre(scene):
-    motion = track(scene, True, tip.CIRCLE, 2.0)
+    motion = track(scene, tip.CIRCLE, 2.0)
     assert np.diff(motion.time) == pytest.approx(0.02) and motion.time[[0, -1]] == pytest.approx([0.0, 2.0])
     assert np.abs(motion.tension).max() <= 60.0 * (1.0 + 1e-6)
     angle = 2.0 * np.pi * motion.time / 4.0
@@ -76,29 +71,25 @@ def test_the_sampled_controller_stays_below_a_millimetre(scene):
     error = np.linalg.norm(motion.tip - circle, axis=1)
     assert error == pytest.approx(tip.tip_error(motion), abs=1e-12)
     assert error[0] > 0.2 and error[motion.time >= 1.0].max() < 1e-3
-    without = track(scene, False, tip.CIRCLE, 2.0)
-    assert error[-25:].mean() < tip.tip_error(without)[-25:].mean()
 
 
 def test_what_is_missed_is_said():
-    numbers = {"until_s": 8.0, "start_mm": 255.0, "small_from_s": 0.5, "late_rms_mm": 1.2, "late_largest_mm": 1.8}
+    numbers = {"until_s": 8.0, "late_rms_mm": 1.2, "late_largest_mm": 1.8}
     standing = tip.staying_below("6(c)", "name", {**numbers, "below_1_mm_from_s": math.inf})
-    assert not standing.holds and "standing error: later 1.2 mm (rms), 1.8 mm at most" in standing.measured
+    assert not standing.holds and "steady-state error: later 1.2 mm rms, at most 1.8 mm" in standing.measured
     assert "**NO, missed**" in claims_table([standing])
     good = tip.staying_below("6(c)", "name", {**numbers, "below_1_mm_from_s": 0.74})
-    assert good.holds and "below 1 mm from 0.74 s to 8 s" in good.measured and "standing" not in good.measured
+    assert good.holds and good.measured.startswith("from 0.74 s; later") and "steady" not in good.measured
     assert "NO" not in claims_table([good])
-    broken = {"until_s": 0.02, "start_mm": 255.0}
-    for claim in (tip.staying_below("6(c)", "name", broken), tip.soon_below("6(c)", "name", broken)):
-        assert not claim.holds
-    assert "breaks down after 0.02 s" in tip.staying_below("6(c)", "name", broken).measured
-    assert not tip.soon_below("6(c)", "name", {**numbers, "small_from_s": 1.01}).holds
+    broken = {"until_s": 0.02}
+    claim = tip.staying_below("6(c)", "name", broken)
+    assert not claim.holds and "breaks down after 0.02 s" in claim.measured
 
 
 def test_docs_have_what_is_missed():
     before, after = pages.around_markers(DOCS, "figures")
     written = DOCS.read_text().removeprefix(before).removesuffix(after)
-    rows = [line for line in written.splitlines() if "falls below 1 mm and stays there" in line]
+    rows = [line for line in written.splitlines() if "stays below 1 mm" in line]
     assert len(rows) == 5
     for row in rows:
         assert ("**NO, missed**" in row) == ("never for good" in row)

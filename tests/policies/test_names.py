@@ -2,7 +2,6 @@
 
 import pytest
 
-from soft_tendon_env.policies.load import short_name
 from soft_tendon_env.policies.names import Agent, Controller, PolicyName, UserPolicy
 
 BEHIND = "what stands behind 'filtered:' should be a controller of TipPose; .*valid: .*predictive"
@@ -48,20 +47,13 @@ def test_every_name_is_one_of_three(here, text, kind, known):
         ("os:nothing", "should be module:name of what makes a policy"),
         ("filtered:predictive@coarse", "stands behind '@' should be 'fast', 'standard', 'fine'"),
         *((f"filtered:{name}", BEHIND) for name in ("apg", "run/best", "seeds", "nobody")),
+        (
+            "run/model.zip",
+            r"policy is 'run/model.zip': a file of .* mine:agent:\s.*\s+def agent.env.: return PPO.load.'run/model.zip'",
+        ),
         ("odd.toml", "parameters has 'effort', which tracking has not: valid: damping"),
     ],
 )
 def test_what_is_no_policy_is_refused(here, text, said):
     with pytest.raises(ValueError, match=said):
         PolicyName.parse(text, "TipPose").options({})
-
-
-def test_short_names_are_the_ends_of_paths(here):
-    assert [short_name(name) for name in ("agent", "dagger", "agent_1", "run/best", "nobody/ppo")] == [
-        "agent",
-        "dagger",
-        "agent_1",
-        "run/best",
-        "ppo",
-    ]
-    assert short_name("filtered:predictive@fast") == "filtered:predictive@fast"

@@ -9,7 +9,7 @@ import pytest
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate_rows, summarise
 from soft_tendon_env.policies import load_agent, policy_options
-from soft_tendon_env.policies.agent_files import shipped_as
+from soft_tendon_env.policies.agent import shipped_as
 
 TRAINED = Path(__file__).parent.parent.parent / "agents" / "trained"
 BARS = {

@@ -84,6 +84,7 @@ def test_the_environment_of_its_own_is_that_of_the_arm_that_everybody_knows(rows
         ({"act": lambda self, action: action[..., :2]}, "action"),
         ({"options": {"control_period": 0.005}}, "whose options have control_period: it may set observation, preview, h"),
         ({"options": {"history": -1}}, "options of policies_of_mine:mine: history is -1: it should be greater than or equal to 0"),
+        ({"action_space": gym.spaces.Box(0, 1, (7,))}, r"mine', made for the action_space Box.0.0, 1.0, .7,., float32.: the environment's"),
         ({"mine": lambda env: None}, "mine should make an object with predict, not None"),
     ],
 )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.robots import Measurement
-from soft_tendon_env.robots.clock import Clock, SteppedClock
+from soft_tendon_env.robots.safety import Clock
 
 POSE = np.eye(4)
 POSE[0, 3] = 0.3
@@ -22,7 +22,7 @@ class Arm:
     command_unit, senses = "N", ("tip_pose", "tendon_length")
 
     def __init__(self, real_time=False, **faults):
-        self.clock = Clock() if real_time else SteppedClock()
+        self.clock = Clock(real_time)
         self.faults, self.counts, self.sent, self.closed = faults, {"read": 0, "write": 0}, [], False
 
     def _fault(self, name):

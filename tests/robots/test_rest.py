@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.robots import Measurement, RobotEnv, RobotStopped
-from soft_tendon_env.robots.environment import REST_SPEED
-from soft_tendon_env.robots.measured_arm import speed_of
+from soft_tendon_env.robots.environment import REST_SPEED, speed_of
 
 LENGTH = 0.3
 

@@ -6,8 +6,7 @@ import pytest
 from soft_tendon_env.effects import Effect, register_effect
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.radius import LinearRadius
-from soft_tendon_env.scene.routing import StraightRouting
+from soft_tendon_env.scene.routing import LinearRadius, StraightRouting
 from soft_tendon_env.scene.scene import Scene, Segment, Tendon, breakpoints, extrapolation_columns, rod_length, scene_to_dict
 from soft_tendon_env.scene.strain import StaticsBased
 from soft_tendon_env.tools.configuration import ConfigurationError
@@ -30,7 +29,7 @@ def scene():
 REFUSED = [
     ({"segments.0.length": "0.2"}, "segments[0].length is '0.2': it should be a valid number"),
     ({"segments.0.length": float("nan")}, "segments[0].length is nan: it should be a finite number"),
-    ({"segments.0.radius": {"type": "table", "arc_length": [0.0, 0.1], "radius": [0.01, 0.01]}}, "should end at the segment's length, 0.2"),
+    ({"segments.0.radius": {"type": "table", "arc_length": [0.0, 0.1], "radius": [0.01, 0.01]}}, "should cover the segment, 0 to 0.2, but"),
     ({"segments.0.curvature": [0.0, 1.0]}, "segments[0].curvature[2] is missing: it is required"),
     ({"tendons.1.routing.type": "helx"}, "tendons[1].routing.type is 'helx': did you mean 'helix'? valid: converging, helix, straight"),
     ({"tendons.1.end": 0.05}, "tendons[1].end is 0.05: it should be greater than start, 0.1"),

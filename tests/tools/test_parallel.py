@@ -53,7 +53,8 @@ def test_a_cluster_gives_the_same_results_one_by_one():
         results = run_all(square, range(6), 2, "squares", cluster=cluster.address, done=lambda place, result: told.append(place))
         with pytest.raises(ValueError, match="x is -1"):
             run_all(square, [1, -1, 2], 2, "squares", cluster=cluster.address)
+        ((_, alone, _),) = run_all(square, [3], 1, "squares", cluster=cluster.address)  # after an error, and by one worker
     finally:
         cluster.shutdown()
     values, processes, _ = zip(*results, strict=True)
-    assert values == (0, 1, 4, 9, 16, 25) and os.getpid() not in processes and sorted(told) == [*range(6)]
+    assert values == (0, 1, 4, 9, 16, 25) and os.getpid() not in (*processes, alone) and sorted(told) == [*range(6)]

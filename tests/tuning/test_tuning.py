@@ -16,7 +16,7 @@ from soft_tendon_env.policies import PolicyName
 from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.messages import UserError
 from soft_tendon_env.tuning.search import ControllerSearch, Parameter, Search, TrainingSearch, read_search
-from soft_tendon_env.tuning.study import DONE, Work, open_study, run_trial, tune
+from soft_tendon_env.tuning.study import DONE, open_study, run_trial, tune
 
 SPACE = {"a": {"low": 0.1, "high": 10.0, "log": True}, "b": {"low": 1, "high": 100}, "c": {"choices": [[1, 2], "x"]}}
 ARM = {"scene": "three_tendon", "fidelity": "fast"}
@@ -58,13 +58,13 @@ class Bowl(Search):
         return dict(values)
 
 
-def done(work):
-    return open_study(work).get_trials(states=DONE)
+def done(search, folder):
+    return open_study(search, folder).get_trials(states=DONE)
 
 
 def test_the_search_finds_the_least_cost(tmp_path):
-    work = Work(Bowl(trials=40), tmp_path)
-    best, trials = tune(work, workers=1), done(work)
+    search = Bowl(trials=40)
+    best, trials = tune(search, tmp_path, workers=1), done(search, tmp_path)
     found = best.user_attrs["values"]
     assert len(trials) == 40 and any(trial.state.name == "PRUNED" for trial in trials)
     assert found["c"] == "x" and found["a"] == pytest.approx(0.5, rel=0.6) and found["b"] == pytest.approx(30, rel=0.6)
@@ -78,14 +78,14 @@ def test_a_study_goes_on_and_repeats_itself(tmp_path):
     for name in ("one", "other"):
         (tmp_path / name).mkdir()
         for trials in (6, 12):
-            tune(Work(Bowl(trials=trials), tmp_path / name), workers=1)
-    run_trial(Work(Bowl(trials=12), tmp_path / "one"))
-    one, other = (done(Work(Bowl(trials=12), tmp_path / name)) for name in ("one", "other"))
+            tune(Bowl(trials=trials), tmp_path / name, workers=1)
+    run_trial(Bowl(trials=12), tmp_path / "one")
+    one, other = (done(Bowl(trials=12), tmp_path / name) for name in ("one", "other"))
     assert len(one) == len(other) == 12 and [trial.params for trial in one] == [trial.params for trial in other]
     with pytest.raises(ValueError, match="one has another search, seed was 0 and is 1: give another --out"):
-        open_study(Work(Bowl(trials=6, seed=1), tmp_path / "one"))
+        open_study(Bowl(trials=6, seed=1), tmp_path / "one")
     with pytest.raises(UserError, match="none of 3 trials was successful, the first: .*the weights are no longer finite"):
-        tune(Work(Bowl(trials=3, fails=True), tmp_path), workers=1)
+        tune(Bowl(trials=3, fails=True), tmp_path, workers=1)
 
 
 @pytest.mark.cases(
