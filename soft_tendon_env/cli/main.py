@@ -1,7 +1,7 @@
 """The command line: `soft-tendon COMMAND`.
 
-A command NAME is a function `run_NAME` of this folder, whose module is imported when it is called. Its argument is of the class of its
-options. Where that has a method `read_file(given)`, it reads values of a file, which options override.
+A command is a module with a function `run(settings)`, whose annotation is the class of its options; it is imported when it is called.
+Where that class has a method `read_file(given)`, it reads values of a file, which options override.
 """
 
 import importlib
@@ -31,13 +31,6 @@ COMMANDS: dict[str, str] = {
     "scenes": "list the scenes that ship, or print one as TOML",
     "effects": "list the effects that a scene can have, with their parameters and units",
     "doctor": "check the installation: versions, extras, kernel cache, one step of every task of a scene, whose kernels it compiles",
-}
-MODULES = {
-    "play": ("demo", "evaluate", "compare", "arena", "record", "reproduce-paper"),
-    "train": ("train", "sweep", "tune"),
-    "robots": ("export", "run"),
-    "arms": ("fields", "accuracy", "identify"),
-    "scenes": ("scenes", "effects", "doctor"),
 }
 PROGRAM = "soft-tendon"
 IMPORT = "--import"
@@ -89,8 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def shipped_command(name: str) -> tuple[Callable[[Any], None], Any]:
     """The function of a command that ships, and the class of its options."""
-    module = next(module for module, names in MODULES.items() if name in names)
-    run = getattr(importlib.import_module(f"soft_tendon_env.cli.{module}"), f"run_{name.replace('-', '_')}")
+    run = importlib.import_module(f"soft_tendon_env.cli.{name.replace('-', '_')}").run
     return run, get_type_hints(run)["settings"]
 
 

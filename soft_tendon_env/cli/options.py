@@ -11,9 +11,12 @@ from typing import Annotated, Any, Literal, Required, TypedDict, TypeVar, get_ar
 
 import docstring_parser
 import tyro
+from pydantic import Field
 from pydantic.fields import FieldInfo
 
 from soft_tendon_env.cli.errors import Mistake, mistakes
+from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Key, dotted, override, parsed_changes
 
 Kind = TypeVar("Kind", bound=Configuration)
@@ -24,6 +27,21 @@ SHORTCUTS = {  # options in place of a field `options`, the table of an environm
     "target": "environment's target: random, hold, circle or ramp; by default the task's",
     "set": "environment's options by dotted keys, values as in TOML: randomize.stiffness=1.1 control_period=0.01",
 }
+POLICY = "a controller's name; an agent's folder; ppo, sac, dagger or apg, which ship for the task; agent, the best of these"
+TASK = "name of the task: TipPose, Shape, Reach, or one that was registered"
+
+
+class ArmSettings(Configuration):
+    """The arm that a command is about."""
+
+    scene: str = Field(description="a shipped scene's name, or the path of a TOML file")
+    set: tuple[str, ...] = Field(default=(), description="changes of the scene, such as effects.gravity.acceleration=[0,0,-9.81]")
+
+    def changed_scene(self) -> Scene:
+        """The scene with the changes of --set. Raises ConfigurationError, ValueError."""
+        scene = load_scene(self.scene)
+        with from_set():
+            return scene.replace(parsed_changes(self.set)) if self.set else scene
 
 
 @contextmanager

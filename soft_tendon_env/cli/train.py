@@ -1,8 +1,5 @@
-"""`soft-tendon train`, `sweep` and `tune`: one training of Stable-Baselines3 or RLlib, several with their learning curves, and searches
-for the best parameters with Optuna."""
+"""`soft-tendon train`: one training of Stable-Baselines3 or of RLlib, as a configuration says."""
 
-import signal
-import sys
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -11,12 +8,10 @@ from pydantic import Field
 
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.evaluation.provenance import machine
-from soft_tendon_env.learning import sweep
 from soft_tendon_env.learning.config import Training, config_names, find_config, read_training
 from soft_tendon_env.tools.configuration import Configuration
-from soft_tendon_env.tools.parallel import ray_cluster, run_all
+from soft_tendon_env.tools.parallel import ray_cluster
 
-SEARCH = "tune_"  # beginning of the names of searches in configs/
 ENGINE = "Stable-Baselines3 in one process, or RLlib with environments in processes of their own (PPO alone)"
 
 
@@ -34,18 +29,7 @@ class Train(Configuration):
     cluster: str | None = Field(default=None, description='address of a Ray cluster for RLlib, or "auto"; by default one of its own')
 
 
-class Tune(Configuration):
-    """Search for the best parameters of a training or a controller."""
-
-    config: str = Field(description=f"a search that ships ({', '.join(config_names(SEARCH))}), or the path of a TOML file")
-    trials: int | None = Field(default=None, ge=1, description="number of trials of the study, overrides the file")
-    set: tuple[str, ...] = Field(default=(), description="overrides of the file, such as seconds=2.0")
-    workers: int = Field(default=1, ge=1, description="trials side by side")
-    cluster: str | None = Field(default=None, description='address of a Ray cluster that runs them, or "auto"; its machines see the folder')
-    out: str | None = Field(default=None, description="folder for results, which machines may share (default: out/tune/CONFIG)")
-
-
-def run_train(settings: Train) -> None:
+def run(settings: Train) -> None:
     """Train, and say what is done."""
     with ExitStack() as stack:
         with mistakes():
@@ -77,37 +61,3 @@ def rllib_training(settings: Train, training: Training, folder: Path, checkpoint
     make_config(training, settings.runners)
     stack.enter_context(ray_cluster(settings.cluster, settings.runners, f"{settings.runners} runners"))
     return RllibTraining(training, writable_folder(folder), settings.runners, checkpoint)
-
-
-def run_sweep(settings: sweep.Sweep) -> None:
-    """Train, print and draw. Exit status 1 where a run failed."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # `kill` stops the runs too
-    with mistakes():
-        require("agents", "pictures", *(["rllib"] if settings.cluster else []))
-        jobs = [] if settings.only_plot else settings.jobs()
-        writable_folder(Path(settings.out))
-        from soft_tendon_env.learning.curves import show_curves
-
-        errors = run_all(sweep.run_job, jobs, settings.workers, "sweep", cluster=settings.cluster) if jobs else []
-        is_shown = show_curves(settings.folders)
-    failed = [(job.folder, error) for job, error in zip(jobs, errors, strict=True) if error is not None]
-    for folder, text in failed:
-        print(f"\nfailed: {folder}\n{text}", file=sys.stderr)
-    if failed or not is_shown:
-        sys.exit(1)
-
-
-def run_tune(settings: Tune) -> None:
-    """Search, print and write."""
-    with mistakes():
-        require("tuning", *(["rllib"] if settings.cluster else []))
-        from soft_tendon_env.tuning import study
-        from soft_tendon_env.tuning.search import read_search
-
-        path = find_config(settings.config, SEARCH)
-        search = read_search(path, settings.set, **({} if settings.trials is None else {"trials": settings.trials}))
-        folder = writable_folder(Path("out", "tune", path.stem) if settings.out is None else Path(settings.out))
-        study.open_study(search, folder)
-    print(f"{search.trials} trials of {path.stem} into {folder}; {machine()}")
-    with mistakes():
-        study.tune(search, folder, settings.workers, settings.cluster)

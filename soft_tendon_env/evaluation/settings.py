@@ -72,7 +72,7 @@ class Settings(EpisodeSettings, Workers):
     """
 
     errors: tuple[str, ...] = Field(default=tuple(MODEL_ERRORS), min_length=1)
-    episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1, le=len(EVALUATION_SEEDS))
+    episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1)
     seeds: Seeds = Field(default_factory=lambda given: EVALUATION_SEEDS[: given.get("episodes", 0)], min_length=1)
 
     @model_validator(mode="after")
@@ -80,6 +80,13 @@ class Settings(EpisodeSettings, Workers):
         if {"episodes", "seeds"} <= self.model_fields_set and self.episodes != len(self.seeds):
             raise ConfigurationError([Problem(("episodes",), f"is {self.episodes}: it should be {len(self.seeds)}, as there are seeds")])
         return self
+
+    @field_validator("episodes")
+    @classmethod
+    def _are_there(cls, episodes: int) -> int:
+        if episodes > len(EVALUATION_SEEDS):
+            raise ValueError(f"should be at most {len(EVALUATION_SEEDS)}, or give --seeds")
+        return episodes
 
     @field_validator("errors")
     @classmethod

@@ -1,6 +1,7 @@
 """Reading of files, one function per kind; a file that is missing, cut or of something else is an error that names it. Files are replaced
 whole, and checked by their digests. What is made once is kept in folders of the user's cache."""
 
+import codecs
 import contextlib
 import errno
 import hashlib
@@ -22,14 +23,23 @@ from soft_tendon_env.tools.messages import describe, first_line
 PACKAGE = Path(__file__).parents[1]
 
 
+def read_bytes(path: str | os.PathLike[str]) -> bytes:
+    """All of a regular file: what is read from a device, a pipe or a socket may never end. Raises OSError."""
+    if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
+        raise OSError(errno.EINVAL, "it should be a regular file", os.fspath(path))
+    return Path(path).read_bytes()
+
+
 def read_text(path: Path, errors: str = "strict") -> str:
     """The text of a file in UTF-8; errors: what becomes of other bytes, see `bytes.decode`. Raises ValueError, FileNotFoundError."""
     try:
-        return path.read_bytes().decode("utf-8-sig", errors).replace("\r\n", "\n")
+        content = read_bytes(path)
+        errors = "strict" if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else errors
+        return content.decode("utf-8-sig", errors).replace("\r\n", "\n")
     except FileNotFoundError as error:
         raise FileNotFoundError(f"there is no file {path}") from error
     except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} cannot be read as text: {describe(error)}") from error
+        raise ValueError(f"{path} cannot be read as text in UTF-8: {describe(error)}") from error
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -45,7 +55,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 def read_arrays(path: str | Path, what: str) -> dict[str, NDArray[Any]]:
     """The arrays of an .npz file, none of them unpickled; `what` it should hold goes into the error. Raises OSError or ValueError."""
-    content = Path(path).read_bytes()
+    content = read_bytes(path)
     try:
         with zipfile.ZipFile(io.BytesIO(content)), np.load(io.BytesIO(content), allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
@@ -66,7 +76,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 def digest(path: Path) -> str:
     """SHA-256 of a file. Raises OSError."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashlib.sha256(read_bytes(path)).hexdigest()
 
 
 def sources_digest(*patterns: str) -> str:

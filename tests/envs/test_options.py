@@ -29,7 +29,7 @@ BAD = [
     (
         TipPoseEnv,
         {"target": "circel"},
-        r"target\.type is 'circel': did you mean 'circle'\? valid: circle, hold, ramp, random",
+        r"target\.type is 'circel': did you mean 'circle'\? valid: circle, hold, out_of_reach, ramp, random",
     ),
     (TipPoseEnv, {"target": 3}, "target is 3"),
     (TipPoseEnv, {"target": {"type": "random", "knot_period": 20.0}}, r"target\.knot_period is 20: it should be 0.001 to 2.5 s"),
@@ -106,13 +106,14 @@ def test_every_mistake_is_told_at_once():
 
 
 BAD_ACTIONS = [np.zeros(4), np.zeros((1, 3)), 0.0, [0.0, np.nan, 0.0], [np.inf, 0.0, 0.0], [[0.0], [0.0, 1.0]]]
+BAD_ACTIONS += ["up", [True] * 3, None, ["a"] * 3]
 
 
-@pytest.mark.cases("action", [*BAD_ACTIONS, "up", [True] * 3, None, ["a"] * 3])
-def test_bad_actions_are_refused_before_anything_changes(action, everything, live, same):
+def test_bad_actions_are_refused_before_anything_changes(everything, live, same):
     env, twin = (TipPoseEnv(**SMALL, randomize=everything) for _ in range(2))
     live(env, 0, 5)
     live(twin, 0, 5)
-    with pytest.raises((ValueError, TypeError), match="^action should"):
-        env.step(action)
-    assert same(env.step(np.full(3, 0.3)), twin.step(np.full(3, 0.3)))
+    for action in BAD_ACTIONS:
+        with pytest.raises((ValueError, TypeError), match="^action should"):
+            env.step(action)
+        assert same(env.step(np.full(3, 0.3)), twin.step(np.full(3, 0.3)))

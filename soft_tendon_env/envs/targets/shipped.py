@@ -87,6 +87,23 @@ class FixedPose(PoseCourse):
 
 
 @register_target
+class OutOfReach(DrawnShapes):
+    """A pose to hold that the arm cannot reach: drawn as for "hold", and moved away from the base to `beyond` times the rod's length."""
+
+    type: Literal["out_of_reach"] = "out_of_reach"
+    beyond: Positive = 1.2
+
+    @property
+    def gives_shapes(self) -> bool:
+        return False  # no shape has its pose
+
+    def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
+        pose = setting.model.tip_pose(shape_course(self, generator, setting).coordinates(np.zeros(1))[0][0])
+        pose[:3, 3] *= self.beyond * setting.model.length / np.linalg.norm(pose[:3, 3])
+        return FixedPose(pose)
+
+
+@register_target
 class Steps(DrawnShapes):
     """`count` set points, each for `duration` [s], over and over: shapes at rest under random tensions within `fraction` of their
     limits."""

@@ -1,9 +1,5 @@
-"""`soft-tendon run`: a policy on a robot, real or simulated, with a log of it. `soft-tendon export`: a trained agent as one ONNX file, from
-measurements in SI units to commands, checked against the original."""
+"""`soft-tendon run`: a policy on a robot, real or simulated, with a log of it."""
 
-import importlib
-import json
-from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -11,25 +7,21 @@ from typing import Any
 import gymnasium as gym
 from pydantic import Field
 
-from soft_tendon_env.cli.errors import mistakes, require, writable_folder
+from soft_tendon_env.cli.errors import mistakes, require
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.tracking import error_unit
-from soft_tendon_env.evaluation import provenance, tables
 from soft_tendon_env.evaluation.metrics import root_mean_square
+from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName, episode_steps
-from soft_tendon_env.policies.agent import AgentName, find_agent, load_agent, read_config
 from soft_tendon_env.policies.names import PolicyName
-from soft_tendon_env.policies.network import WEIGHTS
 from soft_tendon_env.recording import RecordRollout
 from soft_tendon_env.robots.environment import PATIENCE, REST_SPEED, SETTLE, RobotEnv, rehearse, run_policy
 from soft_tendon_env.robots.log import check_log
-from soft_tendon_env.robots.protocol import Robot, check_robot
+from soft_tendon_env.robots.protocol import load_robot
 from soft_tendon_env.robots.simulated import OF_ARM
-from soft_tendon_env.tools.configuration import Configuration, parsed_changes, shown
-from soft_tendon_env.tools.files import digest
+from soft_tendon_env.tools.configuration import parsed_changes
 from soft_tendon_env.tools.messages import UserError
-from soft_tendon_env.tools.parallel import look_in_this_folder
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 SIMULATED = "soft_tendon_env.robots:SimulatedRobot"
@@ -52,7 +44,7 @@ class Run(EpisodeSettings):
     out: str = Field(default="out/run.csv", description="log, a new .csv file")
 
 
-def run_run(settings: Run) -> None:
+def run(settings: Run) -> None:
     """Run, print and write. Raises UserError where the robot was stopped before the end."""
     out, task = Path(settings.out), settings.task
     with mistakes(), ExitStack() as on_error:
@@ -74,7 +66,7 @@ def run_run(settings: Run) -> None:
         if settings.record:
             real = RecordRollout(real, settings.record, flush_period=None)  # writing meanwhile would take longer than a period
         on_error.pop_all()
-    print(f"{settings.policy} on {settings.robot}, {settings.seconds:g} s; {provenance.machine()}\n")
+    print(f"{settings.policy} on {settings.robot}, {settings.seconds:g} s; {machine()}\n")
     try:
         report = run_policy(policy, real, settings.seconds, settings.seed)
     finally:  # also after Ctrl-C
@@ -90,49 +82,3 @@ def run_run(settings: Run) -> None:
     print(report.timing)
     if not report.finished:
         raise UserError(f"the robot was stopped: {report.stop.cause}")
-
-
-class Export(Configuration):
-    """Write a trained agent as one ONNX file, and compare it with the original on what it observes in an environment."""
-
-    agent: AgentName = Field(description="folder of an agent; or agent, ppo, sac, dagger or apg, of those that ship")
-    task: TaskName = Field(default="TipPose", description="name of the task: TipPose, Shape, Reach, or one that was registered")
-    options: dict[str, Any] = Field(default={})
-    out: str = Field(default="out/agent.onnx", description="file of the agent")
-
-
-def run_export(settings: Export) -> None:
-    """Export, check, print and write. Raises UserError where the file is another policy than the agent."""
-    path = Path(settings.out)
-    with mistakes():
-        require("export")
-        from soft_tendon_env.export.agent import ALLOWED, compare, export_agent
-
-        folder = find_agent(settings.agent, settings.task)
-        env = gym.make(IDS[settings.task], **{**read_config(folder).options, **settings.options})
-        policy = load_agent(settings.agent, env)
-        about = {"name": settings.agent, "weights_sha256": digest(folder / WEIGHTS)}
-        model = export_agent(policy, env, {"agent": about, "record": provenance.origin()})
-        writable_folder(path.parent)
-    path.write_bytes(model.SerializeToString())
-    print(f"written: {path} ({path.stat().st_size / 1e6:.2f} MB)\n")
-    (observations, difference, of_range), metadata = compare(path, policy, env), json.loads(model.metadata_props[0].value)
-    inputs = [(name, str(tuple(of["shape"])), of["unit"]) for name, of in metadata["inputs"].items()]
-    print(tables.markdown_table(("input", "shape", "unit"), inputs))
-    unit, rate = metadata["command"]["unit"], 1.0 / metadata["control_period_s"]
-    print(f"\nOutput: the command [{unit}] of {len(metadata['command']['limits'])} tendons, {rate:g} times a second.")
-    print(f"Largest difference of commands on {observations:,} observations: {tables.number(difference)} {unit}.")
-    if of_range > ALLOWED:
-        raise UserError(f"{path}: commands differ from the original's by more than {ALLOWED:g} of their range")
-
-
-def load_robot(name: str, options: Mapping[str, Any]) -> Robot:
-    """The robot that a class MODULE:CLASS, also of the current folder, makes of these options. Raises ValueError, and what that raises."""
-    look_in_this_folder()
-    module, _, attribute = name.partition(":")
-    try:
-        robot: Robot = getattr(importlib.import_module(module), attribute)(**options)
-        check_robot(robot)
-    except (ImportError, AttributeError, TypeError) as error:
-        raise ValueError(f"robot is {name!r} with the options {shown(dict(options))}: it should be MODULE:CLASS; {error}") from error
-    return robot

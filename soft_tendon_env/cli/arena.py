@@ -1,0 +1,66 @@
+"""`soft-tendon arena`: learned and model-based policies on the same tasks, with the same information, on arms that no model matches."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from soft_tendon_env.cli.errors import mistakes, require, writable_folder
+from soft_tendon_env.evaluation.benchmark import Benchmark, benchmark_tables, standings_by_regime
+from soft_tendon_env.evaluation.conditions import SETTINGS
+from soft_tendon_env.evaluation.experiment import Experiment
+from soft_tendon_env.evaluation.pages import Page
+from soft_tendon_env.evaluation.provenance import machine
+from soft_tendon_env.evaluation.tables import records, write_csv
+from soft_tendon_env.tools.configuration import read_toml
+from soft_tendon_env.tools.files import CONFIGS
+from soft_tendon_env.tools.parallel import check_cluster
+
+
+class Arena(Benchmark):
+    """Play a benchmark of policies, resuming where it was stopped, and write its tables, CSV and picture."""
+
+    config: str = Field(default="published", description="TOML file of a Benchmark, or a name that ships; other options override it")
+    policies: tuple[str, ...] = Field(default=(), description="policies to compare in place of the file's, by their names for evaluate")
+    write_docs: str | None = Field(default=None, description="file in which tables go between <!-- arena TASK --> and its end")
+    out: str = Field(default="out/arena", description="folder for results")
+
+    @staticmethod
+    def read_file(given: Mapping[str, Any]) -> dict[str, Any]:
+        """Tables of the file of --config, checked, with the entrants of --policies in place of its own. Raises ConfigurationError."""
+        path = Path(given.get("config", "published"))
+        shipped = CONFIGS / f"{path}.toml"
+        path = path if path.exists() or not shipped.exists() else shipped
+        table = {**read_toml(path), **({"entrants": [{"policy": policy} for policy in given["policies"]]} if "policies" in given else {})}
+        Benchmark.parse(table, str(path))
+        return table
+
+
+def run(settings: Arena) -> None:
+    """Play what is missing, print and write."""
+    with mistakes():
+        require("pictures")
+        out, marker = Path(settings.out), f"arena {settings.task}"
+        page, (cells, notes) = Page(settings.write_docs, [marker]), settings.cells()
+        experiment = Experiment(cells, out / "cells")
+        check_cluster(settings.cluster)
+        writable_folder(out)
+    what = f"{settings.episodes} episodes of {settings.seconds:g} s"
+    for note in notes:
+        print(f"note: {note}")
+    print(f"{len(experiment.cells)} cells, {len(experiment.missing())} of them to be played, {what} each; {machine()}", flush=True)
+    experiment.play("arena", settings.workers, settings.cluster)
+    from soft_tendon_env.evaluation.pictures import draw_errors
+
+    found, picture = standings_by_regime(settings, experiment), out / "arena.png"
+    if settings.write_docs is not None:
+        picture = Path(settings.write_docs).with_suffix(".png")
+    legend = "\n".join(f"- `{name}`: {SETTINGS[name].description}." for name in settings.settings)
+    text = f"{benchmark_tables(settings, found)}\n\n{legend}"
+    print(f"\n{text}\n")
+    for path in {out / "arena.csv", picture.with_suffix(".csv")}:
+        write_csv(path, [{"regime": regime, **row} for regime, of in found.items() for row in records(of)])
+    draw_errors({f"information: {regime}": of for regime, of in found.items()}, picture)
+    parts = [f"{what.capitalize()}.", *(f"Note: {note}." for note in notes)]
+    page.write(marker, "\n\n".join([*parts, f"![Errors of all policies by setting and regime]({picture.name})", text]))

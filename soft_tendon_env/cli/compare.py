@@ -1,0 +1,69 @@
+"""`soft-tendon compare`: controllers and agents on the same episodes, on the arm of their model and on arms that differ."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from soft_tendon_env.cli.errors import mistakes, require, writable_folder
+from soft_tendon_env.evaluation import comparison, tables
+from soft_tendon_env.evaluation.entrants import agents_of
+from soft_tendon_env.evaluation.pages import Page
+from soft_tendon_env.evaluation.provenance import machine, origin, write_json
+from soft_tendon_env.evaluation.settings import Comparison, Settings
+from soft_tendon_env.tools.configuration import read_toml
+from soft_tendon_env.tools.parallel import check_cluster
+
+CONFIG = "TOML file with the keys of Comparison, such as configs/compare.toml, which other options override"
+
+
+class Compare(Comparison):
+    """Print errors by policy and model error, resuming where it was stopped, and write JSON with every episode, CSV, and a picture."""
+
+    config: str | None = Field(default=None, description=CONFIG)
+    write_docs: str | None = Field(default=None, description="file in which tables go between <!-- compare TASK --> and its end")
+    out: str = Field(default="out/compare", description="folder for results")
+
+    @staticmethod
+    def read_file(given: Mapping[str, Any]) -> dict[str, Any]:
+        """Tables of the file of --config, checked; episodes or seeds on the command line override both. Raises ConfigurationError."""
+        table = read_toml(given["config"]) if "config" in given else {}
+        Comparison.parse(table, given.get("config", ""))
+        episodes = {"episodes", "seeds"}
+        return {key: value for key, value in table.items() if not (key in episodes and episodes & given.keys())}
+
+
+def run(settings: Compare) -> None:
+    """Compare, print and write, task by task."""
+    with mistakes():
+        page = Page(settings.write_docs, [f"compare {task}" for task in settings.tasks])
+    for task, text in play(settings, settings.tasks, settings.policies, settings.out).items():
+        page.write(f"compare {task}", text)
+
+
+def play(settings: Settings, tasks: Sequence[str], policies: tuple[str, ...], out: str) -> dict[str, str]:
+    """Play policies under every model error, print and write results; returns tables by task. Raises Mistake."""
+    folder = Path(out)
+    with mistakes():
+        require("pictures")
+        files = {task: agents_of(task, policies) for task in tasks}
+        arms = {task: comparison.shared_arms(settings, task, of_task) for task, of_task in files.items()}
+        experiments = {task: comparison.compare(settings, task, of_task, folder / "cells") for task, of_task in arms.items()}
+        check_cluster(settings.cluster)
+        writable_folder(folder)
+    from soft_tendon_env.evaluation.pictures import draw_errors
+
+    what, texts = f"{len(settings.seeds)} episodes of {settings.seconds:g} s", dict[str, str]()
+    print(f"{what}; {machine()}")
+    for task, experiment in experiments.items():
+        experiment.play(f"{task}: policies x model errors", settings.workers, settings.cluster)
+        found, summaries = comparison.standings_of(experiment, files[task])
+        errors = tables.error_table(found)
+        texts[task] = f"{what.capitalize()}.\n\n{errors}"
+        several = f"{errors}\n\n{tables.ERRORS_LEGEND}\n\n" if len(files[task]) > 1 else ""
+        print(f"\n## {task}\n\n{several}{comparison.numbers_table(task, files[task], summaries)}\n")
+        write_json(folder / f"{task}.json", {**origin(), **comparison.results_record(settings, task, arms[task], found, summaries)})
+        tables.write_csv(folder / f"{task}.csv", tables.records(found))
+        draw_errors({task: found}, folder / f"{task}.png")
+    return texts
