@@ -33,7 +33,6 @@ LIMITS = {
 STILL = {
     "lines of the tests": 17_000,
     "lines of the largest folder": 6_100,
-    "words of the documentation": 49_700,
 }
 """Sizes that still exceed their limits: each may fall, none may grow."""
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from pydantic import Field
 
+from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.evaluation import comparison, demo
@@ -11,7 +12,6 @@ from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS
 from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.evaluation.settings import Workers
 from soft_tendon_env.policies.names import Agent
-from soft_tendon_env.recording import RerunFile
 from soft_tendon_env.tools.parallel import check_cluster
 from soft_tendon_env.tools.types import Positive
 
@@ -32,7 +32,7 @@ def run(settings: Demo) -> None:
         require("agents", "pictures", "recording")
         page = Page(settings.write_docs, ["demo"])
         check_cluster(settings.cluster)
-        file = RerunFile(writable_folder(out) / "demo.rrd")
+        file = recording.RerunFile(writable_folder(out) / "demo.rrd")
         known = CONTROLLERS[demo.TASK]
         configs = {name: Agent(policy, demo.TASK).config for policy, name in demo.SHOWN.items() if policy not in known}
         agents = {name: f"{config.algorithm}, {config.steps_done:,} steps" for name, config in configs.items()}

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from pydantic import Field
 
+from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import mistakes, require
 from soft_tendon_env.cli.options import POLICY, TASK
 from soft_tendon_env.evaluation import comparison, provenance, tables
@@ -12,7 +13,6 @@ from soft_tendon_env.evaluation.entrants import agents_of, model_in_the_loop
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Seeds, TaskName
 from soft_tendon_env.evaluation.summaries import summarise
 from soft_tendon_env.policies.names import PolicyName
-from soft_tendon_env.recording import RerunFile
 
 
 class Record(EpisodeSettings):
@@ -31,7 +31,7 @@ def run(settings: Record) -> None:
         require("recording")
         arms = comparison.shared_arms(settings, task, agents_of(task, settings.policies))
         players = {name: comparison.make_cell(settings, settings.seeds, task, name, arm).open() for name, arm in arms.items()}
-        file = RerunFile(out)
+        file = recording.RerunFile(out)
     print(f"{task}, episodes of {settings.seconds:g} s from seeds {', '.join(map(str, settings.seeds))}; {provenance.machine()}\n")
     with file:
         scores = comparison.record_side_by_side(players, file, settings.seeds, settings.skip)
