@@ -12,9 +12,9 @@ import numpy as np
 import torch
 
 import soft_tendon_env as ste
+from soft_tendon_env.envs import Task, register_reward_term, register_task
 from soft_tendon_env.envs.observation import Group
 from soft_tendon_env.envs.targets import PoseCourse, Target, pose_samples, register_target
-from soft_tendon_env.envs.tasks import Task, register_reward_term, register_task
 from soft_tendon_env.envs.tracking import POSITION
 from soft_tendon_env.learning.analytic_policy_gradient import APG, APGSettings
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env

@@ -3,7 +3,7 @@
 import gymnasium as gym
 import numpy as np
 
-from soft_tendon_env.envs.tasks import register_reward_term
+from soft_tendon_env.envs import register_reward_term
 
 
 @register_reward_term

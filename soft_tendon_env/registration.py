@@ -1,16 +1,12 @@
 """Registration of the environments with Gymnasium: an id per task, whose classes are imported when one is made."""
 
-import os
-import pkgutil
-from pathlib import Path
-
 from gymnasium.envs.registration import register, registry
 
 MAX_EPISODE_STEPS = 500
 """Length of an episode: 10 s at the default control period."""
 
-TASK_FILES = os.path.join(Path(__file__).parent, "envs", "tasks")
-"""Folder of a file per task that ships."""
+SHIPPED = ("Reach", "Shape", "TipPose")
+"""Names of the tasks that ship, of envs/tasks.py, which is imported when one is made."""
 
 IDS: dict[str, str] = {}
 """Ids by the names of their tasks."""
@@ -23,13 +19,13 @@ def register_environment(task: str, max_episode_steps: int = MAX_EPISODE_STEPS) 
         registry.pop(id, None)
         register(
             id,
-            entry_point=f"soft_tendon_env.envs.single:{task}Env",
-            vector_entry_point=f"soft_tendon_env.envs.vector:{task}VectorEnv",
+            entry_point=f"soft_tendon_env.envs.environments:{task}Env",
+            vector_entry_point=f"soft_tendon_env.envs.environments:{task}VectorEnv",
             max_episode_steps=max_episode_steps,
         )
 
 
 def register_environments() -> None:
-    """Registers the ids of the tasks that ship: one per file of `envs/tasks`, `tip_pose.py` for TipPose, none of which is imported."""
-    for file in pkgutil.iter_modules([TASK_FILES]):
-        register_environment("".join(word.capitalize() for word in file.name.split("_")))
+    """Registers the ids of the tasks that ship."""
+    for task in SHIPPED:
+        register_environment(task)

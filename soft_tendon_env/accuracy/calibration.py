@@ -19,10 +19,9 @@ from soft_tendon_env.scene.passive_fields import PassiveFields, find_fields
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.checks import checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.files import digest, read_json, replacing, sources_digest
-from soft_tendon_env.tools.messages import say_unless_quiet
+from soft_tendon_env.tools.files import digest, new_data_folder, read_json, replacing, sources_digest
+from soft_tendon_env.tools.messages import say_once
 from soft_tendon_env.tools.types import Array, length_text
-from soft_tendon_env.tools.user_cache import new_data_folder
 
 SEEDS = range(500, 505)  # of the motions of each kind that a scene is calibrated on
 MARGIN = 2.0  # by which the error on those motions stays below what is asked for, see docs/appendix/accuracy.md
@@ -98,7 +97,7 @@ def ensure_fields(scene: Scene) -> PassiveFields:
     path = fields_path(scene)
     with FileLock(path.with_suffix(".lock")):  # one process makes them, the others find them
         if (found := own_fields(scene)) is None:
-            say_unless_quiet(f"the passive strain fields of {scene.name!r} are made from simulated motions, once: {path}")
+            say_once(f"the passive strain fields of {scene.name!r} are made from simulated motions, once: {path}")
             (found := make_passive_fields(scene)).save(path)
         return found
 
@@ -110,7 +109,7 @@ def calibrate(scene: Scene, inputs: Sequence[Array], fields: PassiveFields | Non
     with FileLock(path.with_suffix(".lock")):
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # none, or damaged
             return read_calibration(path)
-        say_unless_quiet(f"{scene.name!r} is calibrated against full physics, once: {path}")
+        say_once(f"{scene.name!r} is calibrated against full physics, once: {path}")
         reference = reference_motions(scene, inputs, REFERENCE * rod_length(scene))
         if all(tips is None for tips in reference.tips):
             text = f"full physics of {scene.name!r} has none of the motions: its strain diverges under these tensions and loads"

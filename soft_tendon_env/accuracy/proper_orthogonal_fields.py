@@ -24,9 +24,9 @@ from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, arm_of
 from soft_tendon_env.scene.scene import Scene, breakpoints, rod_length
 from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS, SNAPSHOT_ORDER, STRAINS
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.files import new_data_folder
 from soft_tendon_env.tools.parallel import processors, run_all
 from soft_tendon_env.tools.types import Array
-from soft_tendon_env.tools.user_cache import new_data_folder
 
 KINDS, TRAINED = USUAL, (*USUAL, "wild")  # kinds of motions that fields are tested on, and that snapshots are taken of
 RUNS, FIRST_SEED = 10, 1000  # motions of each kind that snapshots are taken of, and the first of their seeds

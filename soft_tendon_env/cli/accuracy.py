@@ -46,8 +46,8 @@ def run(settings: Accuracy) -> None:
     records = [record(*cost) for cost in costs]
     bar = number(1e3 * max(filter(np.isfinite, found.reference.tip_errors), default=np.nan))
     print(f"{scene.name}: largest distance from full physics on {len(inputs)} motions, per simulated second; {machine()}.")
-    values = [[*row.values()] for row in records]
-    cells = [[*map(str, own[:3]), f"{1e6 * own[3]:.3g}", f"{own[4]:.0f}", *(number(1e3 * value) for value in own[5:])] for own in values]
+    rows = [[*row.values()] for row in records]
+    cells = [[*map(str, row[:3]), f"{1e6 * row[3]:.3g}", f"{row[4]:.0f}", *(number(1e3 * value) for value in row[5:])] for row in rows]
     print(f"Error bar of the reference: {bar} mm at the tip.\n\n{markdown_table(HEADER, cells)}\n")
     write_csv(out / f"{scene.name}.csv", records)
     if tolerance is not None:

@@ -14,7 +14,7 @@ from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.tables import records, write_csv
 from soft_tendon_env.tools.configuration import read_toml
-from soft_tendon_env.tools.files import configs_folder
+from soft_tendon_env.tools.files import CONFIGS
 from soft_tendon_env.tools.parallel import check_cluster
 
 
@@ -26,15 +26,15 @@ class Arena(Benchmark):
     write_docs: str | None = Field(default=None, description="file in which tables go between <!-- arena TASK --> and its end")
     out: str = Field(default="out/arena", description="folder for results")
 
-
-def read_file(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Tables of the file of --config, checked, with the entrants of --policies in place of its own. Raises ConfigurationError."""
-    path = Path(given.get("config", "published"))
-    shipped = configs_folder() / f"{path}.toml"
-    path = path if path.exists() or not shipped.exists() else shipped
-    table = {**read_toml(path), **({"entrants": [{"policy": policy} for policy in given["policies"]]} if "policies" in given else {})}
-    Benchmark.parse(table, str(path))
-    return table
+    @staticmethod
+    def read_file(given: Mapping[str, Any]) -> dict[str, Any]:
+        """Tables of the file of --config, checked, with the entrants of --policies in place of its own. Raises ConfigurationError."""
+        path = Path(given.get("config", "published"))
+        shipped = CONFIGS / f"{path}.toml"
+        path = path if path.exists() or not shipped.exists() else shipped
+        table = {**read_toml(path), **({"entrants": [{"policy": policy} for policy in given["policies"]]} if "policies" in given else {})}
+        Benchmark.parse(table, str(path))
+        return table
 
 
 def run(settings: Arena) -> None:

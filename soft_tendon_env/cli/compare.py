@@ -16,8 +16,6 @@ from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.parallel import check_cluster
 
 CONFIG = "TOML file with the keys of Comparison, such as configs/compare.toml, which other options override"
-EPISODES = {"episodes", "seeds"}
-"""Keys that say which episodes there are: one of them on the command line overrides both in a file."""
 
 
 class Compare(Comparison):
@@ -27,19 +25,19 @@ class Compare(Comparison):
     write_docs: str | None = Field(default=None, description="file in which tables go between <!-- compare TASK --> and its end")
     out: str = Field(default="out/compare", description="folder for results")
 
-
-def read_file(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Tables of the file of --config, checked, but for keys that other options override. Raises ConfigurationError."""
-    table = read_toml(given["config"]) if "config" in given else {}
-    Comparison.parse(table, given.get("config", ""))
-    return {key: value for key, value in table.items() if not (key in EPISODES and EPISODES & given.keys())}
+    @staticmethod
+    def read_file(given: Mapping[str, Any]) -> dict[str, Any]:
+        """Tables of the file of --config, checked; episodes or seeds on the command line override both. Raises ConfigurationError."""
+        table = read_toml(given["config"]) if "config" in given else {}
+        Comparison.parse(table, given.get("config", ""))
+        episodes = {"episodes", "seeds"}
+        return {key: value for key, value in table.items() if not (key in episodes and episodes & given.keys())}
 
 
 def run(settings: Compare) -> None:
     """Compare, print and write, task by task."""
     with mistakes():
-        markers = [f"compare {task}" for task in settings.tasks]
-        page = Page(settings.write_docs, markers)
+        page = Page(settings.write_docs, [f"compare {task}" for task in settings.tasks])
     for task, text in play(settings, settings.tasks, settings.policies, settings.out).items():
         page.write(f"compare {task}", text)
 

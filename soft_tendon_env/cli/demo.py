@@ -7,9 +7,8 @@ from pydantic import Field
 from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.control import CONTROLLERS
-from soft_tendon_env.evaluation.comparison import opening_hint
+from soft_tendon_env.evaluation import comparison, demo
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS
-from soft_tendon_env.evaluation.demo import NOTES, SHOWN, TASK, run_demo
 from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.evaluation.settings import Workers
 from soft_tendon_env.policies.names import Agent
@@ -34,13 +33,13 @@ def run(settings: Demo) -> None:
         page = Page(settings.write_docs, ["demo"])
         check_cluster(settings.cluster)
         file = recording.RerunFile(writable_folder(out) / "demo.rrd")
-        known = CONTROLLERS[TASK]
-        configs = {name: Agent(policy, TASK).config for policy, name in SHOWN.items() if policy not in known}
+        known = CONTROLLERS[demo.TASK]
+        configs = {name: Agent(policy, demo.TASK).config for policy, name in demo.SHOWN.items() if policy not in known}
         agents = {name: f"{config.algorithm}, {config.steps_done:,} steps" for name, config in configs.items()}
-    described = {name: agents.get(name) or known[policy].description for policy, name in SHOWN.items()}
+    described = {name: agents.get(name) or known[policy].description for policy, name in demo.SHOWN.items()}
     print("\n".join(f"{name:<24} {text}" for name, text in described.items()), "\n")
-    tables = run_demo(settings.episodes, settings.seconds, settings, file, out)
-    print(f"{tables}\n\n{NOTES}\n")
+    shown = demo.run_demo(settings.episodes, settings.seconds, settings, file, out)
+    print(f"{shown}\n\n{demo.NOTES}\n")
     trained = "; ".join(f"{name}: {text}" for name, text in agents.items())
-    page.write("demo", f"Episodes of {settings.seconds:g} s. {trained}.\n\n{tables}\n\n{NOTES}")
-    print(opening_hint(out / "demo.rrd"))
+    page.write("demo", f"Episodes of {settings.seconds:g} s. {trained}.\n\n{shown}\n\n{demo.NOTES}")
+    print(comparison.opening_hint(out / "demo.rrd"))

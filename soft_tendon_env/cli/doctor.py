@@ -18,10 +18,7 @@ from soft_tendon_env.tools.messages import first_line
 
 
 class Doctor(Configuration):
-    """Check the installation: versions, extras, kernel cache, and one step of every task. Exit status 1 if something is broken.
-
-    The steps compile what the scene needs, so that its first use need not wait.
-    """
+    """Check versions, extras, kernel cache and a step of every task, which compiles its kernels. Exit status 1 if something is broken."""
 
     scene: str = Field(default="paper", description="a shipped scene's name, or the path of a TOML file")
 

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from soft_tendon_env.cli.errors import Mistake
 from soft_tendon_env.effects import EFFECTS, Effect
-from soft_tendon_env.tools.configuration import Configuration, not_among
+from soft_tendon_env.tools.configuration import Configuration, not_registered
 
 
 class Effects(Configuration):
@@ -20,7 +20,7 @@ def run(settings: Effects) -> None:
     """Print them."""
     name = settings.name
     if name is not None and name not in EFFECTS:
-        raise Mistake(f"name is {name!r}: {not_among(name, EFFECTS)}")
+        raise Mistake(f"name is {name!r}: {not_registered(name, EFFECTS)}")
     print("\n\n".join(describe_effect(key, EFFECTS[key]) for key in sorted(EFFECTS) if name in (None, key)))
 
 

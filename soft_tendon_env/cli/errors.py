@@ -2,7 +2,6 @@
 
 import os
 import sys
-import tempfile
 from collections.abc import Iterator
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -12,11 +11,11 @@ from pathlib import Path
 from gymnasium.error import DependencyNotInstalled
 
 from soft_tendon_env.tools.configuration import ConfigurationError
+from soft_tendon_env.tools.files import make_writable
 from soft_tendon_env.tools.messages import UserError, describe
 
-MISTAKES = (ValueError, TypeError, OSError, MemoryError, ModuleNotFoundError, DependencyNotInstalled)
-"""Errors about options, files and folders, before anything runs."""
-EXTRAS = {
+MISTAKES = (ValueError, TypeError, OSError, MemoryError, ModuleNotFoundError, DependencyNotInstalled)  # before anything runs
+EXTRAS = {  # modules by the extra that installs them
     "agents": ("torch", "stable_baselines3", "sb3_contrib"),
     "recording": ("rerun", "pyarrow"),
     "pictures": ("matplotlib",),
@@ -25,7 +24,6 @@ EXTRAS = {
     "robots": ("dynamixel_sdk",),
     "rllib": ("ray", "tree", "stable_baselines3"),
 }
-"""Modules by the extra that installs them."""
 
 
 class Mistake(UserError):
@@ -43,10 +41,7 @@ def mistakes() -> Iterator[None]:
 
 @contextmanager
 def exit_in_one_line(program: str, stopped: str) -> Iterator[None]:
-    """End the process in one line on a Mistake, a UserError, a file that cannot be written, workers that died, Ctrl-C or a closed pipe.
-
-    program: named in errors. stopped: what to say after Ctrl-C.
-    """
+    """End the process in one line, which names the program, where it cannot go on; `stopped` is what to say after Ctrl-C."""
     from soft_tendon_env import SimulationDiverged
 
     try:
@@ -81,8 +76,6 @@ def require(*extras: str) -> None:
 def writable_folder(path: Path) -> Path:
     """The folder, made if need be, in which a file can be written. Raises ValueError."""
     try:
-        path.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=path).close()
+        return make_writable(path)
     except OSError as error:
         raise ValueError(f"--out is {path}: it should be a folder that can be written, and there {describe(error)}") from error
-    return path

@@ -3,16 +3,15 @@
 from pydantic import Field
 
 from soft_tendon_env.cli.compare import play
+from soft_tendon_env.cli.options import POLICY, TASK
 from soft_tendon_env.evaluation.settings import Settings, TaskName
-
-POLICY = "a controller's name; an agent's folder; ppo, sac, dagger or apg, which ship for the task; agent, the best of these"
 
 
 class Evaluate(Settings):
     """Print a row per model error, resuming where it was stopped, and write JSON with every episode, CSV, and a picture."""
 
     policy: str = Field(description=POLICY)
-    task: TaskName = Field(default="TipPose", description="name of the task: TipPose, Shape, Reach, or one that was registered")
+    task: TaskName = Field(default="TipPose", description=TASK)
     out: str = Field(default="out/evaluate", description="folder for results")
 
 

@@ -8,6 +8,7 @@ import gymnasium as gym
 from pydantic import Field
 
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
+from soft_tendon_env.cli.options import TASK
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import provenance, tables
 from soft_tendon_env.evaluation.settings import TaskName
@@ -22,7 +23,7 @@ class Export(Configuration):
     """Write a trained agent as one ONNX file, and compare it with the original on what it observes in an environment."""
 
     agent: AgentName = Field(description="folder of an agent; or agent, ppo, sac, dagger or apg, of those that ship")
-    task: TaskName = Field(default="TipPose", description="name of the task: TipPose, Shape, Reach, or one that was registered")
+    task: TaskName = Field(default="TipPose", description=TASK)
     options: dict[str, Any] = Field(default={})
     out: str = Field(default="out/agent.onnx", description="file of the agent")
 

@@ -9,8 +9,8 @@ from soft_tendon_env.accuracy.proper_orthogonal_fields import KINDS, fields_path
 from soft_tendon_env.accuracy.test_inputs import USUAL
 from soft_tendon_env.cli.errors import mistakes
 from soft_tendon_env.cli.options import ArmSettings
-from soft_tendon_env.cli.scenes import coordinate_count
 from soft_tendon_env.evaluation.tables import markdown_table, number
+from soft_tendon_env.model.coordinates import coordinate_count
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.types import GivenLength
@@ -32,22 +32,22 @@ def run(settings: Fields) -> None:
         scene, out = settings.changed_scene(), settings.out
         if out is not None and not out.endswith(".json"):
             raise ValueError(f"--out is {out}: it should be the path of a .json file, such as {scene.name}{SUFFIX}")
-    fields, path = make_passive_fields(scene), fields_path(scene) if out is None else Path(out)
-    fields.save(path)
+    found, path = make_passive_fields(scene), fields_path(scene) if out is None else Path(out)
+    found.save(path)
     bare = {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders)}
-    print(f"written: {path}\n\n{report(scene, fields, coordinate_count(scene.replace({'strain': bare})))}")
+    print(f"written: {path}\n\n{report(scene, found, coordinate_count(scene.replace({'strain': bare})))}")
     if settings.within is not None:
-        count = fields.needed(settings.within, USUAL)
+        count = found.needed(settings.within, USUAL)
         file = "" if out is None else f', file = "{path.name}"'
         entry = f'passive = {{ type = "snapshots", fields = {count}{file} }}'
         print(f"\n{'no number of fields is enough' if count is None else f'In the scene, under [strain]: {entry}'}")
 
 
-def report(scene: Scene, fields: PassiveFields, own: int) -> str:
-    """Table of the errors by number of fields; the arm has `own` coordinates without any."""
+def report(scene: Scene, fields: PassiveFields, bare: int) -> str:
+    """Table of the errors by number of fields; the arm has `bare` coordinates without any."""
     rows = []
     for i, count in enumerate(np.array(fields.errors["fields"], dtype=int)):
         errors = [number(1e3 * fields.errors[kind][i]) for kind in KINDS]
-        rows.append((str(own + count), str(count), f"{fields.singular_values[count - 1]:.2g}" if count else "-", *errors))
+        rows.append((str(bare + count), str(count), f"{fields.singular_values[count - 1]:.2g}" if count else "-", *errors))
     intro = f"{scene.name}, digest {fields.digest}. Errors: largest distance of the tip from full physics on other motions."
     return f"{intro}\n\n{markdown_table(('coordinates', 'fields', 'singular value', *(f'{kind} [mm]' for kind in KINDS)), rows)}"

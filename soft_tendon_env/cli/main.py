@@ -1,17 +1,17 @@
 """The command line: `soft-tendon COMMAND`.
 
 A command is a module with a function `run(settings)`, whose annotation is the class of its options; it is imported when it is called.
-A function `read_file(given)` there reads values of a file, which options override.
+Where that class has a method `read_file(given)`, it reads values of a file, which options override.
 """
 
 import importlib
 import importlib.metadata
 import sys
 from collections.abc import Callable, Sequence
-from typing import TypeVar, get_type_hints
+from typing import Any, TypeVar, get_type_hints
 
 from soft_tendon_env.tools.configuration import not_among
-from soft_tendon_env.tools.extensions import import_extensions
+from soft_tendon_env.tools.parallel import import_extensions
 
 COMMANDS: dict[str, str] = {
     "demo": "controllers and the shipped agent side by side: a table, a picture, a recording",
@@ -69,15 +69,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(0 if name else 2)
     from soft_tendon_env.cli.errors import exit_in_one_line
 
-    module = None if name in _own else importlib.import_module(f"soft_tendon_env.cli.{name.replace('-', '_')}")
-    with exit_in_one_line(f"{PROGRAM} {name}", getattr(module, "STOPPED", STOPPED)):
-        if module is None:
+    if name in _own:
+        with exit_in_one_line(f"{PROGRAM} {name}", STOPPED):
             _own[name](rest)
-            return
-        from soft_tendon_env.cli.options import read
+        return
+    from soft_tendon_env.cli.options import read
 
-        file = {"file": module.read_file} if hasattr(module, "read_file") else {}
-        module.run(read(name, get_type_hints(module.run)["settings"], rest, **file))
+    run, kind = shipped_command(name)
+    with exit_in_one_line(f"{PROGRAM} {name}", getattr(kind, "STOPPED", STOPPED)):
+        run(read(name, kind, rest))
+
+
+def shipped_command(name: str) -> tuple[Callable[[Any], None], Any]:
+    """The function of a command that ships, and the class of its options."""
+    run = importlib.import_module(f"soft_tendon_env.cli.{name.replace('-', '_')}").run
+    return run, get_type_hints(run)["settings"]
 
 
 def usage() -> str:

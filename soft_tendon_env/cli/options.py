@@ -4,10 +4,10 @@ Options that are not given are left to a file, or to the class's defaults. What 
 """
 
 import types
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from copy import deepcopy
-from typing import Annotated, Any, Required, TypedDict, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Literal, Required, TypedDict, TypeVar, get_args, get_origin
 
 import docstring_parser
 import tyro
@@ -18,17 +18,17 @@ from soft_tendon_env.cli.errors import Mistake, mistakes
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Key, dotted, override, parsed_changes
-from soft_tendon_env.tools.types import GivenLength
 
 Kind = TypeVar("Kind", bound=Configuration)
 Given = Mapping[str, Any]
-SHORTCUTS = {
+SHORTCUTS = {  # options in place of a field `options`, the table of an environment's options
     "scene": "environment's scene: a shipped scene's name, or the path of a TOML file",
     "fidelity": "environment's fidelity: fast, standard, fine, scene or a length such as 1mm",
     "target": "environment's target: random, hold, circle or ramp; by default the task's",
     "set": "environment's options by dotted keys, values as in TOML: randomize.stiffness=1.1 control_period=0.01",
 }
-"""Options in place of a field `options`, the table of an environment's options."""
+POLICY = "a controller's name; an agent's folder; ppo, sac, dagger or apg, which ship for the task; agent, the best of these"
+TASK = "name of the task: TipPose, Shape, Reach, or one that was registered"
 
 
 class ArmSettings(Configuration):
@@ -53,22 +53,26 @@ def from_set() -> Iterator[None]:
         raise ConfigurationError(error.problems, "--set") from error
 
 
-def read(command: str, kind: type[Kind], arguments: Sequence[str], file: Callable[[Given], Given] = lambda given: {}) -> Kind:
-    """The configuration that a command line says; `file` reads the values that a file has, which the options given override.
-
-    Ends the process with help, or with status 2 where tyro refuses the arguments. Raises Mistake.
-    """
+def read(command: str, kind: type[Kind], arguments: Sequence[str]) -> Kind:
+    """The configuration that a command line says; `kind.read_file`, if there is one, reads values that the options given override. Ends
+    the process with help, or with status 2 where tyro refuses the arguments. Raises Mistake."""
     names = [word.partition("=")[0] for word in arguments if word.startswith("--")]
     if twice := next((name for name in names if names.count(name) > 1), None):  # of which tyro would take the last alone
         raise Mistake(f"{twice} is given twice: give it once, with all its values behind it")
     about = " ".join((kind.__doc__ or "").partition("Attributes:")[0].split())
     given: Given = tyro.cli(_arguments(kind), prog=f"soft-tendon {command}", description=about, args=list(arguments))
     with mistakes():
-        values = {**file(given), **{name: value for name, value in given.items() if name in kind.model_fields}}
+        read_file: Any = getattr(kind, "read_file", None)
+        file = read_file(given) if read_file else {}
+        fields = {name: field for name, field in kind.model_fields.items() if name in given}
+        values = {**file, **{name: _value(_values_of(field)[0], given[name]) for name, field in fields.items()}}
         if "options" in kind.model_fields:
-            table = deepcopy(values.get("options", {})) | {name: given[name] for name in given if name in SHORTCUTS and name != "set"}
+            chosen = {name: given[name] for name in given if name in SHORTCUTS and name != "set"}
+            changes, table = parsed_changes(given.get("set", ())), deepcopy(values.get("options", {})) | chosen
+            if twice := next((name for name in chosen if name in changes), None):
+                raise ValueError(f"--set has {twice}, and so has --{twice}: give it once")
             with from_set():
-                override(table, parsed_changes(given.get("set", ())))
+                override(table, changes)
             values |= {"options": table} if table else {}
         try:
             return kind(**values)
@@ -81,18 +85,39 @@ def _arguments(kind: type[Configuration]) -> Any:
     table, helps = dict[str, Any](), descriptions(kind)
     for name, field in kind.model_fields.items():
         if name == "options":
-            table |= {key: _option(tuple[str, ...] if key == "set" else str, f"--{key}", text, "") for key, text in SHORTCUTS.items()}
+            table |= {key: _option(str, key == "set", f"--{key}", text, "") for key, text in SHORTCUTS.items()}
         elif not is_table(field):
-            option = _option(_plain(field.annotation), flag(kind, name), helps.get(name, ""), _default(field))
+            option = _option(*_values_of(field), flag(kind, name), helps.get(name, ""), _default(field))
             table[name] = Required[option] if field.is_required() else option
     return TypedDict(kind.__name__, table, total=False)  # type: ignore[operator]
 
 
-def _option(annotation: Any, flag: str, text: str, default: str) -> Any:
-    if flag.startswith("--"):
-        return Annotated[annotation, tyro.conf.arg(name=flag.removeprefix("--"), help=text, help_behavior_hint=default)]
-    about = tyro.conf.arg(metavar=flag.upper(), help=text, help_behavior_hint=default)
-    return tyro.conf.Positional[Annotated[annotation, about]]  # type: ignore[misc]
+def _option(kind: Any, several: bool, flag: str, text: str, default: str) -> Any:
+    """An option, or an argument without dashes. All but switches come as texts, of which `_value` makes numbers."""
+    annotation: Any = bool if kind is bool else tuple[str, ...] if several else str
+    if not flag.startswith("--"):
+        about = tyro.conf.arg(metavar=flag.upper(), help=text, help_behavior_hint=default)
+        return tyro.conf.Positional[Annotated[annotation, about]]  # type: ignore[misc]
+    shown = "{" + ",".join(map(str, get_args(kind))) + "}" if get_origin(kind) is Literal else kind.__name__.upper()
+    metavar = None if kind is bool else f"[{shown} [{shown} ...]]" if several else shown
+    return Annotated[annotation, tyro.conf.arg(name=flag.removeprefix("--"), metavar=metavar, help=text, help_behavior_hint=default)]
+
+
+def _value(kind: Any, given: Any) -> Any:
+    """The value of an option, with texts that are numbers as such, unless it is of texts; the class itself refuses others."""
+    if isinstance(given, tuple):
+        return tuple(_value(kind, text) for text in given)
+    for number in (int, float) if isinstance(given, str) and kind is not str else ():
+        with suppress(ValueError):
+            return number(given)
+    return given
+
+
+def _values_of(field: FieldInfo) -> tuple[Any, bool]:
+    """Type of the values of an option, without None and bounds, and whether it takes several."""
+    choices = get_args(field.annotation)
+    kind = choices[0] if choices[1:] in ((types.NoneType,), (...,)) else field.annotation
+    return (get_args(kind)[0] if get_origin(kind) is Annotated else kind), choices[1:] == (...,)
 
 
 def _as_given(kind: type[Configuration], key: Key, given: Given) -> str:
@@ -122,13 +147,6 @@ def is_table(field: FieldInfo) -> bool:
     """Whether a field is a table or an array of tables, which has no option."""
     members = get_args(field.annotation)[:1]
     return get_origin(field.annotation) is dict or any(isinstance(kind, type) and issubclass(kind, Configuration) for kind in members)
-
-
-def _plain(annotation: Any) -> Any:
-    """Type of an option that may be left out: without None, and a text in place of a length with its unit."""
-    choices = get_args(annotation)
-    plain = choices[0] if choices[1:] == (types.NoneType,) else annotation
-    return str if plain == GivenLength else plain
 
 
 def _default(field: FieldInfo) -> str:

@@ -6,25 +6,21 @@ from pydantic import Field
 
 from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import mistakes, require
-from soft_tendon_env.evaluation.comparison import make_cell, opening_hint, record_side_by_side, shared_arms
+from soft_tendon_env.cli.options import POLICY, TASK
+from soft_tendon_env.evaluation import comparison, provenance, tables
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS
 from soft_tendon_env.evaluation.entrants import agents_of, model_in_the_loop
-from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Seeds, TaskName
 from soft_tendon_env.evaluation.summaries import summarise
-from soft_tendon_env.evaluation.tables import summary_table
 from soft_tendon_env.policies.names import PolicyName
-
-POLICIES = "names of controllers, folders of agents; ppo, sac, dagger or apg, which ship; agent, the best of these"
-SEEDS = "seeds of the episodes, which are played one after another"
 
 
 class Record(EpisodeSettings):
     """Print the errors of policies, and write a file for the Rerun viewer in which each has an arm of its name."""
 
-    policies: tuple[str, ...] = Field(min_length=1, description=POLICIES)
-    task: TaskName = Field(default="TipPose", description="name of the task: TipPose, Shape, Reach, or one that was registered")
-    seeds: Seeds = Field(default=EVALUATION_SEEDS[:1], min_length=1, description=SEEDS)
+    policies: tuple[str, ...] = Field(min_length=1, description=POLICY)
+    task: TaskName = Field(default="TipPose", description=TASK)
+    seeds: Seeds = Field(default=EVALUATION_SEEDS[:1], min_length=1, description="seeds of the episodes, which are played in turn")
     out: str = Field(default="out/side_by_side.rrd", description="file of the recording")
 
 
@@ -33,12 +29,12 @@ def run(settings: Record) -> None:
     task, out = settings.task, Path(settings.out)
     with mistakes():
         require("recording")
-        arms = shared_arms(settings, task, agents_of(task, settings.policies))
-        players = {name: make_cell(settings, settings.seeds, task, name, own).open() for name, own in arms.items()}
+        arms = comparison.shared_arms(settings, task, agents_of(task, settings.policies))
+        players = {name: comparison.make_cell(settings, settings.seeds, task, name, arm).open() for name, arm in arms.items()}
         file = recording.RerunFile(out)
-    print(f"{task}, episodes of {settings.seconds:g} s from seeds {', '.join(map(str, settings.seeds))}; {machine()}\n")
+    print(f"{task}, episodes of {settings.seconds:g} s from seeds {', '.join(map(str, settings.seeds))}; {provenance.machine()}\n")
     with file:
-        scores = record_side_by_side(players, file, settings.seeds, settings.skip)
+        scores = comparison.record_side_by_side(players, file, settings.seeds, settings.skip)
     summaries = {policy: summarise(of_policy) for policy, of_policy in scores.items()}
     models = {policy: model_in_the_loop(PolicyName.parse(policy, task)) for policy in summaries}
-    print(f"{summary_table('policy', summaries, models)}\n\n{opening_hint(out)}")
+    print(f"{tables.summary_table('policy', summaries, models)}\n\n{comparison.opening_hint(out)}")

@@ -2,7 +2,7 @@
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -12,13 +12,13 @@ from soft_tendon_env.learning.config import Training, config_names, find_config,
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.parallel import ray_cluster
 
-STOPPED = "stopped: the same command with --resume goes on from the last checkpoint, if there is one"
 ENGINE = "Stable-Baselines3 in one process, or RLlib with environments in processes of their own (PPO alone)"
 
 
 class Train(Configuration):
     """Train an agent with Stable-Baselines3 or RLlib; the folder's best/ is a policy for every other command."""
 
+    STOPPED: ClassVar[str] = "stopped: the same command with --resume goes on from the last checkpoint, if there is one"
     config: str = Field(description=f"a training that ships ({', '.join(config_names())}), or the path of a TOML file")
     seed: int | None = Field(default=None, ge=0, description="seed of networks, arms and exploration; by default the configuration's")
     set: tuple[str, ...] = Field(default=(), description="overrides of the file, such as steps=20_000 options.fidelity=fast")
@@ -36,22 +36,22 @@ def run(settings: Train) -> None:
             if settings.engine == "sb3" and (given := {"runners", "cluster"} & settings.model_fields_set):
                 raise ValueError("\n".join(f"--{name} is for --engine rllib" for name in sorted(given)))
             require("agents" if settings.engine == "sb3" else "rllib")
-            from soft_tendon_env.learning import train
             from soft_tendon_env.learning.monitor import TrainingCallback
+            from soft_tendon_env.learning.train import checkpoint_to_resume, learn, model_of
 
             path = find_config(settings.config)
             training = read_training(path, settings.set, **({} if settings.seed is None else {"seed": settings.seed}))
             folder = Path("out", "runs", path.stem, f"seed_{training.seed}") if settings.out is None else Path(settings.out)
-            checkpoint = train.checkpoint_to_resume(folder, training, settings.resume, settings.engine)
+            checkpoint = checkpoint_to_resume(folder, training, settings.resume, settings.engine)
             if settings.engine == "sb3":
-                model = train.model_of(training, checkpoint)
+                model = model_of(training, checkpoint)
                 callback = TrainingCallback(training, writable_folder(folder), checkpoint)
             else:
                 learning = rllib_training(settings, training, folder, checkpoint, stack)
         print(f"{training.algorithm} on {training.task}, {training.steps} steps, seed {training.seed}, into {folder}; {machine()}")
         if settings.resume and checkpoint is None:
             print(f"nothing to resume: {folder} has no checkpoint, the training begins at step 0")
-        train.learn(model, callback) if settings.engine == "sb3" else learning.learn()
+        learn(model, callback) if settings.engine == "sb3" else learning.learn()
 
 
 def rllib_training(settings: Train, training: Training, folder: Path, checkpoint: Path | None, stack: ExitStack) -> Any:

@@ -9,14 +9,13 @@ from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.learning.config import config_names, find_config
 from soft_tendon_env.tools.configuration import Configuration
 
-PREFIX = "tune_"
-"""Prefix of the files of searches in configs/."""
+SEARCH = "tune_"  # beginning of the names of searches in configs/
 
 
 class Tune(Configuration):
     """Search for the best parameters of a training or a controller."""
 
-    config: str = Field(description=f"a search that ships ({', '.join(config_names(PREFIX))}), or the path of a TOML file")
+    config: str = Field(description=f"a search that ships ({', '.join(config_names(SEARCH))}), or the path of a TOML file")
     trials: int | None = Field(default=None, ge=1, description="number of trials of the study, overrides the file")
     set: tuple[str, ...] = Field(default=(), description="overrides of the file, such as seconds=2.0")
     workers: int = Field(default=1, ge=1, description="trials side by side")
@@ -28,13 +27,13 @@ def run(settings: Tune) -> None:
     """Search, print and write."""
     with mistakes():
         require("tuning", *(["rllib"] if settings.cluster else []))
+        from soft_tendon_env.tuning import study
         from soft_tendon_env.tuning.search import read_search
-        from soft_tendon_env.tuning.study import open_study, tune
 
-        path = find_config(settings.config, PREFIX)
+        path = find_config(settings.config, SEARCH)
         search = read_search(path, settings.set, **({} if settings.trials is None else {"trials": settings.trials}))
         folder = writable_folder(Path("out", "tune", path.stem) if settings.out is None else Path(settings.out))
-        open_study(search, folder)
+        study.open_study(search, folder)
     print(f"{search.trials} trials of {path.stem} into {folder}; {machine()}")
     with mistakes():
-        tune(search, folder, settings.workers, settings.cluster)
+        study.tune(search, folder, settings.workers, settings.cluster)

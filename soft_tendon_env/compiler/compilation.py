@@ -31,9 +31,8 @@ from numba import config, types
 from numba.core import cgutils, event
 from numba.extending import lower_builtin, type_callable
 
-from soft_tendon_env.tools.files import PACKAGE, sources_digest
+from soft_tendon_env.tools.files import PACKAGE, data_folders, new_data_folder, sources_digest
 from soft_tendon_env.tools.messages import QUIET, say, say_once
-from soft_tendon_env.tools.user_cache import data_folders, new_data_folder
 
 OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True, "boundscheck": None, "no_cfunc_wrapper": True}
 """Options of `numba.njit`; "contract" lets LLVM fuse multiply and add, and nothing that would hide a nan or reorder a sum."""

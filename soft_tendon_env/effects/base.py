@@ -15,7 +15,7 @@ from pydantic import ConfigDict
 
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import DIRECT, EffectTable, kernels_of
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, shown
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_registered, shown
 from soft_tendon_env.tools.types import Array as Array
 
 
@@ -170,7 +170,7 @@ class Effects(Configuration):
         for name, table in sorted(tables.items()):
             try:
                 if name not in EFFECTS:
-                    problems.append(Problem((name,), f"is an unknown key (given {shown(table)}): {not_among(name, EFFECTS)}"))
+                    problems.append(Problem((name,), f"is an unknown key (given {shown(table)}): {not_registered(name, EFFECTS)}"))
                 elif isinstance(table, dict | EFFECTS[name]):
                     chosen[name] = EFFECTS[name](**table) if isinstance(table, dict) else table
                 elif table is not None:

@@ -1,16 +1,13 @@
 """Gymnasium environments of a tendon-driven soft arm: `TendonRod-TipPose-v0`, `TendonRod-Shape-v0`, `TendonRod-Reach-v0`.
 
-Every registered task has a class `<name>Env` in single.py and `<name>VectorEnv` in vector.py.
+Every registered task has the classes `<name>Env` and `<name>VectorEnv` in environments.py.
 """
 
+from soft_tendon_env.envs.environments import TendonRodEnv, TendonRodVectorEnv, environment_class, vector_environment_class
 from soft_tendon_env.envs.options import Options, ResetOptions
-from soft_tendon_env.envs.single import TendonRodEnv, environment_class
 from soft_tendon_env.envs.targets import TARGETS, Target, register_target
-from soft_tendon_env.envs.tasks import TASKS, Task, register_reward_term, register_task
-from soft_tendon_env.envs.tasks.reach import REACH
-from soft_tendon_env.envs.tasks.shape import SHAPE
-from soft_tendon_env.envs.tasks.tip_pose import TIP_POSE
-from soft_tendon_env.envs.vector import TendonRodVectorEnv, vector_environment_class
+from soft_tendon_env.envs.tasks import REACH, SHAPE, TASKS, TIP_POSE, Task, register_task
+from soft_tendon_env.envs.tracking import register_reward_term
 from soft_tendon_env.registration import IDS
 
 TipPoseEnv, TipPoseVectorEnv = environment_class(TIP_POSE), vector_environment_class(TIP_POSE)

@@ -53,6 +53,7 @@ class Arms:
         self._models = [model] * rows
         self.ratio = np.ones((rows, n))
         self._changes = np.zeros(rows, dtype=np.int64)  # of each row's arm
+        self._durations = np.full((rows, self.substeps), control.step)  # of the usual commands of a period
         self._no_tape = make_tape(model.arm, 0, 0)
         self._adjoint_memory: list[AdjointMemory] | None = None
 
@@ -70,13 +71,13 @@ class Arms:
         integrator step. A tape of `make_tape` keeps what `adjoint` needs; the motion is the same. begins: False where the first command
         is the last one of the step before."""
         if durations is None:
-            durations = np.empty(command.shape[:2])
-            durations.fill(self._scheme.control.step)
+            is_usual = command.shape[1] == self.substeps
+            durations = self._durations if is_usual else np.full(command.shape[:2], self._scheme.control.step)
         held, kept = np.ascontiguousarray(durations), self._no_tape if tape is None else tape
         if tape is not None:
             tape.material[members] = self._changes[members]
-        own, scheme = self._batch, self._scheme if begins else self._goes_on
-        self.share(lambda part, scratch: batch.step_rows(own, scheme, part, command, held, scratch, kept), members, HEAD_START)
+        rows, scheme = self._batch, self._scheme if begins else self._goes_on
+        self.map_rows(lambda part, scratch: batch.step_rows(rows, scheme, part, command, held, scratch, kept), members, HEAD_START)
 
     def make_tape(self, parts: int = 1) -> Tape:
         """A tape for `step`, of one period with so many parts: commands that follow on one another within it."""
@@ -91,7 +92,7 @@ class Arms:
         table = self.model.arm.effects
         if table.remembers:
             sizes = np.diff(table.first_state)
-            name = next(own for i, own in enumerate(self.model.acting) if sizes[i] and i != table.transmission.filter)
+            name = next(effect for i, effect in enumerate(self.model.acting) if sizes[i] and i != table.transmission.filter)
             text = "has internal states that follow the motion of the arm, through which there is no adjoint"
             raise ValueError(f"effects.{name} {text}; Simulation.linearize has them")
 
@@ -111,8 +112,8 @@ class Arms:
             rate = linear_rate(self.model)
             self._adjoint_memory = [make_adjoint_memory(self.model.arm, rate) for _ in range(self.threads)]
         memories = {id(scratch): memory for scratch, memory in zip(self._scratch, self._adjoint_memory, strict=True)}
-        own = self._batch, self._scheme, tape
-        self.share(lambda part, scratch: adjoint_rows(*own, part, cotangents, scratch, memories[id(scratch)]), members, HEAD_START)
+        motions = self._batch, self._scheme, tape
+        self.map_rows(lambda part, scratch: adjoint_rows(*motions, part, cotangents, scratch, memories[id(scratch)]), members, HEAD_START)
         failed = members[cotangents.status[members] != OK]
         if failed.size:
             cause = MESSAGES[int(cotangents.status[failed[0]])]
@@ -123,11 +124,11 @@ class Arms:
         commands = np.zeros((self.size, self.model.tendon_count))
         if self.model.arm.effects.transmission.acts:
             held = np.broadcast_to(0.0 if tension is None else tension, (members.size, self.model.tendon_count))
-            commands[members] = [self._models[row].command(*own) for row, *own in zip(members.tolist(), held, q, strict=True)]
+            commands[members] = [self._models[row].command(*start) for row, *start in zip(members.tolist(), held, q, strict=True)]
         self.rows.q[members], self.rows.q_dot[members], self.rows.step[members] = q, 0.0, self._scheme.control.step
-        self.share(lambda part, scratch: batch.place_rows(self._batch, part, commands, scratch.work), members)
+        self.map_rows(lambda part, scratch: batch.place_rows(self._batch, part, commands, scratch.work), members)
 
-    def share(self, work: Callable[[Indices, Scratch], None], members: Indices, head_start: int = 0) -> None:
+    def map_rows(self, work: Callable[[Indices, Scratch], None], members: Indices, head_start: int = 0) -> None:
         """Split the rows among the threads; this one takes `head_start` more, which it does while the others wake up."""
         if self.threads == 1 or members.size < self.threads + head_start:
             work(members, self._scratch[0])
@@ -151,13 +152,13 @@ class Arms:
         arm, where = self.model.arm, self.places if places is None else places
         q, q_dot = np.ascontiguousarray(q), np.ascontiguousarray(q_dot)  # kernels are compiled for such
         reading, good = batch.make_reading(arm, where, len(q)), np.zeros(len(q), dtype=bool)
-        self.share(lambda part, scratch: batch.read_samples(arm, where, q, q_dot, part, scratch.work, reading, good), np.arange(len(q)))
+        self.map_rows(lambda part, scratch: batch.read_samples(arm, where, q, q_dot, part, scratch.work, reading, good), np.arange(len(q)))
         return reading, good
 
-    def are_firm(self, q: Array) -> NDArray[np.bool_]:
+    def have_margin(self, q: Array) -> NDArray[np.bool_]:
         """Whether the scene's arm has firm strains, see mechanics.strain, at coordinates q (samples, n): (samples,)."""
         q, firm = np.ascontiguousarray(q), np.zeros(len(q), dtype=bool)
-        self.share(lambda part, scratch: batch.are_firm(self.model.arm, q, part, scratch.work, firm), np.arange(len(q)))
+        self.map_rows(lambda part, scratch: batch.are_firm(self.model.arm, q, part, scratch.work, firm), np.arange(len(q)))
         return firm
 
     def set_model(self, row: int, model: Model) -> None:

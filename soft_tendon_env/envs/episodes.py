@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from soft_tendon_env.control.protocol import SensorNoise
 from soft_tendon_env.envs.actuation import Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
-from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, stress_free_strain, units_of
+from soft_tendon_env.envs.kernels import closeness
+from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, Units, stress_free_strain
 from soft_tendon_env.envs.options import (
     GOAL_BOUND,
     Options,
@@ -30,7 +31,7 @@ from soft_tendon_env.envs.randomization import Measured, Sensors
 from soft_tendon_env.envs.starts import Drawn, Starts
 from soft_tendon_env.envs.targets import TARGETS, Course, Target, TargetSamples
 from soft_tendon_env.envs.tasks import STATIONS, Task
-from soft_tendon_env.envs.tracking import Reward, Tracking, Weight, goal_distance, goal_reward, norm
+from soft_tendon_env.envs.tracking import HALF, Reward, Tracking, goal_distance, norm, weights_of
 from soft_tendon_env.envs.trajectories import TargetDraws, TargetTrajectories
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
@@ -76,7 +77,7 @@ class Episodes:
         starts = self._make_draws(options, task)
         self._make_actuation(options, rows)
         if task.goal is None:
-            given = options.reward if isinstance(options.reward, dict) else {name: Weight(weight=own) for name, own in task.reward.items()}
+            given = options.reward if isinstance(options.reward, dict) else weights_of(task.reward)
             self._reward_terms = Reward(given, task.terms, self._strongest, model.length)
         noise = options.randomize.noise
         self._sensors = Sensors(noise, rows, model.tendon_count, self.sensors.size) if noise != SensorNoise() else None
@@ -87,7 +88,7 @@ class Episodes:
         self.step_count: Indices = np.zeros(rows, dtype=np.int64)
         self.errors = {error.name: np.full(rows, np.nan) for error in task.errors}
         self.diverged, self.terms = np.zeros(rows, dtype=bool), dict[str, Array]()
-        self.target, error, _ = self._courses.now_and_ahead(self.step_count, reading.tip_pose)
+        self.target, error, _ = self.trajectories.now_and_ahead(self.step_count, reading.tip_pose)
         self.observed = self._seen(reading, error)
         self.history = History(rows, options.history, self.layout.kept) if options.history else None
 
@@ -95,12 +96,12 @@ class Episodes:
         """Make what episodes begin with: starts and targets."""
         ahead = [0, *(round(time / self.period) for time in options.preview)]
         self.ahead = self.period * np.array(ahead, dtype=np.float64)
-        self._courses = TargetTrajectories(self.arms, self.period, ahead, task.shapes)
+        self.trajectories = TargetTrajectories(self.arms, self.period, ahead, task.shapes)
         self.starts = starts = Starts(options, self.arms)
         self.limits, self.start_tension, self.start_command = starts.limits, starts.tension, starts.command
         self.threshold = THRESHOLD * self.model.length if options.threshold is None else options.threshold
-        self._draws = TargetDraws(starts.setting, self._courses, self.period, self.threshold if task.goal else 0.0)
-        self._usual = Beginning(self._draws.settled(options.target or TARGETS[task.target](type=task.target)))
+        self._draws = TargetDraws(starts.setting, self.trajectories, self.period, self.threshold if task.goal else 0.0)
+        self._usual = Beginning(self._draws.settle(options.target or TARGETS[task.target](type=task.target)))
         if self.size >= MANY and self.model.scene.effects.contact is None:  # among obstacles a motion can take seconds
             self._draws.fill_bank(self._usual.target)
         return starts
@@ -121,8 +122,8 @@ class Episodes:
     @cached_property
     def layout(self) -> Layout:
         """The layout of observations."""
-        groups = groups_of(self.options, self.task)
-        return Layout(groups, units_of(self.model, self._strongest), self.observed, self.options.history)
+        units = Units(self.model.length, self.model.coordinate_scale(), self._strongest)
+        return Layout(groups_of(self.options, self.task), units, self.observed, self.options.history)
 
     def __getstate__(self) -> dict[str, Any]:
         """All but what is found again, whose functions have no names. Raises TypeError."""
@@ -134,15 +135,15 @@ class Episodes:
         """How those of the rows `members` begin that are given options. Raises ConfigurationError, TypeError, ValueError."""
         found = {}
         for row in members.tolist() if given else ():
-            own, target = given[row], self._usual.target
-            if own.state is not None and not self._simulated:
-                raise ConfigurationError([Problem((), "should have no state: robots begin at rest")], "options")
-            if own.state is not None and not self.options.randomize.numbers:
-                checked_motion(self.model, own.state)
-            if (wanted := own.goal or own.target) is not None:
+            options, target = given[row], self._usual.target
+            if options.state is not None:
+                self._refuse_states_of_robots()
+                if not self.options.randomize.numbers:
+                    checked_motion(self.model, options.state)
+            if (wanted := options.goal or options.target) is not None:
                 check_target(wanted, self.task, self.model.scene)
-                target = self._draws.settled(wanted)
-            found[row] = Beginning(target, own.state)
+                target = self._draws.settle(wanted)
+            found[row] = Beginning(target, options.state)
         return found
 
     def begin(self, members: Indices, generators: Sequence[np.random.Generator], beginnings: Mapping[int, Beginning] | None = None) -> None:
@@ -153,8 +154,8 @@ class Episodes:
             drawn[row] = self.starts.begin(row, generator)
             self.actuation.begin(row, generator, command)
         motions = {row: checked_motion(drawn[row].model, how.state) for row, how, _ in rows if how.state is not None}
-        tensions, commands = (np.tile(own, (members.size, 1)) for own in (self.start_tension, command))
-        self.arms.place(members, np.array([own.rest for own in drawn.values()]), tensions)
+        tensions, commands = (np.tile(start, (members.size, 1)) for start in (self.start_tension, command))
+        self.arms.place(members, np.array([start.rest for start in drawn.values()]), tensions)
         self.step_count[members] = 0
         self._keep(members, tensions, commands, self.actions.action(commands, commands), np.zeros_like(commands))
         if motions:
@@ -164,6 +165,18 @@ class Episodes:
             if self._sensors is not None:  # after the target, which is the same with and without noise
                 self._sensors.begin(row, int(generator.integers(2**63)))
         self._observe(members)
+
+    def set_state(self, row: int, state: State) -> None:
+        """Put a row into a state, and observe it there, with the noise of this control period. Raises TypeError or ValueError."""
+        self._refuse_states_of_robots()
+        self._put({row: checked_motion(self.arms.model_of(row), state)})
+        self._observe(self._all[:0])
+        if self.history is not None:
+            self.history.correct(self.present, self.step_count, row)
+
+    def _refuse_states_of_robots(self) -> None:
+        if not self._simulated:
+            raise ConfigurationError([Problem((), "should have no state: robots begin at rest")], "options")
 
     def _put(self, motions: dict[int, tuple[Motion, float]]) -> None:
         """Put rows into motions, each with the step [s] to try next."""
@@ -176,7 +189,7 @@ class Episodes:
         for row, (_, step) in motions.items():
             rows.step[row] = step  # as it was
         if self._transmits:
-            self.tension = _replaced(self.tension, members, self.arms.reading.tension[members])
+            self.tension = _replace(self.tension, members, self.arms.reading.tension[members])
 
     def step(self, action: Array, members: Indices | None = None, tape: Tape | None = None) -> None:
         """One control period of the rows `members` (all by default) with actions (rows, n_a), taken as within [-1, 1]; tape: see Arms."""
@@ -197,14 +210,14 @@ class Episodes:
     def _keep(self, members: Indices, *new: Array) -> None:
         """Keep tension, command, action and its change (members, n_a) of the rows `members`, in new arrays."""
         before = self.tension, self._applied, self._action, self._action_change
-        parts = (_replaced(old, members, own) for old, own in zip(before, new, strict=True))
+        parts = (_replace(old, members, value) for old, value in zip(before, new, strict=True))
         self.tension, self._applied, self._action, self._action_change = parts
 
     def _observe(self, members: Indices) -> None:
         """Compare the arms with their targets, after the rows `members` moved on."""
-        self._courses.prepare(self.step_count, members)
+        self.trajectories.prepare(self.step_count, members)
         reading = self.arms.reading
-        self.target, error, off = self._courses.now_and_ahead(self.step_count, reading.tip_pose)
+        self.target, error, off = self.trajectories.now_and_ahead(self.step_count, reading.tip_pose)
         measured: Reading | Measured = reading
         measured_error = error
         if self._sensors is not None:
@@ -233,16 +246,13 @@ class Episodes:
         return Observed(self.arms, measured, error, self.target, self._action, self.actuation.command, self._rest_values)
 
     def goal_reward(self, achieved: ArrayLike, desired: ArrayLike) -> Array:
-        """Rewards (...) of goals (..., 3) [m]. Raises ValueError for goals of other shapes."""
-        return goal_reward(goal_distance(achieved, desired), self.options.reward == "dense", self.threshold)
-
-    def target_at(self, row: int, times: Array) -> TargetSamples:
-        """A row's target at times (m,) [s] from the beginning of its episode."""
-        return self._courses.at(row, times)
+        """Rewards (...) of goals (..., 3) [m]: 1 within the threshold, else 0, or if dense 1/2 at HALF thresholds. Raises ValueError."""
+        distance, is_dense = goal_distance(achieved, desired), self.options.reward == "dense"
+        return np.asarray(closeness(distance, HALF * self.threshold) if is_dense else distance <= self.threshold, dtype=np.float64)
 
     def target_ahead(self, periods: int) -> TargetSamples:
         """The targets of all rows (rows, 1 + periods, ..) now and in the periods ahead. Raises ValueError beyond the longest preview."""
-        return self._courses.until(self.step_count, periods)
+        return self.trajectories.until(self.step_count, periods)
 
     @property
     def target_pose(self) -> Array:
@@ -284,7 +294,7 @@ class Episodes:
         return state_of(self.arms.model_of(row), motion, float(self.arms.rows.step[row]))
 
 
-def _replaced(values: Array, members: Indices, new: Array) -> Array:
+def _replace(values: Array, members: Indices, new: Array) -> Array:
     """A copy of values (rows, ..) with new ones in the rows `members`."""
     values = values.copy()
     values[members] = new

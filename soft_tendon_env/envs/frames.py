@@ -21,10 +21,8 @@ Frames = tuple[NDArray[np.uint8], ...]
 
 
 def make_renderer(episodes: Episodes, render_mode: str | None) -> Any:
-    """The renderer of a mode, which has the methods of RowRenderer; None for None.
-
-    Raises ValueError for other modes, gymnasium.error.Error where a package is missing or the viewer cannot be opened.
-    """
+    """The renderer of a mode, which has the methods of RowRenderer; None for None. Raises ValueError for other modes, gymnasium.error.Error
+    where a package is missing or the viewer cannot be opened."""
     if render_mode is None:
         return None
     if render_mode not in RENDER_MODES:

@@ -16,7 +16,6 @@ from soft_tendon_env.envs.kernels import scale_and_clip
 from soft_tendon_env.envs.randomization import Measured
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.mechanics.motion.batch import Reading
-from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene, segment_index
 from soft_tendon_env.tools.types import Array
 
@@ -96,7 +95,7 @@ def _strain_unit(units: Units) -> Array:
 _twist_unit, _error_unit = _pairs(5.0, 5.0), _pairs(0.5, 0.1)
 
 
-GROUPS: Mapping[str, Group] = {
+GROUPS: dict[str, Group] = {
     "coordinates": Group("generalised coordinates q", lambda o: o.q, lambda u: u.q, of_arm=True),
     "rates": Group("their rates", lambda o: o.q_dot, lambda u: 10.0 * u.q, of_arm=True),
     "tip_position": Group("tip position, world frame", lambda o: o.tip_pose[:, :3, 3], lambda u: u.length, of_arm=True),
@@ -125,7 +124,7 @@ GROUPS: Mapping[str, Group] = {
     "last_action": Group("the last action", lambda o: o.action, bound=1.0, of_arm=True),
     "command": Group("the commands sent last, before actuator errors", lambda o: o.command, lambda u: u.tension, 1.0, of_arm=True),
 }
-"""The groups that every task has, by the name that options use."""
+"""The groups that every task has, by the name that options use; one of your own can be added before environments are made."""
 
 HISTORY = "history"  # the slice of an observation after all groups, if it has a history
 CHANGE = 0.1  # unit of a group's changes in a history, as a share of the group's own
@@ -149,8 +148,8 @@ class Layout:
                 raise ValueError(f"the observation group {name!r} should have values of shape ({len(observed.q)}, size), not {shape}")
         self.groups, size = groups, [shape[1] for shape in shapes.values()]
         ends = np.cumsum(size).tolist()
-        self.slices = {name: slice(end - own, end) for name, end, own in zip(groups, ends, size, strict=True)}
-        unit = np.concatenate([np.resize(group.unit(units), own) for group, own in zip(groups.values(), size, strict=True)])
+        self.slices = {name: slice(end - width, end) for name, end, width in zip(groups, ends, size, strict=True)}
+        unit = np.concatenate([np.resize(group.unit(units), width) for group, width in zip(groups.values(), size, strict=True)])
         self.scale, self.bound = 1.0 / unit, np.repeat([group.bound for group in groups.values()], size)
         self.kept = np.flatnonzero(np.repeat([group.of_arm for group in groups.values()], size))
         if history:
@@ -190,16 +189,15 @@ class History:
         self.frames[moved, 0] = present[moved][:, self._kept]
         self.frames[begun] = present[begun][:, None, self._kept]
 
+    def correct(self, present: NDArray[np.float32], step_count: NDArray[np.int64], row: int) -> None:
+        """Take what is observed now of a row in place of what was observed before in this control period."""
+        self.frames[row, : 1 if step_count[row] else None] = present[row, self._kept]
+
     @property
     def changes(self) -> NDArray[np.float32]:
         """Past less present, a new array (rows, periods * m), the latest period first."""
         changes = (self.frames[:, 1:] - self.frames[:, :1]) / np.float32(CHANGE)
         return changes.reshape(len(changes), -1)
-
-
-def units_of(model: Model, tension: Array) -> Units:
-    """The units of a model, for tensions up to `tension` (n_a,) [N]."""
-    return Units(model.length, model.coordinate_scale(), tension)
 
 
 def stress_free_strain(scene: Scene, arc_length: Array) -> Array:

@@ -17,7 +17,7 @@ from soft_tendon_env.envs.tracking import GoalReward, Weight, weights_of
 from soft_tendon_env.model.state import State
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene, TensionLimits, extrapolation_columns, rod_length, scene_to_dict
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, shown
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, not_registered, shown
 from soft_tendon_env.tools.types import Array, NotNegative, Positive
 
 MOST_AHEAD = 10_000  # control periods by which a preview looks ahead: every row keeps its target for that long
@@ -30,7 +30,7 @@ def _target_by_name(target: Any) -> Any:
     if not isinstance(settings, dict):
         return target
     if (kind := str(settings.get("type"))) not in TARGETS:
-        raise ConfigurationError([Problem(("type",), f"is {shown(settings.get('type'))}: {not_among(kind, TARGETS)}")])
+        raise ConfigurationError([Problem(("type",), f"is {shown(settings.get('type'))}: {not_registered(kind, TARGETS)}")])
     return TARGETS[kind](**settings)
 
 
@@ -124,10 +124,8 @@ class ResetOptions(Configuration):
 
 
 def reset_options(options: Any, rows: int | None = None) -> dict[int, ResetOptions]:
-    """The options of a reset by row: one value for every key of each of `rows`, None for what is usual; `rows` None: those of row 0.
-
-    Raises ConfigurationError, TypeError where they are no table.
-    """
+    """The options of a reset by row: one value for every key of each of `rows`, None for what is usual; `rows` None: those of row 0. Raises
+    ConfigurationError, TypeError where they are no table."""
     if not isinstance(options, dict | None):
         raise TypeError(f"options should be a dict or None, not {type(options).__name__}")
     allowed = {*ResetOptions.model_fields, *([] if rows is None else [MASK])}
@@ -150,9 +148,9 @@ def resolved_scene(options: Options) -> Scene:
     tendons = range(0 if options.tension_limits is None else len(scene.tendons))
     changes: dict[str, Any] = {f"tendons.{i}.tension_limits": options.tension_limits for i in tendons}
     ends: dict[str, float] = {}
-    for own in options.randomize.ranges(scene):
-        if re.fullmatch(r"segments\..*\.(young_modulus|damping)", own.name):
-            ends |= own.changes(own.least if own.name.endswith("damping") else own.greatest)
+    for drawn in options.randomize.ranges(scene):
+        if re.fullmatch(r"segments\..*\.(young_modulus|damping)", drawn.name):
+            ends |= drawn.changes(drawn.least if drawn.name.endswith("damping") else drawn.greatest)
     with contextlib.suppress(ConfigurationError):  # an end that cannot be is told with its key, when the arms are drawn
         if ends and (columns := extrapolation_columns(scene.replace(ends))) != extrapolation_columns(scene):
             changes["integrator.columns"] = columns
@@ -173,8 +171,8 @@ def given_scene(scene: Any) -> Scene:
 
 def sensor_places(options: Options, scene: Scene) -> Array:
     """Arc lengths (s,) [m] of the strain sensors."""
-    own = options.sensors
-    return rod_length(scene) * (np.arange(own) + 0.5) / own if isinstance(own, int) else np.array(own, dtype=np.float64)
+    sensors = options.sensors
+    return rod_length(scene) * (np.arange(sensors) + 0.5) / sensors if isinstance(sensors, int) else np.array(sensors, dtype=np.float64)
 
 
 def groups_of(options: Options, task: Task) -> dict[str, Group]:

@@ -64,8 +64,8 @@ class Randomization(Configuration):
 
     def __init__(self, /, **values: Any):
         valid = [*type(self).model_fields, *SHORT, *TABLES]
-        own = {name: value for name, value in values.items() if name in type(self).model_fields}
-        table = {name: value for name, value in values.items() if name not in own}
+        fields = {name: value for name, value in values.items() if name in type(self).model_fields}
+        table = {name: value for name, value in values.items() if name not in fields}
         problems = [
             Problem((name,), f"is an unknown key (given {shown(value)}): {not_among(name, valid)}")
             for name, value in table.items()
@@ -73,7 +73,7 @@ class Randomization(Configuration):
         ]
         if problems:
             raise ConfigurationError(problems, type(self).__name__)
-        super().__init__(**own | {"numbers": _in_full(dotted_ranges(plain({**own.get("numbers", {}), **table})))})
+        super().__init__(**fields | {"numbers": _in_full(dotted_ranges(plain({**fields.get("numbers", {}), **table})))})
 
     def ranges(self, scene: Scene) -> tuple[Range, ...]:
         """The ranges of numbers of a scene, in the order of their keys. Raises ConfigurationError."""

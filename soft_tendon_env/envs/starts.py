@@ -14,7 +14,6 @@ from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.contacts import ObstacleFreeSpace, why_inside
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.targets import make_setting
-from soft_tendon_env.envs.targets.statics import nearest_to_zero
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.strain_limits import StrainLimitError
@@ -46,8 +45,8 @@ class Starts:
         """Raises ConfigurationError where the arm, or one at an end of the ranges, cannot be, does not rest, or begins in an obstacle."""
         self._arms, self._model = arms, arms.model
         self.limits = arms.model.discretisation.tension_limits.copy()
-        self.tension = nearest_to_zero(self.limits)
-        self.q, reason = self._settled(arms.model)
+        self.tension = np.clip(0.0, self.limits[:, 0], self.limits[:, 1])
+        self.q, reason = self._settle(arms.model)
         if reason:
             raise _problem(("scene",), f"has an arm that cannot begin at rest, under {shown_numbers(self.tension)} N: {reason}")
         self.command = arms.model.command(self.tension, self.q)
@@ -65,14 +64,14 @@ class Starts:
 
     def _make_bank(self) -> None:
         """Look at the ends of the ranges, and at the softest and heaviest arm, and make the arms that need no search."""
-        for own in self._ranges:
-            for end in {own.least, own.greatest}:
-                self._model_with(own.changes(end), own.name)
-        self._size = BANK if any(own.least < own.greatest for own in self._ranges) else 1
-        self._redraws = REDRAWS * any(key.startswith("effects.contact.obstacles.") for own in self._ranges for key in own.keys)
-        soft = np.array([own.name.endswith(".young_modulus") for own in self._ranges])
+        for drawn in self._ranges:
+            for end in {drawn.least, drawn.greatest}:
+                self._model_with(drawn.changes(end), drawn.name)
+        self._size = BANK if any(drawn.least < drawn.greatest for drawn in self._ranges) else 1
+        self._redraws = REDRAWS * any(key.startswith("effects.contact.obstacles.") for drawn in self._ranges for key in drawn.keys)
+        soft = np.array([drawn.name.endswith(".young_modulus") for drawn in self._ranges])
         for shares in (np.zeros(soft.size), np.ones(soft.size), 1.0 - soft) if self._ranges and not self._redraws else ():
-            self._made(shares)
+            self._make_arm(shares)
         for number in range(0 if self._model.arm.effects.load or self.q.any() else self._size):
             self._arm(number)
 
@@ -90,17 +89,17 @@ class Starts:
             random = np.random.default_rng([BANK, number])
             for left in range(self._redraws, -1, -1):
                 with contextlib.suppress(*[ConfigurationError] * (left > 0)):
-                    self._bank[number] = self._made(random.random(len(self._ranges)))
+                    self._bank[number] = self._make_arm(random.random(len(self._ranges)))
                     break
         return self._bank[number]
 
-    def _made(self, shares: Array) -> Drawn:
+    def _make_arm(self, shares: Array) -> Drawn:
         """The arm with numbers so far, 0 to 1, between the ends of every range. Raises ConfigurationError."""
         changes: dict[str, float] = {}
-        for own, share in zip(self._ranges, shares.tolist(), strict=True):
-            changes |= own.changes(own.least + (own.greatest - own.least) * share)
+        for drawn, share in zip(self._ranges, shares.tolist(), strict=True):
+            changes |= drawn.changes(drawn.least + (drawn.greatest - drawn.least) * share)
         model = self._model_with(changes)
-        q, reason = self._settled(model) if model.arm.effects.load or self.tension.any() or self._redraws else (self.q, "")
+        q, reason = self._settle(model) if model.arm.effects.load or self.tension.any() or self._redraws else (self.q, "")
         if reason:
             why = f"cannot begin at rest, under {shown_numbers(self.tension)} N: {reason}"
             raise _problem(("randomize",), f"can make arms that {why}: {_listed(changes)}")
@@ -119,7 +118,7 @@ class Starts:
             raise _problem(("randomize", *key), f"can draw {_listed(changes)}, {why}")
         return model
 
-    def _settled(self, model: Model) -> tuple[Array, str]:
+    def _settle(self, model: Model) -> tuple[Array, str]:
         """Coordinates (n,) at which an arm under the tensions nearest to zero comes to rest, and why it does not; "": it does."""
         rest = static_equilibrium(model, self.tension, settle=True)
         return rest.q, why_inside(model, rest.q) or rest.reason

@@ -2,7 +2,7 @@
 
 Reward terms are between 0 and 1, so that no episode gains by ending early; the reward is their weighted mean. An error e counts
 1 / (1 + (e / scale)^2): 1 at none, 1/2 at `scale`. With several scales it counts as their mean: a small one, so that little errors matter,
-and larger ones, so that there is a slope from as far off as episodes begin. A task's errors make terms, see tasks/; those of every task are
+and larger ones, so that there is a slope from as far off as episodes begin. A task's errors make terms; those of every task are
 in TERMS, and a user's own are functions of the tracking, see `register_reward_term`.
 """
 
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field
 
 from soft_tendon_env.envs.arms import Arms
-from soft_tendon_env.envs.kernels import EFFORT, SMOOTHNESS, TermTable, closeness, reward_terms
+from soft_tendon_env.envs.kernels import EFFORT, SMOOTHNESS, TermTable, reward_terms
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, shown
@@ -30,7 +30,7 @@ class Weight(Configuration):
     """Weight of a term, and the error that halves it, in its unit; of several scales, the term is the mean of what it is at each."""
 
     weight: float = Field(default=1.0, ge=0, le=1e9)
-    scale: Annotated[Scales | None, BeforeValidator(lambda own: own if isinstance(own, tuple | None) else (own,))] = None
+    scale: Annotated[Scales | None, BeforeValidator(lambda scale: scale if isinstance(scale, tuple | None) else (scale,))] = None
 
 
 def weights_of(table: Mapping[str, Any]) -> dict[str, Weight]:
@@ -75,9 +75,9 @@ class Reward:
         problems += [] if total > 0.0 else [Problem(("reward",), "should give at least one term a weight above 0")]
         if problems:
             raise ConfigurationError(problems, "environment")
-        own: dict[str, Any] = {name: available[name].of for name in weights if callable(available[name].of)}
-        self._shares, self._own = {name: weight.weight / total for name, weight in weights.items()}, own
-        compiled = self._compiled = {name: available[name] for name in weights if name not in own}
+        functions: dict[str, Any] = {name: available[name].of for name in weights if callable(available[name].of)}
+        self._shares, self._functions = {name: weight.weight / total for name, weight in weights.items()}, functions
+        compiled = self._compiled = {name: available[name] for name in weights if name not in functions}
         self._errors = [term.of for term in compiled.values() if isinstance(term.of, str)]
         codes = [self._errors.index(term.of) if isinstance(term.of, str) else term.of for term in compiled.values()]
         usual = {name: term.scale * (length if term.of_length else 1.0) for name, term in compiled.items()}
@@ -98,7 +98,7 @@ class Reward:
             found[:, i] = errors[name]
         reward_terms(self._table, found, tracking.command, tracking.action_change, values, reward)
         terms = dict(zip(self._compiled, values, strict=True))
-        for name, function in self._own.items():
+        for name, function in self._functions.items():
             terms[name] = value = np.array(function(tracking), dtype=np.float64)
             if value.shape != (rows,) or not ((value >= 0.0) & (value <= 1.0)).all():
                 raise ValueError(f"the reward term {name!r} should have values of shape ({rows},) between 0 and 1, not {shown(value)}")
@@ -114,11 +114,6 @@ def goal_distance(achieved: ArrayLike, desired: ArrayLike) -> Array:
     way = np.asarray(achieved, dtype=np.float64) - np.asarray(desired, dtype=np.float64)
     x, y, z = way[..., 0], way[..., 1], way[..., 2]
     return np.asarray(np.sqrt(x * x + y * y + z * z))
-
-
-def goal_reward(distance: Array, dense: bool, threshold: float) -> Array:
-    """Rewards (...) at distances (...) [m]: "sparse" 1 within the threshold [m], else 0; "dense" 1/2 at HALF thresholds."""
-    return np.asarray(closeness(distance, HALF * threshold) if dense else distance <= threshold, dtype=np.float64)
 
 
 class Tracking(NamedTuple):
@@ -162,11 +157,6 @@ class TrackingError:
     scale: float
     value: Callable[[Tracking], Array]
     of_length: bool = False
-
-    @property
-    def as_term(self) -> Term:
-        """The reward term that falls with it."""
-        return Term(self.name, self.scale, self.of_length)
 
 
 def norm(vectors: Array) -> Array:

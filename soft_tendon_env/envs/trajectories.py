@@ -30,8 +30,11 @@ class TargetTrajectories:
         self._course: list[Course] = [FixedPose(np.eye(4))] * rows  # until they begin
         self._first = np.zeros(rows, dtype=np.int64)  # control period of the course at which the episode begins
         self._until = np.zeros(rows, dtype=np.int64)  # what has been sampled of each, of which the tables hold the last
+        self._periods_left = 0  # in which no row can run out
         sizes = [6, model.coordinate_count, model.tendon_count, 3 * self._stations] if shapes else [6, 0, 0, 0]
         self._sizes, self._borders = sizes, np.cumsum(sizes).tolist()
+        flat = np.empty((rows, len(ahead), 0))
+        self._no_shapes = () if shapes else (flat, flat, np.empty((rows, len(ahead), self._stations, 3)))
         self._table = TargetTable(
             pose=np.tile(np.eye(4), (rows, self._room, 1, 1)),
             other=np.zeros((rows, self._room, self._borders[-1])),  # twist, q, tendon lengths and positions of the stations
@@ -40,44 +43,42 @@ class TargetTrajectories:
 
     def begin(self, row: int, course: Course, first: int = 0) -> None:
         """A new target for a row, from control period `first` of its course on."""
-        self._course[row], self._first[row], self._until[row] = course, first, 0
+        self._course[row], self._first[row], self._until[row], self._periods_left = course, first, 0, 0
 
     def prepare(self, step_count: Indices, members: Indices) -> None:
-        """Sample on, where the rows `members` have run out."""
-        if np.minimum.reduce(self._until - step_count) > self._longest:
+        """Sample on, where the rows `members` have run out, which are a control period on at the most since the last call."""
+        self._periods_left -= 1
+        if self._periods_left > 0:
             return
         due = members[step_count[members] + self._longest >= self._until[members]].tolist()
         times = []
         for row in due:
             start, count = self._until[row], CHUNK if self._until[row] else FIRST_CHUNK + self._longest
             times.append(self._first[row] + np.arange(start, start + count))
-        sampled = self._sampled([self._course[row] for row in due], [self._period * own for own in times])
-        for row, own, samples in zip(due, times, sampled, strict=True):
-            place = (own - self._first[row]) % self._room
-            positions = samples.backbone[..., :3, 3].reshape(len(own), -1)
+        sampled = self.sample([self._course[row] for row in due], [self._period * periods for periods in times])
+        for row, periods, samples in zip(due, times, sampled, strict=True):
+            place = (periods - self._first[row]) % self._room
+            positions = samples.backbone[..., :3, 3].reshape(len(periods), -1)
             parts = samples.tip_twist, samples.q, samples.tendon_length, positions
             others = [part[:, :size] for part, size in zip(parts, self._sizes, strict=True)]
             self._table.pose[row, place], self._table.other[row, place] = samples.tip_pose, np.concatenate(others, axis=1)
-            self._until[row] += len(own)
+            self._until[row] += len(periods)
+        self._periods_left = int(np.min(self._until - step_count)) - self._longest
 
     def at(self, row: int, times: Array) -> TargetSamples:
         """A row's target at times (m,) [s] from the beginning of its episode."""
-        return self._sampled([self._course[row]], [times + self._period * self._first[row]])[0]
+        return self.sample([self._course[row]], [times + self._period * self._first[row]])[0]
 
-    def tip_position(self, course: Course, time: float) -> Array:
-        """Tip position (3,) [m] of a course at a time [s]."""
-        return self._sampled([course], [np.array([time])])[0].tip_pose[0, :3, 3]
-
-    def _sampled(self, courses: list[Course], times: list[Array]) -> list[TargetSamples]:
+    def sample(self, courses: list[Course], times: list[Array]) -> list[TargetSamples]:
         """Every course at its times (m,); coordinates are pushed through the kinematics all together. Raises StrainLimitError."""
         found = {i: course.sample(times[i]) for i, course in enumerate(courses) if isinstance(course, PoseCourse)}
         motions = {i: course.coordinates(times[i]) for i, course in enumerate(courses) if not isinstance(course, PoseCourse)}
         if motions:
             q, q_dot = (np.concatenate(parts) for parts in zip(*motions.values(), strict=True))
             read, start = self._read(q, q_dot), 0
-            for i, (own, _) in motions.items():
-                found[i] = TargetSamples(*(field[start : start + len(own)] for field in read))
-                start += len(own)
+            for i, (shape, _) in motions.items():
+                found[i] = TargetSamples(*(field[start : start + len(shape)] for field in read))
+                start += len(shape)
         return [found[i] for i in range(len(courses))]
 
     def _read(self, q: Array, q_dot: Array) -> TargetSamples:
@@ -97,7 +98,7 @@ class TargetTrajectories:
         pose, other, error = np.empty((rows, m, 4, 4)), np.empty((rows, m, self._borders[-1])), np.empty((rows, m, 6))
         off = np.empty((2, rows))
         targets_ahead(self._table, step_count, tip_pose, pose, other, error, off)
-        return self._targets(pose, other), error, off
+        return TargetSamples(pose, other, *self._no_shapes) if self._no_shapes else self._targets(pose, other), error, off
 
     def until(self, step_count: Indices, periods: int) -> TargetSamples:
         """The targets (rows, 1 + periods, ..) of now and of the periods ahead. Raises ValueError beyond the longest preview."""
@@ -129,7 +130,7 @@ class TargetDraws:
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_bank": {}}  # of which every motion can be computed again
 
-    def settled(self, target: Target) -> Target | Course:
+    def settle(self, target: Target) -> Target | Course:
         """The course of a target; one that is drawn as it is. Raises ConfigurationError where it cannot be."""
         return target if target.is_random else target.draw(np.random.default_rng(0), self._setting)
 
@@ -146,7 +147,7 @@ class TargetDraws:
             return
         away = 0.0 if target.begins_at_rest else self._away
         for _ in range(MOST_DRAWS):
-            course, first = self._drawn(target, generator)
+            course, first = self._draw(target, generator)
             if not away or self._distance(course, first, tip) > away:
                 break
         else:
@@ -154,7 +155,7 @@ class TargetDraws:
             warnings.warn(f"{text}: the episode begins solved; choose a smaller threshold, or a larger fraction of tensions", stacklevel=2)
         self._trajectories.begin(row, course, first)
 
-    def _drawn(self, target: Target, generator: np.random.Generator) -> tuple[Course, int]:
+    def _draw(self, target: Target, generator: np.random.Generator) -> tuple[Course, int]:
         """A course, and the control period of it to begin at."""
         if not self._has_bank or target.repeats is None:
             return target.draw(generator, self._setting), 0
@@ -169,4 +170,5 @@ class TargetDraws:
 
     def _distance(self, course: Course, first: int, tip: Array) -> float:
         """Distance [m] from the tip (3,) to where a course begins, as it is observed."""
-        return float(np.linalg.norm(self._trajectories.tip_position(course, self._period * first).astype(np.float32) - tip))
+        start = self._trajectories.sample([course], [np.array([self._period * first])])[0].tip_pose[0, :3, 3]
+        return float(np.linalg.norm(start.astype(np.float32) - tip))

@@ -15,9 +15,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from soft_tendon_env.envs.environments import TendonRodEnv, TendonRodVectorEnv
 from soft_tendon_env.envs.episodes import episodes_of
-from soft_tendon_env.envs.single import TendonRodEnv
-from soft_tendon_env.envs.vector import TendonRodVectorEnv
 from soft_tendon_env.evaluation.metrics import Episode, EpisodeScore, score
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.checks import checked_type

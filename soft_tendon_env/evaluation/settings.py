@@ -2,16 +2,16 @@
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
-from pydantic import AfterValidator, Field, field_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from soft_tendon_env.envs import IDS, Options
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, MODEL_ERRORS, SETTINGS, model_error
 from soft_tendon_env.policies.agent import EnvironmentOptions
 from soft_tendon_env.policies.names import ALL
 from soft_tendon_env.policies.regimes import REGIMES
-from soft_tendon_env.tools.configuration import Configuration, not_among
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 
@@ -72,8 +72,21 @@ class Settings(EpisodeSettings, Workers):
     """
 
     errors: tuple[str, ...] = Field(default=tuple(MODEL_ERRORS), min_length=1)
-    episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1, le=len(EVALUATION_SEEDS))
+    episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1)
     seeds: Seeds = Field(default_factory=lambda given: EVALUATION_SEEDS[: given.get("episodes", 0)], min_length=1)
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        if {"episodes", "seeds"} <= self.model_fields_set and self.episodes != len(self.seeds):
+            raise ConfigurationError([Problem(("episodes",), f"is {self.episodes}: it should be {len(self.seeds)}, as there are seeds")])
+        return self
+
+    @field_validator("episodes")
+    @classmethod
+    def _are_there(cls, episodes: int) -> int:
+        if episodes > len(EVALUATION_SEEDS):
+            raise ValueError(f"should be at most {len(EVALUATION_SEEDS)}, or give --seeds")
+        return episodes
 
     @field_validator("errors")
     @classmethod

@@ -12,7 +12,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback
 from stable_baselines3.common.utils import safe_mean
 
-from soft_tendon_env.envs.vector import TendonRodVectorEnv
+from soft_tendon_env.envs.environments import TendonRodVectorEnv
 from soft_tendon_env.learning.vec_env import unwrapped
 
 

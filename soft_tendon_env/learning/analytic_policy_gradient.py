@@ -17,8 +17,8 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from soft_tendon_env.differentiable import Trajectories, rollout
 from soft_tendon_env.differentiable.accuracy import check_gradients
+from soft_tendon_env.envs.environments import TendonRodVectorEnv
 from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.envs.vector import TendonRodVectorEnv
 from soft_tendon_env.learning.algorithm import ActorAlgorithm
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 

@@ -15,7 +15,7 @@ from soft_tendon_env.evaluation.settings import TaskName, episode_steps
 from soft_tendon_env.learning.hyperparameters import MODULES, hyperparameter_problems
 from soft_tendon_env.policies.network import ALGORITHMS
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, override, parsed_changes, read_toml
-from soft_tendon_env.tools.files import configs_folder
+from soft_tendon_env.tools.files import CONFIGS
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -111,7 +111,7 @@ NO_TRAININGS = ("compare", "published", "tune_")  # prefixes of the files in con
 
 def config_names(prefix: str = "") -> tuple[str, ...]:
     """Names of the trainings that ship, sorted; those of other files without their prefix."""
-    stems = sorted(path.stem for path in configs_folder().glob(f"{prefix}*.toml"))
+    stems = sorted(path.stem for path in CONFIGS.glob(f"{prefix}*.toml"))
     return tuple(stem.removeprefix(prefix) for stem in stems if prefix or not stem.startswith(NO_TRAININGS))
 
 
@@ -119,7 +119,7 @@ def find_config(name_or_path: str | Path, prefix: str = "") -> Path:
     """Path of the file of a training that ships (or of another kind, by its prefix), or of any other file. Raises ConfigurationError."""
     name, names = str(name_or_path), config_names(prefix)
     if name in names and not Path(name).is_file():
-        return configs_folder() / f"{prefix}{name}.toml"
+        return CONFIGS / f"{prefix}{name}.toml"
     if Path(name).suffix != ".toml" and not Path(name).exists():
         text = f"is neither the path of a .toml file nor a {'search' if prefix else 'training'} that ships: {not_among(name, names)}"
         raise ConfigurationError([Problem((), text)], name)

@@ -19,8 +19,8 @@ from soft_tendon_env.evaluation.entrants import read_run, seed_folders
 from soft_tendon_env.evaluation.pictures import save_figure, set_log_scale
 from soft_tendon_env.evaluation.summaries import HIGH, bootstrap_interval, interquartile_mean, tails
 from soft_tendon_env.evaluation.tables import FLAG, LEGEND, markdown_table, number, with_seeds
-from soft_tendon_env.tools.files import read_numbers
 from soft_tendon_env.tools.messages import describe
+from soft_tendon_env.tools.tables import read_numbers
 from soft_tendon_env.tools.types import Array
 
 RMS = "_rms"

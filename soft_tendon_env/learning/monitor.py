@@ -28,8 +28,9 @@ from soft_tendon_env.learning.checkpoints import (
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.agent import CONFIG, NetworkPolicy, acting_policy
-from soft_tendon_env.tools.files import read_json, read_numbers, replacing
+from soft_tendon_env.tools.files import read_json, replacing
 from soft_tendon_env.tools.messages import UserError
+from soft_tendon_env.tools.tables import read_numbers
 
 COLUMNS = ("steps", "seconds", "return", "diverged")  # of every learning curve, before the task's own
 Watch = Callable[[Mapping[str, float]], None]

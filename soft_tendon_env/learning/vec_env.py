@@ -18,7 +18,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from soft_tendon_env.envs.vector import TendonRodVectorEnv
+from soft_tendon_env.envs.environments import TendonRodVectorEnv
 
 
 class StableBaselinesVecEnv(VecEnv):

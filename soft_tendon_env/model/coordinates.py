@@ -5,7 +5,7 @@ from numpy.polynomial import legendre
 
 from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded, StaticsBased, point_field
-from soft_tendon_env.model.grid import STRAIGHT, AtPoints, Grid, at_points, chords, make_rod, pack_ranges
+from soft_tendon_env.model.grid import STRAIGHT, AtPoints, Grid, at_points, chords, make_grid, make_rod, pack_ranges
 from soft_tendon_env.scene.passive_fields import fields_of
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Modes, Snapshots
@@ -34,6 +34,12 @@ def effects_inside(scene: Scene) -> bool:
 def effects_outside(scene: Scene) -> Effects:
     """The effects that act as forces on the coordinates: all but those inside of the strain."""
     return scene.effects.outside() if effects_inside(scene) else scene.effects
+
+
+def coordinate_count(scene: Scene) -> int:
+    """How many coordinates the strain of a scene has."""
+    grid = make_grid(scene, 6)  # it does not depend on the intervals
+    return make_strain(scene, grid, at_points(scene, grid)).size
 
 
 def make_strain(scene: Scene, grid: Grid, here: AtPoints, law: StaticsBased | None = None) -> StaticsBased | Loaded | Explicit:

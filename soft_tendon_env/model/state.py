@@ -42,11 +42,11 @@ class State:
     @classmethod
     def load(cls, path: str | Path) -> State:
         """Loads a state that `save` wrote. Raises TypeError, OSError or ValueError."""
-        saved = read_arrays(path, [entry.name for entry in fields(cls)], STATE)
+        saved = read_arrays(path, STATE)
         try:
             time, step, names = float(saved.pop("time")), float(saved.pop("step")), tuple(map(str, saved.pop("names")))
             return cls(time=time, step=step, names=names, **saved)
-        except (TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{path} holds no {STATE}: {error}") from error
 
 

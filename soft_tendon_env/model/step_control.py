@@ -12,7 +12,7 @@ from soft_tendon_env.mechanics.motion.advance import Control
 from soft_tendon_env.mechanics.motion.extrapolation import STEP_TOLERANCE, Extrapolated
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import extrapolation_columns
-from soft_tendon_env.tools.checks import checked_array, dimensions
+from soft_tendon_env.tools.checks import checked_array
 from soft_tendon_env.tools.types import Array
 
 MOST_STEPS = 2 * 10**6  # of one call, whose commands and samples are kept
@@ -75,7 +75,8 @@ def command_table(model: Model, command: Command, start: float, samples: int, pe
     """Commands over every integrator step: (samples, per_sample, n_a). Warns where a function of time changes faster than steps follow."""
     shape = (samples, per_sample, model.tendon_count)
     if not callable(command):
-        if dimensions(command) == 1:
+        kind = None if isinstance(command, np.ndarray) else object  # rows that are not alike are refused below, by name
+        if np.asarray(command, dtype=kind).ndim == 1:
             return np.tile(checked_array("command", command, shape[2:]), (samples, per_sample, 1))
         return np.repeat(checked_array("command", command, (samples, model.tendon_count))[:, None], per_sample, axis=1)
     middles: Array = start + step * (np.arange(samples * per_sample, dtype=np.float64) + 0.5)

@@ -23,7 +23,7 @@ from soft_tendon_env.policies.estimators import ESTIMATORS, PARAMETERS, Estimato
 from soft_tendon_env.policies.protocol import LostState
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.tools.checks import checked_number
-from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, shown
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, not_registered, shown
 from soft_tendon_env.tools.types import Array
 
 SAME_COMMAND = 1e-6  # share of the largest command by which one that is observed in single precision may differ from what it was
@@ -124,7 +124,8 @@ def _among(kind: str, chosen: Any, valid: Mapping[str, Any]) -> Any:
     if not isinstance(chosen, str):
         return chosen
     if chosen not in valid:
-        raise ValueError(f"{kind} is {chosen!r}: {not_among(chosen, valid)}")
+        known = (not_registered if kind in ("controller", "task") else not_among)(chosen, valid)
+        raise ValueError(f"{kind} is {chosen!r}: {known}")
     return valid[chosen]
 
 

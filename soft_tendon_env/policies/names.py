@@ -24,7 +24,7 @@ from soft_tendon_env.policies.controller_policy import make_policy, observation_
 from soft_tendon_env.policies.estimators import ESTIMATORS
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml, shown
+from soft_tendon_env.tools.configuration import Configuration, not_among, not_registered, read_toml, shown
 from soft_tendon_env.tools.files import digest, digests
 
 BEST = "best"  # name of the folder of a training's best agent, within that of the training
@@ -66,7 +66,7 @@ class PolicyName:
         module, colon, name = text.partition(":")
         if colon and not prefix:
             return UserPolicy(text, task, module, name)
-        wanted = f"a controller of {task}; {not_among(controller, controllers)}"
+        wanted = f"a controller of {task}; {not_registered(controller, controllers)}"
         if prefix:
             raise ValueError(f"policy is {text!r}: what stands behind {prefix!r} should be {wanted}")
         if path.suffix == ".zip":

@@ -9,7 +9,6 @@ from typing import Any, TypeVar
 
 import gymnasium as gym
 
-from soft_tendon_env.tools.files import read_bytes
 from soft_tendon_env.tools.messages import first_line
 
 WEIGHTS = "weights.pt"
@@ -65,7 +64,7 @@ def read_weights(path: Path) -> dict[str, Any]:
     import torch
 
     try:
-        weights = torch.load(io.BytesIO(read_bytes(path)), map_location="cpu", weights_only=True)
+        weights = torch.load(io.BytesIO(path.read_bytes()), map_location="cpu", weights_only=True)
         finite = all(bool(torch.isfinite(tensor).all()) for tensor in weights.values())
     except Exception as error:  # whatever it meets in a damaged file
         raise ValueError(f"{path} holds no weights alone, or was cut or damaged: {first_line(error)}") from error

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 
-from soft_tendon_env.tools.files import UNREADABLE, arrays_in, read_bytes
+from soft_tendon_env.tools.files import read_arrays
 from soft_tendon_env.tools.messages import first_line
 from soft_tendon_env.tools.types import Array
 
@@ -60,15 +60,13 @@ def save_normalization(path: Path, normalization: Normalization) -> None:
 
 def read_normalization(path: Path, space: gym.Space[Any]) -> Normalization:
     """Read what `save_normalization` wrote, for observations of a space, without unpickling. Raises ValueError, FileNotFoundError."""
+    arrays = read_arrays(path, "arrays of mean, variance, clip and epsilon")
     try:
-        arrays = arrays_in(read_bytes(path))
         finite = all(array.dtype == np.float64 and np.isfinite(array).all() for array in arrays.values())
         clip, epsilon = float(arrays.pop("clip")), float(arrays.pop("epsilon"))
         keys = [name.removesuffix("mean").removesuffix(".") for name in arrays if name.rpartition(".")[2] == "mean"]
         moments = {key: Moments(*(arrays.pop(f"{key}.{name}" if key else name) for name in Moments._fields)) for key in keys}
-    except FileNotFoundError:
-        raise
-    except (*UNREADABLE, AttributeError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
         raise ValueError(f"{path} is no .npz file of mean, variance, clip and epsilon, or was damaged: {first_line(error)}") from error
     alike = all(of.mean.shape == of.variance.shape and (of.variance >= 0.0).all() for of in moments.values())
     if arrays or not (moments and finite and alike and clip > 0.0 and epsilon >= 0.0):

@@ -13,9 +13,9 @@ import numpy as np
 import scipy.fft
 
 from soft_tendon_env.envs.arms import Arms, Indices
+from soft_tendon_env.envs.environments import TendonRodEnv
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.observation import HISTORY
-from soft_tendon_env.envs.single import TendonRodEnv
 from soft_tendon_env.envs.tasks import TIP
 from soft_tendon_env.evaluation.play import play_steps
 from soft_tendon_env.mechanics.motion.scratch import Tape

@@ -22,9 +22,8 @@ from soft_tendon_env.scene.file import SHIPPED
 from soft_tendon_env.scene.scene import Scene, breakpoints, tendon_ends
 from soft_tendon_env.scene.strain import SNAPSHOT_ORDER, STRAINS, ExplicitStrain, Snapshots
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.files import read_json, replacing
+from soft_tendon_env.tools.files import data_folders, read_json, replacing
 from soft_tendon_env.tools.types import Array
-from soft_tendon_env.tools.user_cache import data_folders
 
 MATERIAL, ALIKE = ("young_modulus", "density", "damping"), 2.0  # of a segment, and the factor up to which it may differ from the fields'
 ARRAYS, SUFFIX = ("tension_limits", "borders", "singular_values", "coefficients"), ".fields.json"

@@ -1,6 +1,6 @@
 """Argument validation of the public API: shape, type, finiteness and range, with errors that say what was given and what is allowed."""
 
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,28 +17,18 @@ def checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) ->
     if given.dtype.kind not in "fiu":
         kind = f"{type(value).__name__} of {given.dtype}"
         raise TypeError(f"{name} should be an array of numbers of shape {_shown_shape(shape)}, not {kind}")
-    if given.shape != shape and not _fits(given.shape, shape):
-        raise ValueError(f"{name} should have shape {_shown_shape(shape)}, not {given.shape}")
+    if given.shape != shape:
+        sizes = zip(shape, given.shape, strict=False)
+        if given.ndim != len(shape) or any(wanted not in (None, size) for wanted, size in sizes):
+            raise ValueError(f"{name} should have shape {_shown_shape(shape)}, not {given.shape}")
     if not np.isfinite(given).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(given))[0])
         raise ValueError(f"{name} should be finite, but {name}{list(where)} is {given[where]}")
     return np.array(given, dtype=np.float64, order="C")
 
 
-def _fits(given: tuple[int, ...], shape: tuple[int | None, ...]) -> bool:
-    return len(given) == len(shape) and all(size in (None, found) for size, found in zip(shape, given, strict=True))
-
-
 def _shown_shape(shape: tuple[int | None, ...]) -> str:
     return str(tuple("any" if size is None else size for size in shape)).replace("'", "")
-
-
-def dimensions(value: Any) -> int | None:
-    """Number of axes that the value has as an array; None for ragged rows, which `checked_array` refuses by name."""
-    try:
-        return np.ndim(value)
-    except ValueError:
-        return None
 
 
 def checked_number(name: str, value: float, least: float, allowed: str) -> float:

@@ -52,7 +52,7 @@ class Configuration(BaseModel):
 
     def __init__(self, /, **values: Any):
         try:
-            super().__init__(**{name: _frozen(value) for name, value in values.items()})
+            super().__init__(**{name: _freeze(value) for name, value in values.items()})
         except ValidationError as error:
             problems = [problem for found in error.errors() for problem in _problems(type(self), found)]
             raise ConfigurationError(problems, type(self).__name__) from None
@@ -72,11 +72,8 @@ class Configuration(BaseModel):
             raise ConfigurationError(error.problems, source) from None
 
 
-def _frozen(value: Any) -> Any:
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, os.PathLike):
-        value = os.fspath(value)
+def _freeze(value: Any) -> Any:
+    value = plain(value) if isinstance(value, np.ndarray | np.generic | os.PathLike) else value
     return tuple(value) if isinstance(value, list) else value
 
 
@@ -89,8 +86,8 @@ def plain(value: Any) -> Any:
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     if isinstance(value, Mapping):
-        return {plain(key): plain(own) for key, own in value.items()}
-    return [plain(own) for own in value] if isinstance(value, list | tuple) else value
+        return {plain(key): plain(entry) for key, entry in value.items()}
+    return [plain(entry) for entry in value] if isinstance(value, list | tuple) else value
 
 
 def dotted(key: Key) -> str:
@@ -109,6 +106,11 @@ def not_among(name: str, valid: Iterable[str]) -> str:
     valid = sorted(valid)
     close = difflib.get_close_matches(name, valid, n=1)
     return (f"did you mean {close[0]!r}? " if close else "") + f"valid: {', '.join(valid)}"
+
+
+def not_registered(name: str, valid: Iterable[str]) -> str:
+    """The end of a message about an unknown name of what users can register: as `not_among`, and what to do about one of their own."""
+    return f"{not_among(name, valid)}; to use one of your own, import its module first (on the command line: --import MODULE)"
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -136,20 +138,17 @@ def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
 def _set(node: Any, parts: list[str], value: Any, where: str) -> None:
     """Set the key of these parts in the table or array that stands at `where`."""
     part, *below = parts
-    own, path = (
-        [*map(str, node if isinstance(node, dict) else range(len(node)))] if isinstance(node, dict | list) else [],
-        f"{where}.{part}",
-    )
+    keys = [*node] if isinstance(node, dict) else [str(i) for i in range(len(node))] if isinstance(node, list) else None
     problem = None
-    if not isinstance(node, dict | list):
+    if keys is None:
         problem = f"{where[1:]} is {shown(node)}, not a table"
-    elif part == "*" and not own:
+    elif part == "*" and not keys:
         problem = f"{where[1:]} is empty"
-    elif isinstance(node, list) and part not in ("*", *own):
-        problem = f"{part!r} is no position in {where[1:]}; valid: 0 to {len(own) - 1}"
+    elif isinstance(node, list) and part not in ("*", *keys):
+        problem = f"{part!r} is no position in {where[1:]}; valid: 0 to {len(node) - 1}"
     if problem:
-        raise ConfigurationError([Problem((".".join([path, *below])[1:],), f"cannot be set: {problem}")])
-    for key in own if part == "*" else [part]:
+        raise ConfigurationError([Problem((f"{where}.{'.'.join(parts)}"[1:],), f"cannot be set: {problem}")])
+    for key in keys or () if part == "*" else [part]:
         place: Any = int(key) if isinstance(node, list) else key
         if below:
             _set(node.setdefault(place, {}) if isinstance(node, dict) else node[place], below, value, f"{where}.{key}")
@@ -209,4 +208,6 @@ def _allowed(error: ErrorDetails) -> str:
     if "error" in error.get("ctx", {}):
         return str(error["ctx"]["error"])  # a validator's own words
     message = re.sub(r"^\w+ should", "should", error["msg"])
+    if error["type"].startswith("float") and re.fullmatch(r"[-+.\d]+ ?[^\W\d]+", str(error["input"])):
+        message += ", in SI units and without their symbol"
     return message.replace("tuple", "array").replace("a valid boolean", "true or false").replace(" after validation", "")

@@ -1,27 +1,26 @@
-"""Reading of files, one function per kind: text, JSON, CSV and arrays; a file that is missing, cut or of something else is an error that
-names it. Files are replaced whole, and checked by their digests."""
+"""Reading of files, one function per kind; a file that is missing, cut or of something else is an error that names it. Files are replaced
+whole, and checked by their digests. What is made once is kept in folders of the user's cache."""
 
+import codecs
 import contextlib
 import errno
 import hashlib
 import io
 import json
-import math
 import os
+import tempfile
 import zipfile
 import zlib
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.tools.messages import describe
+from soft_tendon_env.tools.messages import describe, first_line
 
 PACKAGE = Path(__file__).parents[1]
-UNREADABLE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, MemoryError, OSError, TypeError, ValueError, LookupError)
-"""Errors of NumPy and zipfile for files that are empty, cut, altered or no archives at all."""
 
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:
@@ -34,11 +33,13 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
 def read_text(path: Path, errors: str = "strict") -> str:
     """The text of a file in UTF-8; errors: what becomes of other bytes, see `bytes.decode`. Raises ValueError, FileNotFoundError."""
     try:
-        return read_bytes(path).decode("utf-8-sig", errors).replace("\r\n", "\n")
+        content = read_bytes(path)
+        errors = "strict" if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else errors
+        return content.decode("utf-8-sig", errors).replace("\r\n", "\n")
     except FileNotFoundError as error:
         raise FileNotFoundError(f"there is no file {path}") from error
     except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} cannot be read as text: {describe(error)}") from error
+        raise ValueError(f"{path} cannot be read as text in UTF-8: {describe(error)}") from error
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -52,37 +53,14 @@ def read_json(path: Path) -> dict[str, Any]:
     return value
 
 
-def read_numbers(path: Path, needed: Iterable[str] = ()) -> list[dict[str, float]]:
-    """The rows of a CSV file of numbers; NaN for what is empty. `needed`: columns. Raises ValueError, FileNotFoundError."""
-    text = read_text(path)
-    if text and not text.endswith("\n"):
-        raise ValueError(f"{path} was cut off: its last line does not end")
-    header, *rows = [line.split(",") for line in text.splitlines()] or [[]]
-    if missing := [name for name in needed if name not in header]:
-        raise ValueError(f"{path} should have the columns {', '.join(needed)} in its first line, and lacks {', '.join(missing)}")
-    found = []
-    for number, cells in enumerate(rows, 2):
-        try:
-            found.append({name: float(cell) if cell else math.nan for name, cell in zip(header, cells, strict=True)})
-        except ValueError as error:
-            raise ValueError(f"{path}, line {number} should be {len(header)} numbers, not {','.join(cells)[:80]!r}") from error
-    return found
-
-
-def read_arrays(path: str | Path, names: Collection[str], what: str) -> dict[str, NDArray[Any]]:
-    """The arrays of these names in an .npz file; `what` it should hold goes into the error. Raises TypeError, OSError or ValueError."""
+def read_arrays(path: str | Path, what: str) -> dict[str, NDArray[Any]]:
+    """The arrays of an .npz file, none of them unpickled; `what` it should hold goes into the error. Raises OSError or ValueError."""
     content = read_bytes(path)
     try:
-        saved = arrays_in(content)
-        return {name: saved[name] for name in names}
-    except UNREADABLE as error:
-        raise ValueError(f"{path} holds no {what}: {error}") from error
-
-
-def arrays_in(content: bytes) -> dict[str, NDArray[Any]]:
-    """The arrays in an .npz file's content, none of them unpickled. Raises what is in UNREADABLE."""
-    with zipfile.ZipFile(io.BytesIO(content)), np.load(io.BytesIO(content), allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
+        with zipfile.ZipFile(io.BytesIO(content)), np.load(io.BytesIO(content), allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, MemoryError, OSError, TypeError, ValueError, LookupError) as error:
+        raise ValueError(f"{path} holds no {what}, or was damaged: {first_line(error)}") from error
 
 
 @contextlib.contextmanager
@@ -121,11 +99,41 @@ def check_digests(folder: Path, files: Mapping[str, str], source: Path) -> None:
             raise ValueError(f"{path} is not the file that {source} was written with: it was cut or changed, or is of another training")
 
 
-def configs_folder() -> Path:
-    """Folder of the configurations that ship."""
-    return shipped_folder("learning/configs", "configs")
-
-
 def shipped_folder(inside: str, beside: str) -> Path:
     """Folder of files that ship: `inside` the package in a wheel (force-include in pyproject.toml), `beside` it in a clone."""
     return PACKAGE / inside if (PACKAGE / inside).is_dir() else PACKAGE.parent / beside
+
+
+CONFIGS = shipped_folder("learning/configs", "configs")  # the configurations that ship
+
+
+def cache_parents() -> list[Path]:
+    """Candidate parents of the cache folder, best first: what the user has chosen, then the usual places."""
+    user = getattr(os, "getuid", int)()
+    temporary = Path(tempfile.gettempdir(), f"soft_tendon_env-{user}")
+    named = os.environ.get("NUMBA_CACHE_DIR"), os.environ.get("XDG_CACHE_HOME"), os.path.expanduser("~/.cache")
+    is_own = not temporary.exists() or temporary.stat().st_uid == user  # else somebody has put it there, with code that numba would run
+    return [Path(folder).absolute() for folder in named if folder] + [temporary] * is_own
+
+
+def data_folders(name: str) -> list[Path]:
+    """The folders `<user's cache>/soft_tendon_env/<name>` that exist, best first, see `cache_parents`."""
+    return [folder for parent in cache_parents() if os.path.isdir(folder := parent / "soft_tendon_env" / name)]
+
+
+def new_data_folder(name: str) -> Path:
+    """The first of these folders that can be written, created when missing. Raises OSError where there is none."""
+    refused = ""
+    for parent in cache_parents():
+        try:
+            return make_writable(parent / "soft_tendon_env" / name)
+        except OSError as error:
+            refused += f"{parent} cannot be used ({error.strerror}); "
+    raise OSError(errno.EROFS, f"{refused}set NUMBA_CACHE_DIR to a folder that can be written")
+
+
+def make_writable(folder: Path) -> Path:
+    """The folder, created when missing. Raises OSError where no file can be written in it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    tempfile.TemporaryFile(dir=folder).close()  # a folder can exist and yet not be writable
+    return folder

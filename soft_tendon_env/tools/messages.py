@@ -5,8 +5,7 @@ import functools
 import os
 import sys
 
-QUIET = os.environ.get("SOFT_TENDON_ENV_QUIET", "0") not in ("", "0")
-"""True where lines of progress are not wanted."""
+QUIET = os.environ.get("SOFT_TENDON_ENV_QUIET", "0") not in ("", "0")  # whether lines of progress are not wanted
 
 
 class UserError(Exception):
@@ -36,13 +35,8 @@ def say(line: str) -> None:
             print(f"soft_tendon_env: {line}", file=sys.stderr, flush=True)
 
 
-def say_unless_quiet(line: str) -> None:
-    """Prints a line of progress to stderr, unless SOFT_TENDON_ENV_QUIET=1."""
-    if not QUIET:
-        say(line)
-
-
 @functools.cache
 def say_once(line: str) -> None:
-    """Prints a line to stderr the first time that it is given."""
-    say(line)
+    """Prints a line of progress to stderr the first time that it is given, unless SOFT_TENDON_ENV_QUIET=1."""
+    if not QUIET:
+        say(line)

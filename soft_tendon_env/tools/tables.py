@@ -6,23 +6,18 @@ import math
 import warnings
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from soft_tendon_env.tools.files import read_text
 from soft_tendon_env.tools.types import Array
 
-LOGGED = "measured_time"
-"""Column by which logs of robots are known, every row of which ends with a newline."""
-SEPARATORS = ",;\t|"
-"""Separators of cells; a header with none of them is separated by spaces."""
-COMMENTS = ("#", "%")
-"""Beginnings of lines that are skipped; the header may be one of them, as NumPy and rostopic write it."""
-ABSENT = {"", "nan", "na", "n/a", "null", "none"}
-"""Cells that hold no number."""
-PREAMBLE = 100
-"""Lines among which the header is looked for."""
+LOGGED = "measured_time"  # column by which logs of robots are known, every row of which ends with a newline
+SEPARATORS = ",;\t|"  # of cells; a header with none of them is separated by spaces
+COMMENTS = ("#", "%")  # beginnings of lines that are skipped; the header may be one of them, as NumPy and rostopic write it
+ABSENT = {"", "nan", "na", "n/a", "null", "none"}  # cells that hold no number
+PREAMBLE = 100  # lines among which the header is looked for
 
 
 class Table(NamedTuple):
@@ -60,28 +55,25 @@ def read_table(path: Path, names: Collection[str] = ()) -> Table:
     """
     lines = _whole_lines(path, read_text(path, "replace"))  # bytes that are no text are no numbers
     first, separator, header = _header(lines, {name.casefold() for name in names})
-    # a blank line stays one, so that the reader counts all of them
-    kept = ["" if line.startswith(COMMENTS) else line for line in lines[first + 1 :]]
-    reader = _reader(kept, separator)
-    rows, number = [], first + 2
-    try:
-        for cells in reader:
-            if any(cell.strip() for cell in cells):
-                cells = cells[: len(header)] if not any(cells[len(header) :]) else cells  # without empty ones beyond the header's
-                rows.append((f"{path}, line {number}", [cell.strip() for cell in cells]))
-            number = first + 2 + reader.line_num
-    except csv.Error as error:
-        raise ValueError(f"{path}, line {number} cannot be read: {error}") from error
     where = f"{path}, line {first + 1}" + (f" (separated by {separator!r})" if len(header) > 1 else "")
-    if odd := next((row for row in rows if len(row[1]) != len(header)), None):
-        raise ValueError(f"{odd[0]}: there are {len(odd[1])} cells, the header has {len(header)}: {where}")
+    rows = list[tuple[str, list[str]]]()
+    for number, line in enumerate(lines[first + 1 :], first + 2):
+        try:
+            cells = [] if line.startswith(COMMENTS) else _cells(line, separator)
+        except csv.Error as error:
+            raise ValueError(f"{path}, line {number} cannot be read: {error}") from error
+        cells = cells[: len(header)] if not any(cells[len(header) :]) else cells  # without empty ones beyond the header's
+        if any(cells):
+            rows.append((f"{path}, line {number}", cells))
+        if any(cells) and len(cells) != len(header):
+            raise ValueError(f"{rows[-1][0]}: there are {len(cells)} cells, the header has {len(header)}: {where}")
     return Table(where, header, rows)
 
 
-def _reader(lines: Sequence[str], separator: str) -> Any:
-    """Reader of lines; where spaces separate, any number of them does, and tabs."""
-    spaced = (" ".join(line.split()) for line in lines) if separator == " " else lines
-    return csv.reader(spaced, delimiter=separator, skipinitialspace=True, strict=True)
+def _cells(line: str, separator: str) -> list[str]:
+    """Cells of a line; where spaces separate, any number of them does, and tabs. Raises csv.Error."""
+    line = " ".join(line.split()) if separator == " " else line
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True, strict=True), [])]
 
 
 def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]:
@@ -89,14 +81,14 @@ def _header(lines: Sequence[str], names: set[str]) -> tuple[int, str, list[str]]
     best, most = (0, ",", list[str]()), -1
     for place, line in enumerate(lines[:PREAMBLE]):
         is_comment = line.startswith(COMMENTS)
-        for text in (line.lstrip("".join(COMMENTS) + " \t"), line)[not is_comment :]:
-            separator = max(SEPARATORS, key=text.count)
-            separator = separator if separator in text.strip() else " "
-            with contextlib.suppress(csv.Error):  # which the reader tells
-                cells = [cell.strip() for own in _reader([text], separator) for cell in own]
-                found = len(names.intersection(map(str.casefold, cells))) - is_comment  # a comment counts by its names alone
-                if any(cells) and found > most:
-                    best, most = (place, separator, cells), found
+        text = line.lstrip("".join(COMMENTS) + " \t") if is_comment else line
+        separator = max(SEPARATORS, key=text.count)
+        separator = separator if separator in text.strip() else " "
+        with contextlib.suppress(csv.Error):  # which the reader tells
+            cells = _cells(text, separator)
+            found = len(names.intersection(map(str.casefold, cells))) - is_comment  # a comment counts by its names alone
+            if any(cells) and found > most:
+                best, most = (place, separator, cells), found
     place, separator, cells = best
     while cells and not cells[-1]:
         cells = cells[:-1]
@@ -113,3 +105,13 @@ def _whole_lines(path: Path, text: str) -> list[str]:
             warnings.warn(f"{path}, line {len(lines)} was cut off: it is left out, the rows before it are whole", stacklevel=2)
             return lines[:-1]
     return lines
+
+
+def read_numbers(path: Path, needed: Sequence[str] = ()) -> list[dict[str, float]]:
+    """The rows of a CSV file of numbers; NaN for what is empty. `needed`: columns. Raises ValueError, FileNotFoundError."""
+    if not read_text(path).endswith("\n"):
+        raise ValueError(f"{path} was cut off: its last line does not end")
+    table = read_table(path)
+    if missing := [name for name in needed if name not in table.header]:
+        raise ValueError(f"{table.where}: the header should have {', '.join(needed)}, and lacks {', '.join(missing)}")
+    return [dict(zip(table.header, row, strict=True)) for row in table.numbers((name, 1.0) for name in table.header).tolist()]

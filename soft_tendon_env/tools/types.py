@@ -11,17 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field
 
-Array = NDArray[np.float64]
-"""Array of numbers; its shape stands beside it."""
+Array = NDArray[np.float64]  # of numbers; its shape stands beside it
 
-LEAST, GREATEST = 1e-20, 1e20
-"""Bounds of quantities in SI units: those of all arms, from cells to ships, lie between with room to spare."""
-SHORTEST, LONGEST = 1e-9, 1e6
-"""Bounds of lengths [m], of which sections and stiffnesses take the fourth power."""
-SOONEST = 1e-7
-"""Shortest time step [s]: a second takes minutes."""
-FASTEST = 1e5
-"""Highest frequency [Hz] of what is prescribed in time, which steps of a sixteenth of a period follow, and [rad/s] of what turns."""
+LEAST, GREATEST = 1e-20, 1e20  # of quantities in SI units: those of all arms, from cells to ships, lie between with room to spare
+SHORTEST, LONGEST = 1e-9, 1e6  # of lengths [m], of which sections and stiffnesses take the fourth power
+SOONEST = 1e-7  # shortest time step [s]: a second takes minutes
+FASTEST = 1e5  # highest frequency [Hz] of what is prescribed in time, and speed [rad/s] of what turns
 
 
 def _between(least: float, greatest: float, unit: str = "") -> AfterValidator:
@@ -54,8 +49,7 @@ def _is_direction(vector: Triple) -> Triple:
 Direction = Annotated[Triple, AfterValidator(_is_direction)]
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
-COMMANDS = {"N": "tension", "m": "displacement"}
-"""Quantities that are commanded, by their unit: tensions, or displacements by which actuators pull tendons in."""
+COMMANDS = {"N": "tension", "m": "displacement"}  # what is commanded by its unit; displacements: by which actuators pull tendons in
 LENGTH = re.compile(rf"\s*([-+.\de]+)\s*({'|'.join(UNITS)})\s*")
 
 
@@ -72,8 +66,7 @@ def read_length(text: object) -> float:
     raise ValueError(f"should be a positive length with its unit ({', '.join(UNITS)}), such as 1mm")
 
 
-GivenLength = Annotated[float, BeforeValidator(read_length)]
-"""Metres, given as a text with its unit."""
+GivenLength = Annotated[float, BeforeValidator(read_length)]  # metres, given as a text with its unit
 
 
 def length_text(metres: float) -> str:

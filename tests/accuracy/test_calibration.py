@@ -14,7 +14,7 @@ from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.passive_fields import PassiveFields, arm_of
 from soft_tendon_env.scene.scene import breakpoints
-from soft_tendon_env.tools import user_cache
+from soft_tendon_env.tools import files
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 ARM = load_scene("three_tendon")
@@ -32,7 +32,7 @@ def made(tmp_path_factory):
     """A user's cache with a calibration of ARM on short motions, without passive fields of its own."""
     folder = tmp_path_factory.mktemp("made")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(user_cache, "cache_parents", lambda: [folder])
+        patch.setattr(files, "cache_parents", lambda: [folder])
         calibrate(ARM, short(ARM), None)
     return folder
 
@@ -41,7 +41,7 @@ def made(tmp_path_factory):
 def cache(made, tmp_path, monkeypatch):
     """The folder of calibrations in a copy of that cache, and short motions."""
     shutil.copytree(made, tmp_path, dirs_exist_ok=True)
-    monkeypatch.setattr(user_cache, "cache_parents", lambda: [tmp_path])
+    monkeypatch.setattr(files, "cache_parents", lambda: [tmp_path])
     monkeypatch.setattr(module, "usual_inputs", short)
     monkeypatch.setattr(module, "ensure_fields", lambda scene: None)
     return tmp_path / "soft_tendon_env" / "calibrations"
@@ -101,7 +101,7 @@ def test_another_arm_or_load_is_another_calibration(change):
 
 def test_fields_of_the_arms_own_are_made_once_and_kept(cache, monkeypatch):
     monkeypatch.undo()
-    monkeypatch.setattr(user_cache, "cache_parents", lambda: [cache.parents[1]])
+    monkeypatch.setattr(files, "cache_parents", lambda: [cache.parents[1]])
     arm = ARM.replace({"segments.0.length": 0.123})
     coefficients = np.zeros((2, 1, 6, 11))
     coefficients[0, 0, 1, 0] = coefficients[1, 0, 2, 0] = 1.0

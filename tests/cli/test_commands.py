@@ -1,6 +1,5 @@
 """Every command once, at its smallest: what it prints and what it leaves."""
 
-import importlib
 import subprocess
 import sys
 
@@ -9,11 +8,11 @@ import pytest
 
 from soft_tendon_env.accuracy import calibration, proper_orthogonal_fields
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
-from soft_tendon_env.cli.main import COMMANDS, register_command
+from soft_tendon_env.cli.main import COMMANDS, register_command, shipped_command
 from soft_tendon_env.compiler.compilation import cache_folder
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.scene.file import SHIPPED
-from soft_tendon_env.tools import user_cache
+from soft_tendon_env.tools import files
 
 ARM = ("--scene", "three_tendon", "--fidelity", "fast")
 SHORT = ("--seconds", "0.2", "--skip", "0.1")
@@ -61,7 +60,7 @@ def small(monkeypatch, tmp_path):
 
     monkeypatch.chdir(tmp_path)
     cache_folder()  # of kernels, which stays as it is
-    monkeypatch.setattr(user_cache, "cache_parents", lambda: [tmp_path / "cache"])
+    monkeypatch.setattr(files, "cache_parents", lambda: [tmp_path / "cache"])
     for name, value in (("RUNS", 1), ("TESTS", 1), ("COUNTS", (0, 3))):
         monkeypatch.setattr(proper_orthogonal_fields, name, value)
     monkeypatch.setattr(calibration, "usual_inputs", lambda scene: [motion_tensions(scene, "redrawn", 0, 0.2)])
@@ -95,7 +94,7 @@ def test_help_has_every_option_with_a_text(command, capsys, monkeypatch, name):
     from soft_tendon_env.cli import options
 
     monkeypatch.setenv("COLUMNS", "300")
-    kind = importlib.import_module(f"soft_tendon_env.cli.{name.replace('-', '_')}").run.__annotations__["settings"]
+    kind = shipped_command(name)[1]
     with pytest.raises(SystemExit, match="0"):
         command(name, "--help")
     printed, texts = " ".join(capsys.readouterr().out.split()), options.descriptions(kind)

@@ -17,7 +17,7 @@ from numba import config
 
 from soft_tendon_env.compiler import compilation
 from soft_tendon_env.compiler.compilation import OPTIONS, Kernel, NotCompiledError, kernel
-from soft_tendon_env.tools import user_cache
+from soft_tendon_env.tools import files
 from soft_tendon_env.tools.files import PACKAGE
 
 jitted = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is compiled")
@@ -128,18 +128,28 @@ def test_machine_code_for_a_users_own_class_is_not_kept(tmp_path, monkeypatch):
 def test_the_first_folder_that_can_be_written_is_taken_with_what_is_in_a_read_only_one(tmp_path, monkeypatch, capsys):
     blocked, writable = tmp_path / "file", tmp_path / "writable"
     blocked.touch()
-    monkeypatch.setattr(user_cache, "cache_parents", lambda: [blocked, writable])
+    monkeypatch.setattr(files, "cache_parents", lambda: [blocked, writable])
     found = compilation.cache_folder.__wrapped__()
     assert found.parent == writable / "soft_tendon_env"
     (found / "code.nbc").touch()
-    monkeypatch.setattr(user_cache, "cache_parents", lambda: [tmp_path / "new", writable])
+    monkeypatch.setattr(files, "cache_parents", lambda: [tmp_path / "new", writable])
     assert not (compilation.cache_folder.__wrapped__() / "code.nbc").exists(), "that folder can be written: it is for others"
-    monkeypatch.setattr(user_cache, "cache_parents", lambda: [tmp_path / "newer", writable])
+    monkeypatch.setattr(files, "cache_parents", lambda: [tmp_path / "newer", writable])
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     assert (compilation.cache_folder.__wrapped__() / "code.nbc").exists()
-    monkeypatch.setattr(user_cache, "cache_parents", lambda: [blocked])
+    monkeypatch.setattr(files, "cache_parents", lambda: [blocked])
     assert compilation.cache_folder.__wrapped__() is None
     assert f"{blocked} cannot be used (Not a directory); set NUMBA_CACHE_DIR" in capsys.readouterr().err
+
+
+def test_only_the_newest_versions_are_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "cache_parents", lambda: [tmp_path])
+    for i in range(5):
+        folder = tmp_path / "soft_tendon_env" / f"{i:016x}"
+        folder.mkdir(parents=True)
+        os.utime(folder, (i, i))
+    kept = {compilation.cache_folder.__wrapped__().name, f"{3:016x}", f"{4:016x}"}
+    assert {path.name for path in (tmp_path / "soft_tendon_env").iterdir()} == kept
 
 
 @jitted

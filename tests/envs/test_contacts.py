@@ -34,7 +34,7 @@ def test_drawn_motions_keep_the_whole_arm_clear_of_obstacles():
     free, nearest = env.episodes.starts.setting.free, np.inf
     for seed in range(5):
         env.reset(seed=seed)
-        q, _ = env.episodes._courses._course[0].coordinates(np.linspace(0.0, 10.0, 40, endpoint=False))
+        q, _ = env.episodes.trajectories._course[0].coordinates(np.linspace(0.0, 10.0, 40, endpoint=False))
         for each in q:
             model = env.model
             state = State(0.0, each, 0.0 * each, model.grid.unpacked(model.packed_strain(each)), 0.0, model.arm.effects.state)

@@ -8,12 +8,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.envs import IDS, TASKS, TipPoseEnv, single, vector
+from soft_tendon_env.envs import IDS, TASKS, TipPoseEnv, environments
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.targets import Course, Target, register_target
 from soft_tendon_env.envs.targets.shipped import FixedPose
-from soft_tendon_env.envs.tasks import register_task
-from soft_tendon_env.envs.tasks.tip_pose import TIP_POSE
+from soft_tendon_env.envs.tasks import TIP_POSE, register_task
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -23,7 +22,7 @@ SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 def test_every_task_has_its_classes_and_its_id(name):
     task = TASKS[name]
     assert task.id == IDS[name] and gym.spec(task.id).max_episode_steps == 500
-    one, many = getattr(single, f"{name}Env"), getattr(vector, f"{name}VectorEnv")
+    one, many = getattr(environments, f"{name}Env"), getattr(environments, f"{name}VectorEnv")
     assert one.task is many.task is task and one.__doc__ == task.description
     assert hasattr(one, "compute_reward") == hasattr(many, "compute_reward") == (name == "Reach")
     assert pickle.loads(pickle.dumps(one)) is one and pickle.loads(pickle.dumps(many)) is many

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
+from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv, register_reward_term
 from soft_tendon_env.envs.kernels import closeness
-from soft_tendon_env.envs.tasks import register_reward_term
 from soft_tendon_env.envs.tracking import OWN_TERMS
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 
 from soft_tendon_env import Simulation, build_model, load_scene
 from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
@@ -73,6 +74,34 @@ def test_options_are_of_the_rows_that_are_reset(same):
     assert [rows.step(np.zeros((3, 3)))[3].tolist() for _ in range(2)] == [[False] * 3, [True, False, False]]
 
 
+@pytest.mark.parametrize("scene", ["three_tendon", LATE], ids=["plain", "actuators"])
+def test_the_state_can_be_set_in_mid_episode(scene, same):
+    """Noise, past observations and commands on their way stay as they are; right after a reset it is as the option of reset."""
+    options = {"history": 2, "randomize": {"latency": 0.03, "noise": {"position": 1e-3}}}
+    env, twin = (TipPoseEnv(scene=scene, fidelity="fast", **options) for _ in range(2))
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (8, 3))
+    for each in (env, twin):
+        each.reset(seed=1)
+        for action in actions[:4]:
+            each.step(action)
+    elsewhere, before = bent(env), env.state
+    env.state = elsewhere
+    assert same([*vars(env.state).values()], [*vars(elsewhere).values()])
+    reading, observed = env.episodes.arms.reading, env.episodes.layout.values(env.episodes.observation())
+    np.testing.assert_allclose(reading.tip_pose[0], Simulation(env.model, elsewhere).tip_pose, atol=1e-12)
+    np.testing.assert_allclose(observed["coordinates"][0], elsewhere.q, rtol=1e-5)
+    env.state = before
+    assert same(env.episodes.observation(), twin.episodes.observation())
+    for action in actions[4:]:
+        assert same(env.step(action), twin.step(action))
+    begun, _ = twin.reset(seed=7, options={"state": elsewhere})
+    env.reset(seed=7)
+    env.state = elsewhere
+    assert same(env.episodes.observation()[0], begun)
+    for action in actions:
+        assert same(env.step(action), twin.step(action))
+
+
 REFUSED = [
     (TipPoseEnv, {"gaol": 1}, "options: gaol is no option of reset: did you mean 'goal'.* valid: episode_steps, goal, state, target"),
     (TipPoseEnv, {"reset_mask": [True]}, "options: reset_mask is no option of reset"),
@@ -121,6 +150,10 @@ def test_states_that_are_not_the_arms_are_refused_before_anything_changes(same):
     for message, state in bad.items():
         with pytest.raises(ValueError, match=message):
             env.reset(seed=4, options={"state": state})
+        with pytest.raises(ValueError, match=message):
+            env.state = state
     with pytest.raises(ValueError, match="this state is of .*"):
         late.reset(options={"state": start})
+    with pytest.raises(ResetNeeded, match="state was used before reset"):
+        late.state = start
     assert same(env.step(np.zeros(3)), twin.step(np.zeros(3)))

@@ -18,7 +18,7 @@ SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 def course_of(env, seed):
     """The target's motion of a fresh episode, and its tensions as a function of time."""
     env.reset(seed=seed)
-    course = env.episodes._courses._course[0]
+    course = env.episodes.trajectories._course[0]
     return course, lambda times: course.tension(np.atleast_1d(times))[0]
 
 
@@ -97,7 +97,7 @@ def test_a_target_is_one_function_of_time(target, arm):
             np.testing.assert_allclose(found, values[part], rtol=1e-11, atol=1e-12)
     rows = TipPoseVectorEnv(20, threads=2, **arm, target=target)
     rows.reset(seed=0)
-    for found, values in zip(rows.episodes.target_at(3, times[order]), together, strict=True):
+    for found, values in zip(rows.episodes.trajectories.at(3, times[order]), together, strict=True):
         np.testing.assert_allclose(found, values[order], rtol=1e-11, atol=1e-12)
 
 
@@ -212,7 +212,7 @@ def test_motions_under_loads_come_from_a_bank_whatever_was_drawn_before(same):
     for seed in (1, 3):
         other.reset(seed=seed)
         rows.reset(seed=seed)
-        for found in (other.target_at(times), rows.episodes.target_at(0, times)):
+        for found in (other.target_at(times), rows.episodes.trajectories.at(0, times)):
             np.testing.assert_allclose(found.tip_pose, seen[seed], atol=1e-12)
     for seed in range(40):
         env.reset(seed=seed)

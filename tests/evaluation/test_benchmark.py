@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from soft_tendon_env.cli import arena
+from soft_tendon_env.cli.arena import Arena
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.evaluation.benchmark import TARGET, Benchmark, misfit
@@ -134,7 +134,7 @@ def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
 def test_the_published_comparison_can_be_played(monkeypatch):
     """By all of its policies, with the files that ship."""
     monkeypatch.chdir(ROOT)
-    published = arena.Arena(**arena.read_file({}))
+    published = Arena(**Arena.read_file({}))
     cells, notes = published.cells()
     assert notes == [] and {label.policy for label in cells} == {entrant.name for entrant in published.entrants}
     assert published.episodes == 100 and {cell.seconds for cell in cells.values()} == {4.0}

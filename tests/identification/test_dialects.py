@@ -83,6 +83,7 @@ def test_columns_have_names_units_and_signs(tmp_path, columns, factors, header):
         (table(numbers=NUMBERS * [1, 1, 1, 1e-3, 1e-3, 1e-3]), "is the arm's length or the unit wrong? Positions are in m"),
         (table().replace("0.5", "-0.5"), "line 2: tension_0 is -0.5 N: the scene's tension_limits are 0 to 5 N"),
         (table().replace("0.031", "0.03l"), "line 2: m_y is '0.03l'"),
+        (table().encode("utf-16"), "log.csv cannot be read as text in UTF-8: "),
     ],
 )
 def test_what_cannot_be_read_is_told_with_its_place(tmp_path, content, message):

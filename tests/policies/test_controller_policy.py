@@ -61,7 +61,7 @@ def assert_told(now, env, row, seconds):
     np.testing.assert_allclose(now.tip_pose, pose, **SINGLE_PRECISION)
     np.testing.assert_allclose(now.tip_pose[:3, :3] @ now.tip_pose[:3, :3].T, np.eye(3), atol=1e-14)
     np.testing.assert_array_equal(now.tip_pose[3], [0.0, 0.0, 0.0, 1.0])
-    wanted, task = episodes.target_at(row, seconds + now.reference.ahead), episodes.task
+    wanted, task = episodes.trajectories.at(row, seconds + now.reference.ahead), episodes.task
     np.testing.assert_allclose(now.reference.ahead, [0.0] if task.goal else [0.0, *PREVIEW], atol=1e-12)
     expected = {
         "TipPose": {"tip_pose": wanted.tip_pose},

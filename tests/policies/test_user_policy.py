@@ -34,7 +34,7 @@ class Honest:
 def by_environment(self, observation):
     """Puts the target onto the tip."""
     episodes = episodes_of(self.env)
-    episodes._courses._table.pose[:] = episodes.arms.reading.tip_pose[:, None]
+    episodes.trajectories._table.pose[:] = episodes.arms.reading.tip_pose[:, None]
     self.env.reset(seed=0)
 
 

@@ -5,8 +5,7 @@ import sys
 
 import pytest
 
-from soft_tendon_env.tools.extensions import VARIABLE
-from soft_tendon_env.tools.parallel import run_all
+from soft_tendon_env.tools.parallel import VARIABLE, run_all
 
 
 def square(x):

@@ -59,11 +59,6 @@ class Tensions:
         return tension, np.zeros_like(tension)
 
 
-def nearest_to_zero(limits: Array) -> Array:
-    """The tensions (n_a,) within limits (n_a, 2) that are nearest to zero."""
-    return np.clip(0.0, limits[:, 0], limits[:, 1])
-
-
 def shape_course(
     target: DrawnShapes, generator: np.random.Generator, setting: Setting, motion: Callable[[Array], Tensions] = Tensions, count: int = 1
 ) -> "StaticCourse":
@@ -121,7 +116,7 @@ class StaticCourse(ShapeCourse):
         self._added = None if rests_at_tensions(setting.model) else self._loaded(setting)
         pulls = margin > 1.0 and setting.limits.min() >= 0.0  # so that there is a strain, and one alone, between knots too
         places = tension.knots if pulls else self.places
-        if not (firm := setting.arms.are_firm(margin * self.coordinates(places)[0])).all():
+        if not (firm := setting.arms.have_margin(margin * self.coordinates(places)[0])).all():
             raise NoEquilibrium(tension(places[~firm][:1])[0][0], "the section is about to give way")
 
     @property

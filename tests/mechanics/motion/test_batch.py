@@ -54,7 +54,7 @@ def test_samples_without_a_strain_are_told(build):
     arms = arms_of(model)
     expected = [i not in (3, 7) for i in range(10)]
     reading, good = arms.read_samples(q, 0.0 * q)
-    assert good.tolist() == arms.are_firm(q).tolist() == expected
+    assert good.tolist() == arms.have_margin(q).tolist() == expected
     assert all(np.isfinite(values).all() for values in reading)
 
 
@@ -66,5 +66,5 @@ def test_a_row_is_read_as_the_model_says(small):
     assert arms.outcome.status[0] == 0
     assert_reads(arms.reading, 0, small, arms.rows.q[0].copy(), arms.rows.q_dot[0].copy())
     reading, good = arms.read_samples(arms.rows.q, arms.rows.q_dot)
-    assert good[0] and arms.are_firm(arms.rows.q)[0]
+    assert good[0] and arms.have_margin(arms.rows.q)[0]
     assert_reads(reading, 0, small, arms.rows.q[0].copy(), arms.rows.q_dot[0].copy())

@@ -1,29 +1,148 @@
-"""Gymnasium vector environments, a class per task: many arms, stepped together by compiled code on several threads."""
+"""Gymnasium environments, with one arm and with many that compiled code steps together on several threads: two classes per task, whose
+description is their documentation."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar, TypeVar
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.error import ResetNeeded
+from gymnasium.error import ClosedEnvironmentError, ResetNeeded
+from gymnasium.spaces import Box, Dict
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from soft_tendon_env.envs.arms import Indices
-from soft_tendon_env.envs.episodes import Beginning
-from soft_tendon_env.envs.options import MASK, reset_options
-from soft_tendon_env.envs.single import EpisodesEnv, class_of, of_row
+from soft_tendon_env.envs.episodes import Beginning, Episodes
+from soft_tendon_env.envs.frames import RENDER_MODES, Frames, make_renderer
+from soft_tendon_env.envs.options import MASK, Options, reset_options
+from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.envs.tasks import Task, task_of_class
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.state import State
 from soft_tendon_env.tools.checks import checked_array, checked_count
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import Array
 
+Class = TypeVar("Class", bound="EpisodesEnv")
+ONE = np.zeros(1, dtype=np.int64)
 MODES = {mode.name.lower(): mode for mode in AutoresetMode}
+
+
+class EpisodesEnv:
+    """Base of environments with one row of `Episodes` and with many: `self.episodes`, its spaces and its renderer."""
+
+    metadata: dict[str, Any] = {"render_modes": [*RENDER_MODES]}
+    task: ClassVar[Task]
+    closed = False
+
+    def _make(self, options: dict[str, Any], rows: int, threads: int | None, render_mode: str | None) -> None:
+        self.render_mode = render_mode
+        self.episodes = Episodes(self.task, Options.parse(options, type(self).__name__), rows, threads)
+        self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": max(1, round(1.0 / self.episodes.period))}
+        self._begun = False
+        self._renderer = make_renderer(self.episodes, render_mode)
+
+    @property
+    def model(self) -> Model:
+        """The model that the environment simulates, before randomisation."""
+        return self.episodes.model
+
+    def _spaces(self) -> tuple[Box | Dict, Box]:
+        """Observation and action space of one row."""
+        actions, seen = Box(-1.0, 1.0, (self.model.tendon_count,), np.float32), self.episodes.layout.space
+        if not self.task.goal:
+            return seen, actions
+        reach = np.float32(self.episodes.goal_bound)
+        goal = Box(-reach, reach, (3,), np.float32)
+        return Dict({"observation": seen, "achieved_goal": goal, "desired_goal": goal}), actions
+
+    def _refuse(self, called: str, begun: bool) -> None:
+        """Raises ClosedEnvironmentError after close, and ResetNeeded unless begun."""
+        if self.closed:
+            raise ClosedEnvironmentError(f"{called} was called after close: make a new environment")
+        if not begun:
+            raise ResetNeeded(f"{called} was used before reset")
+
+    def _frames(self) -> Frames | None:
+        if self._renderer is None:
+            gym.logger.warn("render was called, but the environment was made without a render_mode")
+        frames: Frames | None = None if self._renderer is None else self._renderer.frames()
+        return frames
+
+
+class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
+    """A Gymnasium environment with one arm: one row of `Episodes`, `self.episodes`. Copies and pickles go on from where it is."""
+
+    def __init__(self, render_mode: str | None = None, **options: Any) -> None:
+        """`render_mode`: None, "rgb_array", or "human", which opens the Rerun viewer; options: see `Options`.
+
+        Raises ConfigurationError, ValueError for other modes, gymnasium.error.Error where what a mode needs is not there.
+        """
+        self._make(options, 1, None, render_mode)
+        self.observation_space, self.action_space = self._spaces()
+        self._most_steps = np.inf
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """A new episode; options: see `ResetOptions`. Raises ValueError or TypeError for bad seeds and options, before anything changes."""
+        self._refuse("reset", begun=True)
+        seed, given = None if seed is None else checked_count("seed", seed, 0), reset_options(options)
+        beginnings = self.episodes.beginnings(given, ONE)
+        super().reset(seed=seed)
+        self._begun = False
+        self.episodes.begin(ONE, [self.np_random], beginnings)
+        self._begun, self._most_steps = True, given[0].episode_steps or np.inf if given else np.inf
+        if self._renderer is not None:
+            self._renderer.begin(ONE)
+        return of_row(self.episodes.observation(), 0), self._info()
+
+    def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """One control period. Raises ValueError or TypeError for an action of wrong shape or type or with NaN, before anything changes."""
+        if self.closed or not self._begun:
+            self._refuse("step", self._begun)
+        self.episodes.step(checked_array("action", action, (self.episodes.model.tendon_count,))[None])
+        if self._renderer is not None:
+            self._renderer.step(ONE)
+        info = self._info()
+        terminated, truncated = info["diverged"], bool(self.episodes.step_count[0] >= self._most_steps)
+        if terminated:
+            info["cause"] = self.episodes.cause(0)
+        return of_row(self.episodes.observation(), 0), float(self.episodes.reward[0]), terminated, truncated, info
+
+    @property
+    def state(self) -> State:
+        """A copy of the arm's state, as `Simulation` has it. Setting it puts the arm there, in mid-episode too: the target, commands on
+        their way, noise and past observations of the episode stay. Raises TypeError, ValueError where it is not one of this arm."""
+        return self.episodes.state(0)
+
+    @state.setter
+    def state(self, state: State) -> None:
+        self._refuse("state", self._begun)
+        self.episodes.set_state(0, state)
+
+    def target_at(self, times: ArrayLike) -> TargetSamples:
+        """The episode's target at times (m,) [s] from its beginning, past or future."""
+        self._refuse("target_at", self._begun)
+        return self.episodes.trajectories.at(0, checked_array("times", times, (None,)))
+
+    def _info(self) -> dict[str, Any]:
+        return {name: value.item(0) for name, value in self.episodes.info().items()}
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The arm, its tendons, the target and the tip's trail, (height, width, 3); None without a render mode, and with "human": there
+        every reset and step shows itself in the viewer, no faster than in real time."""
+        self._refuse("render", self._begun)
+        frames = self._frames()
+        return None if frames is None else frames[0]
+
+    def close(self) -> None:
+        """The end: the rest of what is shown is sent (the viewer stays open); reset, step and render are refused from now on."""
+        if self._renderer is not None:
+            self._renderer.close()
+        self.closed = True
 
 
 class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
@@ -73,7 +192,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         Raises ValueError or TypeError for bad seeds and options, before anything changes.
         """
         self._refuse("reset", begun=True)
-        members, seeds, given = self._all, _checked_seeds(seed, self.num_envs), reset_options(options, self.num_envs)
+        members, seeds, given = self._all, _check_seeds(seed, self.num_envs), reset_options(options, self.num_envs)
         if options is not None and MASK in options:
             mask = np.asarray(options[MASK])
             if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
@@ -119,10 +238,10 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
             causes = [self.episodes.cause(row) if failed else None for row, failed in enumerate(terminated.tolist())]
             info |= {"cause": np.array(causes, dtype=object), "_cause": terminated.copy()}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
-            observation, info = self._restarted(observation, info)
+            observation, info = self._restart(observation, info)
         return observation, reward, terminated, truncated, info
 
-    def _restarted(self, observation: Any, info: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+    def _restart(self, observation: Any, info: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         """Reset the ended rows at once; what they ended with goes to final_obs and final_info."""
         ended, final_obs = self._ended.copy(), np.full(self.num_envs, None, dtype=object)
         for row in np.flatnonzero(ended):
@@ -159,16 +278,44 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
             self._renderer.close()
 
 
-def _checked_seeds(seed: Any, rows: int) -> list[int | None]:
+def _check_seeds(seed: Any, rows: int) -> list[int | None]:
     """A seed for each row, None to go on. Raises TypeError or ValueError."""
     if seed is None:
         return [None] * rows
     if isinstance(seed, list | tuple | np.ndarray) and np.ndim(seed):
         if len(seed) != rows:
             raise ValueError(f"seed should be an int or a list of {rows}, not of {len(seed)}")
-        return [None if own is None else checked_count(f"seed[{i}]", own, 0) for i, own in enumerate(seed)]
+        return [None if one is None else checked_count(f"seed[{i}]", one, 0) for i, one in enumerate(seed)]
     first = checked_count("seed", seed, 0)
     return [first + i for i in range(rows)]
+
+
+def of_row(observation: Any, row: int) -> Any:
+    """A row of observations."""
+    return {key: value[row] for key, value in observation.items()} if isinstance(observation, dict) else observation[row]
+
+
+def compute_reward(self: EpisodesEnv, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any) -> Any:
+    """Rewards (...) of goals (..., 3) [m], as hindsight experience replay asks for; a float for one. Raises ValueError for other shapes."""
+    reward = self.episodes.goal_reward(achieved_goal, desired_goal)
+    return float(reward) if reward.ndim == 0 else reward
+
+
+_CLASSES: dict[str, Any] = {}
+
+
+def class_of(task: Task, suffix: str, base: type[Class], doc: str) -> type[Class]:
+    """The class `<task><suffix>`, the same at every call; one of a goal-conditioned task has `compute_reward`."""
+    name = f"{task.name}{suffix}"
+    if name not in _CLASSES or _CLASSES[name].task is not task:
+        of_goals = {"compute_reward": compute_reward} if task.goal else {}
+        _CLASSES[name] = type(name, (base,), {"task": task, "__doc__": doc, "__module__": base.__module__, **of_goals})
+    return _CLASSES[name]
+
+
+def environment_class(task: Task) -> type[TendonRodEnv]:
+    """The class of a task's environments with one arm, `<name>Env`; the same at every call."""
+    return class_of(task, "Env", TendonRodEnv, task.description)
 
 
 def vector_environment_class(task: Task) -> type[TendonRodVectorEnv]:
@@ -176,6 +323,8 @@ def vector_environment_class(task: Task) -> type[TendonRodVectorEnv]:
     return class_of(task, "VectorEnv", TendonRodVectorEnv, f"Rows of `{task.name}Env`.")
 
 
-def __getattr__(name: str) -> type[TendonRodVectorEnv]:
-    """`<name>VectorEnv` of every registered task: for Gymnasium's entry points, and for pickles."""
-    return vector_environment_class(task_of_class(name, "VectorEnv", __name__))
+def __getattr__(name: str) -> type[TendonRodEnv] | type[TendonRodVectorEnv]:
+    """`<name>Env` and `<name>VectorEnv` of every registered task: for Gymnasium's entry points, and for pickles."""
+    if name.endswith("VectorEnv"):
+        return vector_environment_class(task_of_class(name, "VectorEnv", __name__))
+    return environment_class(task_of_class(name, "Env", __name__))

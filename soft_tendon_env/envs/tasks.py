@@ -1,0 +1,217 @@
+"""Tasks: what is observed, which tracking errors count, what is rewarded. An environment is an arm and a task.
+
+A task is one object, here or in a file of a user: `register_task(Task(...))`; `examples/own_task.py` is one from outside.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from soft_tendon_env.envs.observation import GROUPS, Group
+from soft_tendon_env.envs.targets import TARGETS
+from soft_tendon_env.envs.tracking import ANGLE, BACKBONE, COORDINATES, OWN_TERMS, POSITION, TERMS, Term, Tracking, TrackingError
+from soft_tendon_env.registration import MAX_EPISODE_STEPS, register_environment
+from soft_tendon_env.tools.configuration import not_among, not_registered
+
+STATIONS = 20  # places along the backbone at which shapes are compared, the tip the last
+
+TIP = ("tip_position", "tip_rotation")  # groups that every task of the package observes
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task: one object from which its environments are made.
+
+    Attributes:
+        name: as in the id `TendonRod-<name>-v0` and the classes `<name>Env`, `<name>VectorEnv`.
+        description: the environments' docstring.
+        target: name of the target unless options say otherwise, see targets/.
+        observations: names of the groups of each named choice of the option `observation`, "full" the default.
+        errors: what is measured at every step, the first of them what is to settle.
+        reward: default weights by term: those of `errors`, "effort", "smoothness", and those of `register_reward_term`. Not for goals.
+        groups: observation groups of the task's own, besides those of observation.py.
+        reference: groups that give a controller its reference, where it observes the coordinates.
+        measured_reference: groups that give a controller its reference, where a state estimator finds the coordinates.
+        shapes: whether it compares whole shapes, and so needs a target that gives shapes.
+        goal: for goal-conditioned tasks, what their goals (3,) [m] are.
+    """
+
+    name: str
+    description: str
+    target: str
+    observations: Mapping[str, tuple[str, ...]]
+    errors: tuple[TrackingError, ...]
+    reward: Mapping[str, float] = field(default_factory=dict)
+    groups: Mapping[str, Group] = field(default_factory=dict)
+    reference: tuple[str, ...] = ()
+    measured_reference: tuple[str, ...] = ()
+    shapes: bool = False
+    goal: str | None = None
+
+    @property
+    def terms(self) -> dict[str, Term]:
+        """The reward terms that the task has, by name."""
+        return {**OWN_TERMS, **{error.term: Term(error.name, error.scale, error.of_length) for error in self.errors}, **TERMS}
+
+    @property
+    def observable(self) -> dict[str, Group]:
+        """The groups that the task has, by name: those whose quantities its target has."""
+        lacks = {name for name, group in GROUPS.items() if group.of_shape and not self.shapes or group.of_target and self.goal is not None}
+        return {**{name: group for name, group in GROUPS.items() if name not in lacks}, **self.groups}
+
+    def __reduce__(self) -> str:
+        return self.name  # pickled by name, since its functions have none; copies share it
+
+    @property
+    def id(self) -> str:
+        """Gymnasium's id of the environments."""
+        return f"TendonRod-{self.name}-v0"
+
+
+TASKS: dict[str, Task] = {}
+"""Every registered task, by its name."""
+
+
+def register_task(task: Task, max_episode_steps: int = MAX_EPISODE_STEPS) -> Task:
+    """Make a task known: its id to Gymnasium, its classes to `soft_tendon_env.envs`, its name to `make_policy`; returns the task.
+
+    A second task of the same name replaces the first. Raises ValueError for another name than one word in capitals, and for a target or
+    a group that does not exist.
+    """
+    if not re.fullmatch("[A-Z][A-Za-z0-9]*", task.name):
+        raise ValueError(f"a task's name should be one word in capitals such as 'TipPose', not {task.name!r}")
+    groups = [*task.reference, *task.measured_reference, *(name for names in task.observations.values() for name in names)]
+    for names, valid in (([task.target], [*TARGETS]), (groups, [*task.observable])):
+        if unknown := [name for name in names if name not in valid]:
+            raise ValueError(f"the task {task.name} names {unknown[0]!r}: {not_among(unknown[0], valid)}")
+    TASKS[task.name] = task
+    register_environment(task.name, max_episode_steps)
+    return task
+
+
+def task_of_class(name: str, suffix: str, module: str) -> Task:
+    """The registered task of the class `<task><suffix>`. Raises AttributeError, as modules do for what they do not have."""
+    task = name.removesuffix(suffix)
+    if not name.endswith(suffix) or task not in TASKS:
+        raise AttributeError(f"module {module!r} has no attribute {name!r}; of tasks, {not_registered(task, TASKS)}")
+    return TASKS[task]
+
+
+def __getattr__(name: str) -> Task:
+    """A registered task by its name: for pickles."""
+    return task_of_class(name, "", __name__)
+
+
+TIP_POSE = register_task(
+    Task(
+        name="TipPose",
+        description="""
+## Description
+The policy moves the tip of a tendon-driven soft arm along a moving pose: position and orientation. The arm is a Cosserat rod
+with the statics-based reduced dynamics of Mathew, Renda et al. (RA-L 2024). The default arm is the paper's, 1 m long with ten
+tendons.
+
+## Action Space
+`Box(-1, 1, (n_a,), float32)` has one entry per tendon; larger values are clipped. With `action="tension"`, -1 and 1 are the
+smallest and the largest tension, 0 and 60 N on the default arm: tendons pull and do not push. With `action="increment"`, -1 and 1
+are the largest decrease and increase of a tension in one control period.
+
+## Observation Space
+`Box(float32)` holds groups side by side: coordinates, rates, tip_position, tip_rotation, tip_twist, target_error, target_twist,
+preview, last_action. Each is scaled to about 1 and clipped to ±10, the two errors of the target to ±100. The option `observation`
+chooses others, see docs/reference/environments.md.
+
+## Rewards
+The reward is a weighted mean of terms between 0 and 1, and 0 where the simulation diverged. `info` has each term as
+`reward_<term>`.
+
+- `position` (weight 1) and `angle` (0.5) are 1 / (1 + (error / scale)^2), with scales of 0.05 lengths of the rod and 0.5 rad.
+- `effort` (0.05) is 1 minus the mean square tension, as a share of the limits.
+- `smoothness` (0.05) is 1 minus a quarter of the mean square change of the action.
+
+## Starting State
+The arm rests under the tensions nearest to zero. The target is drawn at every reset. By default it is a closed smooth random motion
+through poses that the arm can hold. `reset(options=...)` sets both.
+
+## Episode End
+An episode is truncated after 500 steps, 10 s at the default control period, unless `gym.make` is given `max_episode_steps`. It
+is terminated if no time step of the simulation succeeds, however small. Then `info["diverged"]` is true, `info["cause"]` says
+why, and the observation is the last good one.
+
+## Arguments
+Every environment takes the keyword arguments of `soft_tendon_env.envs.Options`.
+""",
+        target="random",
+        observations={
+            "full": ("coordinates", "rates", *TIP, "tip_twist", "target_error", "target_twist", "preview", "last_action"),
+            "measurable": (*TIP, "tendon_lengths", "strain", "target_error", "target_twist", "preview", "last_action"),
+        },
+        errors=(POSITION, ANGLE),
+        reward={"position": 1.0, "angle": 0.5, "effort": 0.05, "smoothness": 0.05},
+        reference=("target_error", "preview"),
+        measured_reference=("target_error", "preview"),
+    )
+)
+
+SHAPE = register_task(
+    Task(
+        name="Shape",
+        description="""
+## Description
+The policy moves the whole arm through a sequence of shapes: the static equilibria under given tensions (shape control of Mathew,
+Renda et al., RA-L 2024, Section IV-A). Actions, episode end and arguments are those of `TipPoseEnv`. The target must be defined by
+tensions; with `target="ramp"` it is the paper's: tensions rise from rest for 2.5 s and are then held.
+
+## Observation Space
+`Box(float32)` holds groups side by side: coordinates, rates, tip_position, tip_rotation, target_coordinates, coordinate_preview,
+last_action. See docs/reference/environments.md.
+
+## Rewards
+As in `TipPoseEnv`, with the term `backbone` (weight 1) in place of `position` and `angle`. Its error is the root mean square
+distance between the backbone and the target, with a scale of 0.05 lengths of the rod. `coordinates` (norm of the coordinates'
+error) and `position` are further terms, with weight 0 by default.
+""",
+        target="random",
+        observations={
+            "full": ("coordinates", "rates", *TIP, "target_coordinates", "coordinate_preview", "last_action"),
+            "measurable": (*TIP, "tendon_lengths", "strain", "target_error", "target_lengths", "preview", "last_action"),
+        },
+        errors=(BACKBONE, COORDINATES, POSITION),
+        reward={"backbone": 1.0, "effort": 0.05, "smoothness": 0.05},
+        reference=("target_coordinates", "coordinate_preview"),
+        measured_reference=("target_error", "preview", "wanted_coordinates"),
+        shapes=True,
+    )
+)
+
+REACH = register_task(
+    Task(
+        name="Reach",
+        description="""
+## Description
+The policy brings the tip of a tendon-driven soft arm to a point. The task is goal-conditioned, for hindsight experience replay
+(HER). Actions, starting state, episode end and arguments are those of `TipPoseEnv`, with the argument `threshold`.
+
+## Observation Space
+`Dict` with three entries. `observation` has the groups coordinates, rates, tip_position, tip_rotation, tip_twist, last_action.
+`achieved_goal` and `desired_goal` are tip positions in metres, `Box((3,), float32)`.
+
+## Rewards
+`reward="sparse"` is 1 within `threshold` (0.01 lengths of the rod) of the goal, else 0. `reward="dense"` is
+1 / (1 + (distance / (5 threshold))^2). `compute_reward(achieved_goal, desired_goal, info)` gives the same for many goals.
+
+## Starting State
+The goal is drawn: it is the tip's position at rest under random tensions. One within `threshold` of where the tip begins is drawn
+again; a goal that is given stays. Reaching it does not end the episode; `info["is_success"]` says whether the tip is there.
+""",
+        target="hold",
+        observations={
+            "full": ("coordinates", "rates", *TIP, "tip_twist", "last_action"),
+            "measurable": (*TIP, "tendon_lengths", "strain", "last_action"),
+        },
+        errors=(POSITION,),
+        goal="tip position",
+    )
+)
+
+__all__ = ["TASKS", "Task", "Tracking", "TrackingError", "register_task"]
