@@ -27,7 +27,7 @@ SIZES = {
 }
 LIMITS = {
     "lines of the package": 28_500,
-    "lines of the tests": 15_900,
+    "lines of the tests": 16_500,
     "lines of the largest folder": 6_000,
     "lines of the longest file": 330,
     "words of the documentation": 35_000,

@@ -12,7 +12,6 @@ from soft_tendon_env.evaluation.summaries import (
     CHATTER_COST,
     WORST,
     Standing,
-    Tails,
     bootstrap_interval,
     difference,
     interquartile_mean,
@@ -135,7 +134,7 @@ def test_an_episode_that_diverged_is_worse_than_any_number():
     assert standing([[1.0, 2.0], [3.0, 100.0]]).mean(KEY).value == 2.5
     assert standing([[1.0, 1.0], [1.0, None]]).mean(KEY).value == 1.0
     half = standing([[1.0, 1.0, None, None]])
-    assert Tails.of(half.values(KEY)) == (math.inf, math.inf)
+    assert summaries.tails(half.values(KEY)) == (math.inf, math.inf)
     assert half.mean(KEY).value == math.inf
 
 
@@ -181,7 +180,7 @@ def test_the_middle_half_is_averaged_and_counts_are_cut_as_scipy_cuts_them(count
     ],
 )
 def test_tails_are_what_the_middle_half_hides(values, tails):
-    assert Tails.of(values) == pytest.approx(tails, nan_ok=True)
+    assert summaries.tails(values) == pytest.approx(tails, nan_ok=True)
 
 
 def test_a_run_without_a_number_is_the_worst():
