@@ -1,5 +1,7 @@
 """`soft-tendon run`: a policy on a robot, real or simulated, with a log of it."""
 
+import importlib
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -18,10 +20,11 @@ from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.recording import RecordRollout
 from soft_tendon_env.robots.environment import PATIENCE, REST_SPEED, SETTLE, RobotEnv, rehearse, run_policy
 from soft_tendon_env.robots.log import check_log
-from soft_tendon_env.robots.protocol import load_robot
+from soft_tendon_env.robots.protocol import Robot, check_robot
 from soft_tendon_env.robots.simulated import OF_ARM
-from soft_tendon_env.tools.configuration import parsed_changes
+from soft_tendon_env.tools.configuration import parsed_changes, shown
 from soft_tendon_env.tools.messages import UserError
+from soft_tendon_env.tools.parallel import look_in_this_folder
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 SIMULATED = "soft_tendon_env.robots:SimulatedRobot"
@@ -82,3 +85,15 @@ def run(settings: Run) -> None:
     print(report.timing)
     if not report.finished:
         raise UserError(f"the robot was stopped: {report.stop.cause}")
+
+
+def load_robot(name: str, options: Mapping[str, Any]) -> Robot:
+    """The robot that a class MODULE:CLASS, also of the current folder, makes of these options. Raises ValueError, and what that raises."""
+    look_in_this_folder()
+    module, _, attribute = name.partition(":")
+    try:
+        robot: Robot = getattr(importlib.import_module(module), attribute)(**options)
+        check_robot(robot)
+    except (ImportError, AttributeError, TypeError) as error:
+        raise ValueError(f"robot is {name!r} with the options {shown(dict(options))}: it should be MODULE:CLASS; {error}") from error
+    return robot

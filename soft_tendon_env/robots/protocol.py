@@ -1,14 +1,10 @@
 """Interface of a real arm: measurements that are read, and commands of its tendons that are written; see docs/how_to/robots.md."""
 
-import importlib
-from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from soft_tendon_env.tools.checks import checked_array, checked_number
-from soft_tendon_env.tools.configuration import shown
-from soft_tendon_env.tools.parallel import look_in_this_folder
 from soft_tendon_env.tools.types import Array
 
 Unit = Literal["N", "m"]
@@ -51,18 +47,6 @@ def check_robot(robot: Any) -> None:
     """Raises TypeError for an object without a part of `Robot`."""
     if missing := [part for part in ("read", "write", "close", "command_unit", "senses") if not hasattr(robot, part)]:
         raise TypeError(f"{type(robot).__name__} should have {missing[0]}, see soft_tendon_env.robots.Robot")
-
-
-def load_robot(name: str, options: Mapping[str, Any]) -> Robot:
-    """The robot that a class MODULE:CLASS, also of the current folder, makes of these options. Raises ValueError, and what that raises."""
-    look_in_this_folder()
-    module, _, attribute = name.partition(":")
-    try:
-        robot: Robot = getattr(importlib.import_module(module), attribute)(**options)
-        check_robot(robot)
-    except (ImportError, AttributeError, TypeError) as error:
-        raise ValueError(f"robot is {name!r} with the options {shown(dict(options))}: it should be MODULE:CLASS; {error}") from error
-    return robot
 
 
 def check_measurement(given: Any, senses: tuple[str, ...], tendons: int, sensors: int) -> Measurement:

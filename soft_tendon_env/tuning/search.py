@@ -7,6 +7,7 @@ import json
 import shutil
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -75,11 +76,8 @@ class Search(Configuration, ABC):
     def play(self, make: Callable[[Any], Policy], task: str, options: Mapping[str, Any], seconds: float, skip: float) -> float:
         """Cost [m] of a policy over the tuning seeds, under one condition."""
         steps = episode_steps(seconds, skip, options)
-        envs = gym.make_vec(IDS[task], num_envs=self.episodes, max_episode_steps=steps, **options)
-        try:
+        with closing(gym.make_vec(IDS[task], num_envs=self.episodes, max_episode_steps=steps, **options)) as envs:
             return tracking_cost(evaluate_rows(make(envs), envs, SEEDS["tuning"][: self.episodes], skip))
-        finally:
-            envs.close()
 
 
 class ControllerSearch(Search):

@@ -71,8 +71,7 @@ def tune(search: Search, folder: Path, workers: int, cluster: str | None = None)
     """
     study = open_study(search, folder)
     missing = range(len(study.get_trials(states=DONE)), search.trials)
-    if missing:
-        run_all(partial(run_trial, search, folder), missing, workers, "study", unit="trial", cluster=cluster)
+    run_all(partial(run_trial, search, folder), missing, workers, "study", unit="trial", cluster=cluster)
     trials, rows = study.get_trials(states=DONE), list[dict[str, object]]()
     for trial in trials:
         head = {"trial": trial.number, "state": trial.state.name.lower(), "cost": trial.value}

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from soft_tendon_env.cli.main import main
+from soft_tendon_env.cli.run import load_robot
 from soft_tendon_env.robots import SimulatedRobot
-from soft_tendon_env.robots.protocol import load_robot
 
 ARM = ["--scene", "three_tendon", "--fidelity", "fast"]
 STEPPED = ["--robot-options", "real_time=false", "randomize={stiffness=0.8,latency=0.02}"]
