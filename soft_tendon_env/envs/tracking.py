@@ -141,7 +141,7 @@ class Tracking(NamedTuple):
     @property
     def time(self) -> Array:
         """Time (rows,) [s] since the episode began."""
-        return self.arms.period * self.step_count
+        return np.asarray(self.arms.period * self.step_count, dtype=np.float64)
 
     @property
     def tip_pose(self) -> Array:

@@ -160,7 +160,7 @@ def _refusal(name: str, entries: Mapping[str, Any]) -> str:
         return f"is no parameter: {_misfit(name, entries[name])}"
     effect = name.removeprefix("effects.").partition(".")[0] if name.startswith("effects.") else ""
     if effect in EFFECTS and not any(f"{key}.".startswith(f"effects.{effect}.") for key in entries):
-        return f"is no number of the scene: the scene has no [effects.{effect}]: add it"
+        return f"is no number yet: the scene has no [effects.{effect}]: add it"
     if parts := {part for key in _matching(f"{name}.*", entries) if (part := key.rpartition(".")[2]).isdecimal()}:
         return f"is a vector of {len(parts)} numbers: name one, {name}.0, or all by a common factor, {name}.*"
     valid = {re.sub(r"\.\d+(?=\.|$)", ".*", key) for key, value in entries.items() if not _misfit(key, value)}

@@ -203,9 +203,8 @@ def test_an_own_metric_has_its_unit_in_tables_and_is_missing_where_it_is_nan(mon
     assert [summary_cells(summarise(one))["farthest [mm]"] for one in (known, none)] == ["300", "-"]
     assert math.isnan(Standing([known * 3 + none]).mean("farthest").high) and Standing([known * 3 + none]).mean("farthest").value == 0.3
     died = [score(episode(cause="too fast"), skip=0.0)]
-    write_csv(
-        tmp_path / "found.csv", records({(name, "nominal"): Standing([one]) for name, one in (("a", known), ("b", none), ("c", died))})
-    )
+    found = {(name, "nominal"): Standing([one]) for name, one in (("a", known), ("b", none), ("c", died))}
+    write_csv(tmp_path / "found.csv", records(found))
     rows = [*csv.DictReader((tmp_path / "found.csv").open())]
     assert [row["farthest"] for row in rows] == ["0.3", "", "0.3"] and [row["chatter_mean"] for row in rows] == ["", "", "inf"]
 
