@@ -24,6 +24,7 @@ class Discretisation:
     """The discretised rod as effects see it when their parameters are made: slices around nodes, and quadrature points.
 
     Arrays over nodes and points are in order from base to tip; `mechanics.types.node_field` and `point_field` lay them out for kernels.
+    `over_nodes` leaves out the share of the base, which does not move: a density of 1 can give 0.285 m in all on a rod of 0.3 m.
     """
 
     length: float  # [m] of the rod
@@ -70,9 +71,12 @@ class Effect(Configuration):
             tensions is without it.
         command_unit: unit of the commands that it takes; "N": the tension that comes of them at rest.
         strengths: keys, of numbers or vectors, whose size says how strong it is: passive fields made under it hold under weaker ones.
+        world_vectors: keys of vectors in the world frame, unless a key `frame` is not "world". They turn against the base where its
+            mount is identified. (): the effect knows no world frame; None: it stands in the world otherwise, and no mount may turn.
     """
 
     strengths: ClassVar[tuple[str, ...]] = ()
+    world_vectors: ClassVar[tuple[str, ...] | None] = None
     is_contact: ClassVar[bool] = False
     is_actuation: ClassVar[bool] = False
     command_unit: ClassVar[str] = "N"

@@ -33,6 +33,7 @@ class Gravity(Effect):
     """`[effects.gravity]`: weight of the rod and its payload, in the world frame, in which the straight rod lies along x."""
 
     strengths: ClassVar[tuple[str, ...]] = ("acceleration",)
+    world_vectors: ClassVar[tuple[str, ...] | None] = ("acceleration",)
 
     acceleration: Triple = Field(description="acceleration (x, y, z) [m/s^2]")
 
@@ -66,6 +67,7 @@ class TipLoad(Effect):
     """`[effects.tip_load]`: a wrench at the tip, and a payload fixed to it."""
 
     strengths: ClassVar[tuple[str, ...]] = ("force", "moment", "mass")
+    world_vectors: ClassVar[tuple[str, ...] | None] = ("force", "moment")
 
     force: Triple = Field((0.0, 0.0, 0.0), description="force (x, y, z) at the tip [N]")
     moment: Triple = Field((0.0, 0.0, 0.0), description="moment (x, y, z) at the tip [N m]")

@@ -1,6 +1,7 @@
 """Materials: stresses of the strains besides the linear law: stiffening, and viscoelastic memory."""
 
 import math
+from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -24,6 +25,8 @@ class NonlinearElasticity(Effect):
     The leading term of any law that is odd in the strain (R. W. Ogden, Non-linear Elastic Deformations, 1984, chapter 4), as silicone and
     rubber stiffen. Its energy per length is 1/2 Sigma_i e_i^2 (1 + (e_i / e0_i)^2 / 2). A strain without an e0_i stays linear.
     """
+
+    world_vectors: ClassVar[tuple[str, ...] | None] = ()
 
     torsion: Positive | None = Field(None, description="e0 of torsion [1/m]")
     bending: Positive | None = Field(None, description="e0 of both curvatures [1/m]; the surface of a rod of radius r is strained by r e0")
@@ -79,6 +82,8 @@ class ViscoelasticMemory(Effect):
     Over a time step a branch answers as a spring where that is short beside tau_k, as a damper where it is long: so it enters the implicit
     step, and may be as stiff and fast as it likes.
     """
+
+    world_vectors: ClassVar[tuple[str, ...] | None] = ()
 
     branches: tuple[Branch, ...] = Field(min_length=1, description="one or more tables, see `Branch`")
 

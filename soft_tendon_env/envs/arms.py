@@ -38,7 +38,7 @@ class Arms:
 
     def __init__(self, model: Model, rows: int, period: float, stations: Array, sensors: Array, threads: int | None = None) -> None:
         """`stations` and `sensors`: arc lengths [m] at which poses and strains are read."""
-        self.model, self.size = model, rows
+        self.model, self.size, self.period = model, rows, period
         self.places = model.grid.places(stations, sensors)
         self.threads = max(1, min(threads or processors(), rows // LEAST_ROWS))
         control, n = step_control(model, period), model.coordinate_count

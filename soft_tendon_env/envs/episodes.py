@@ -228,7 +228,8 @@ class Episodes:
         self.present = self.layout.present(self.observed)
         if self.history is not None:
             self.history.keep(self.present, self.step_count, members)
-        tracking = Tracking(self.arms, reading, error[:, 0], off[0], off[1], self.target, self._applied, self._action_change)
+        now = self.target, self._applied, self._action_change, self.step_count
+        tracking = Tracking(self.arms, reading, error[:, 0], off[0], off[1], *now)
         self.errors = {error.name: error.value(tracking) for error in self.task.errors}
         self.diverged = self.arms.outcome.status != OK
         if self.options.tip_speed_limit is not None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field
 
-from soft_tendon_env.envs.arms import Arms
+from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.kernels import EFFORT, SMOOTHNESS, TermTable, reward_terms
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.mechanics.motion.batch import Reading
@@ -72,6 +72,11 @@ class Reward:
         total = sum(weight.weight for weight in weights.values())
         unknown = [name for name in weights if name not in available]
         problems = [Problem(("reward", name), f"is no term of this environment: {not_among(name, available)}") for name in unknown]
+        scaled = [name for name, term in available.items() if isinstance(term.of, str)]
+        for name, weight in weights.items():
+            if weight.scale is not None and name in available and name not in scaled:
+                text = f"is {', '.join(map(shown, weight.scale))}: this term has a weight alone; those with a scale are {', '.join(scaled)}"
+                problems.append(Problem(("reward", name, "scale"), text))
         problems += [] if total > 0.0 else [Problem(("reward",), "should give at least one term a weight above 0")]
         if problems:
             raise ConfigurationError(problems, "environment")
@@ -117,7 +122,11 @@ def goal_distance(achieved: ArrayLike, desired: ArrayLike) -> Array:
 
 
 class Tracking(NamedTuple):
-    """The arm and its target now, rows first, without noise: of which tracking errors and reward terms are functions."""
+    """The arm and its target now, rows first, without noise: of which tracking errors and reward terms are functions.
+
+    A time limit lies around the environment, so how many steps are left is not known here: a term that counts towards the end of
+    episodes compares `time` or `step_count` with a number of its own.
+    """
 
     arms: Arms
     reading: Reading  # of the arms, such as `tip_twist` (rows, 6), `tendon_length` (rows, n_a) [m], and `strain` at the sensors
@@ -127,6 +136,12 @@ class Tracking(NamedTuple):
     target: TargetSamples  # (rows, 1 + previews, ..) now and at each preview time, its backbone (rows, 1 + previews, stations, 3) [m]
     command: Array  # (rows, n_a) as applied, tensions [N] or what the scene's effects make tensions of
     action_change: Array  # (rows, n_a) change of the action, in [-2, 2]
+    step_count: Indices  # (rows,) control periods since the episode began, 0 after its reset
+
+    @property
+    def time(self) -> Array:
+        """Time (rows,) [s] since the episode began."""
+        return np.asarray(self.arms.period * self.step_count, dtype=np.float64)
 
     @property
     def tip_pose(self) -> Array:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from soft_tendon_env.envs import Options
@@ -181,7 +182,8 @@ def gaps(of: Standings, learned: set[str]) -> dict[str, Mean]:
     for setting in dict.fromkeys(setting for _, setting in of):
         kinds = [[standing for (name, at), standing in of.items() if at == setting and (name in learned) == kind] for kind in (True, False)]
         if all(kinds):
-            one, other = (min(kind, key=lambda standing: standing.mean(f"{standing.error}_rms").value) for kind in kinds)
+            errors = [[standing.mean(f"{standing.error}_rms").value for standing in kind] for kind in kinds]
+            one, other = (kind[int(np.argsort(of_kind, kind="stable")[0])] for kind, of_kind in zip(kinds, errors, strict=True))  # NaN last
             found[setting] = difference(one, other, f"{one.error}_rms")
     return found
 

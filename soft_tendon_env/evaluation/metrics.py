@@ -24,8 +24,9 @@ class Episode:
     """Course of an episode; sample 0 is what its reset left, sample k what its k-th step did.
 
     period [s]; length [m] of the rod; errors (1 + steps,) each, the first of them what is to settle; reward (steps,); tension
-    (1 + steps, n_a) [N] as applied; seconds (steps,) that the policy took; jumped: whether a stepwise target jumped in the last step;
-    reached: whether a goal was in the end (None: no goal); cause of its divergence (None: it lived).
+    (1 + steps, n_a) [N] as applied; tip_position and target_position (1 + steps, 3) [m], both of the tip; seconds (steps,) that the
+    policy took; jumped: whether a stepwise target jumped in the last step; reached: whether a goal was in the end (None: no goal);
+    cause of its divergence (None: it lived).
     """
 
     seed: int
@@ -34,6 +35,8 @@ class Episode:
     errors: Mapping[str, Array]
     reward: Array
     tension: Array
+    tip_position: Array
+    target_position: Array
     seconds: Array
     jumped: bool = False
     reached: bool | None = None
@@ -41,11 +44,12 @@ class Episode:
 
 
 class Metric(NamedTuple):
-    """Number of an episode: its heading in tables, with the unit, and its function of the episode and the first sample that counts. Of
-    several episodes it is the root mean square."""
+    """Number of an episode: its heading in tables, with the unit, and its function of the episode and the first sample that counts, in SI
+    units. factor: from these to the heading's unit. Of several episodes it is the root mean square. NaN: the episode has none."""
 
     heading: str
     of_episode: Callable[[Episode, int], float]
+    factor: float = 1.0
 
 
 class ErrorScore(NamedTuple):
@@ -92,12 +96,12 @@ class EpisodeScore:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """All that has an interquartile mean over episodes, by name; infinite where an episode has no such number, and errors and chatter
-        where it diverged."""
+        """All that has an interquartile mean over episodes, by name: NaN where an episode has no such number, but infinite errors and
+        chatter where it diverged."""
         errors = {f"{name}_{kind}": value for name, of in self.errors.items() for kind, value in of._asdict().items()}
         lost = {*errors, "chatter"} if self.diverged is not None else set[str]()
         found = {**errors, **self.metrics, "seconds": self.action_time}
-        return {name: math.inf if name in lost or not math.isfinite(value) else value for name, value in found.items()}
+        return {name: math.inf if name in lost else value for name, value in found.items()}
 
 
 def record(score: Any) -> dict[str, Any]:

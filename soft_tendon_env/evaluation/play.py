@@ -76,11 +76,12 @@ def play_steps(policy: Policy, env: Env, seeds: Sequence[int]) -> Iterator[Step]
 def play(policy: Policy, env: Env, seeds: Sequence[int]) -> list[Episode]:
     """Episodes of these seeds, played to their ends; a row that ends waits for the others."""
     episodes, rows = episodes_of(env), len(seeds)
-    course: list[tuple[Array, ...]] = []  # reward, seconds, target, tension, errors of all rows, after every step
+    course: list[tuple[Array, ...]] = []  # reward, seconds, target, tip, tension, errors of all rows, after every step
     ends: dict[int, dict[str, Any]] = {}
     for k, step in enumerate(play_steps(policy, env, seeds)):
         target, errors = episodes.target_pose.copy(), np.array([*episodes.errors.values()]).T
-        course.append((step.reward, np.full(rows, step.seconds), target, episodes.tension.copy(), errors))
+        tip = episodes.arms.reading.tip_pose[:, :3, 3].copy()
+        course.append((step.reward, np.full(rows, step.seconds), target, tip, episodes.tension.copy(), errors))
         for row in map(int, np.flatnonzero(step.ended)):
             cause = episodes.cause(row) if episodes.diverged[row] else None
             there = cause is None and bool(episodes.errors["position_error"][row] <= episodes.threshold) if episodes.task.goal else None
@@ -90,9 +91,10 @@ def play(policy: Policy, env: Env, seeds: Sequence[int]) -> list[Episode]:
 
     def episode(row: int, seed: int, steps: int, **end: Any) -> Episode:
         samples = zip(*(tuple(values[row] for values in sample) for sample in course[: steps + 1]), strict=True)
-        reward, seconds, target, tension, errors = map(np.array, samples)
+        reward, seconds, target, tip, tension, errors = map(np.array, samples)
         named = dict(zip(episodes.errors, errors.T.copy(), strict=True))
         jumped = (np.abs(np.diff(target[-3:], axis=0)) > STILL).any(axis=(1, 2)).tolist() == [False, True]
-        return Episode(seed, episodes.period, episodes.model.length, named, reward[1:], tension, seconds[1:], jumped, **end)
+        moved = reward[1:], tension, tip, target[:, :3, 3], seconds[1:]
+        return Episode(seed, episodes.period, episodes.model.length, named, *moved, jumped, **end)
 
     return [episode(row, seed, **ends[row]) for row, seed in enumerate(seeds)]

@@ -38,10 +38,8 @@ def interquartile_mean(values: ArrayLike, axis: int = 0) -> float | Array:
 
 def tails(values: ArrayLike) -> tuple[float, float]:
     """Mean of all values, of any shape, and their percentile HIGH; values may be infinite, and there is at least one."""
-    given = np.ravel(np.asarray(values, dtype=float))
-    with np.errstate(invalid="ignore"):
-        high = np.percentile(given, HIGH)
-    return float(given.mean()), float(np.percentile(given, HIGH, method="lower") if np.isnan(high) else high)
+    ordered = np.sort(np.ravel(np.asarray(values, dtype=float)))  # NaN last
+    return float(ordered.mean()), float(np.interp(HIGH * (ordered.size - 1) / 100, np.arange(ordered.size), ordered))
 
 
 def bootstrap_interval(values: ArrayLike, axes: int = 1, statistic: Callable[..., Any] = interquartile_mean) -> tuple[Any, Any]:

@@ -44,7 +44,7 @@ def summary_cells(summary: Summary) -> dict[str, str]:
     if summary.reached is not None:
         cells["reached"] = f"{100 * summary.reached:.0f} %"
     cells["settled"] = f"{summary.settled}/{summary.episodes}"
-    cells |= {METRICS[name].heading: number(value) + flag for name, value in summary.metrics.items()}
+    cells |= {METRICS[name].heading: number(METRICS[name].factor * value) + flag for name, value in summary.metrics.items()}
     return {**cells, "time [ms]": number(1e3 * summary.action_time)}
 
 
@@ -106,10 +106,11 @@ def records(found: Standings) -> list[dict[str, Any]]:
 
 
 def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Write a CSV file: a row per record, a column per key that any of them has. Raises OSError."""
+    """Write a CSV file: a row per record, a column per key that any of them has, nothing where it is NaN. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with open(path, "w", newline="") as file:
         writer = csv.DictWriter(file, list(dict.fromkeys(key for row in rows for key in row)))
         writer.writeheader()
-        writer.writerows(rows)
+        for row in rows:
+            writer.writerow({key: None if isinstance(value, float) and math.isnan(value) else value for key, value in row.items()})
     print(f"written: {path}")

@@ -22,9 +22,6 @@ from soft_tendon_env.scene.parameters import scene_with_numbers
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.types import Array
 
-TURNED = {"gravity": ("acceleration",), "tip_load": ("force", "moment"), "fluid": ("current",)}
-"""Vectors of effects in the world frame, which turn against the base when the mount does."""
-INSIDE = {"actuators", "tendon_elasticity", "tendon_friction", "nonlinear_elasticity", "viscoelastic_memory"}  # know no world frame
 DIFFERENCES = (1e-4, 1e-3)  # of coordinates, central: of holds, which are exact to 1e-10, and with motions, to the steps' tolerance
 
 
@@ -61,8 +58,9 @@ class Plants:
         names = [one.name for one in self.parameters]
         self.moves_arm = [not name.startswith(("markers.", "mount.shift")) for name in names]
         turns = any(name.startswith("mount.rotation") for name in names)
-        if turns and (odd := [name for name in scene.effects.chosen() if name not in TURNED and name not in INSIDE]):
-            raise ValueError(f"mount.rotation cannot be estimated with effects.{odd[0]}, which stands in the world and not on the arm")
+        if turns and (odd := [name for name, effect in scene.effects.on_arm().chosen().items() if effect.world_vectors is None]):
+            text = "which stands in the world and not on the arm: its class names no world_vectors"
+            raise ValueError(f"mount.rotation cannot be estimated with effects.{odd[0]}, {text}")
 
     def scene_at(self, x: Array, scene: Scene) -> Scene:
         """A scene with the numbers at coordinates (k,) of the parameters, in the frame of its real base: its world vectors turn the other
@@ -75,7 +73,7 @@ class Plants:
                 changes |= parameter.of_scene.changes(parameter.at(coordinate))
         found, turns = scene_with_numbers(scene, changes), dict[str, Any]()
         for name, effect in found.effects.chosen().items() if measurement.rotation.any() else ():
-            for vector in TURNED.get(name, ()):
+            for vector in effect.world_vectors or ():
                 if getattr(effect, "frame", "world") == "world":
                     turns[f"effects.{name}.{vector}"] = (measurement.base.T @ np.array(getattr(effect, vector))).tolist()
         return found.replace(turns) if turns else found

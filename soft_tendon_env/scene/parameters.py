@@ -126,7 +126,7 @@ def _idle_effects(names: Iterable[str]) -> dict[str, Any]:
 
 
 def _leaves(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    if not isinstance(node, dict | list):
+    if not isinstance(node, dict | list) or not node:
         yield key.removeprefix("."), node
         return
     for name, value in node.items() if isinstance(node, dict) else enumerate(node):
@@ -147,14 +147,24 @@ def _misfit(key: str, value: Any) -> str:
 
 def _parameter(name: str, entries: Mapping[str, Any]) -> Parameter:
     keys = _matching(name, entries)
-    if not keys and name in entries:
-        _fail(name, f"is no parameter: {_misfit(name, entries[name])}")
     if not keys:
-        valid = {re.sub(r"\.\d+(?=\.|$)", ".*", key) for key, value in entries.items() if not _misfit(key, value)}
-        _fail(name, f"is no number of the scene: {not_among(name, valid)}")
+        _fail(name, _refusal(name, entries))
     arrays = {re.sub(r"\.\d+$", "", key) for key in keys}  # of a number of its own the key itself
     size = max(abs(value) for key, value in entries.items() if isinstance(value, float) and re.sub(r"\.\d+$", "", key) in arrays)
     return Parameter(name, tuple(keys), tuple(entries[key] for key in keys), size)
+
+
+def _refusal(name: str, entries: Mapping[str, Any]) -> str:
+    """Reason why a name stands for no parameter, for a message."""
+    if name in entries:
+        return f"is no parameter: {_misfit(name, entries[name])}"
+    effect = name.removeprefix("effects.").partition(".")[0] if name.startswith("effects.") else ""
+    if effect in EFFECTS and not any(f"{key}.".startswith(f"effects.{effect}.") for key in entries):
+        return f"is no number yet: the scene has no [effects.{effect}]: add it"
+    if parts := {part for key in _matching(f"{name}.*", entries) if (part := key.rpartition(".")[2]).isdecimal()}:
+        return f"is a vector of {len(parts)} numbers: name one, {name}.0, or all by a common factor, {name}.*"
+    valid = {re.sub(r"\.\d+(?=\.|$)", ".*", key) for key, value in entries.items() if not _misfit(key, value)}
+    return f"is no number of the scene: {not_among(name, valid)}"
 
 
 def _is_relative(value: Any) -> bool:

@@ -6,6 +6,7 @@ import pytest
 from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv, register_reward_term
 from soft_tendon_env.envs.kernels import closeness
 from soft_tendon_env.envs.tracking import OWN_TERMS
+from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 WEIGHTS = {
@@ -100,6 +101,31 @@ def test_terms_of_a_users_own_have_values_between_0_and_1(forgotten, value):
     with pytest.raises(ValueError, match=r"'wrong' should have values of shape \(1,\) between 0 and 1, not"):
         env.reset(seed=0)
     OWN_TERMS.clear()
+
+
+def test_a_term_of_a_users_own_knows_the_time(forgotten):
+    @register_reward_term
+    def late(tracking):
+        """From the third period on."""
+        assert np.array_equal(tracking.time, 0.02 * tracking.step_count)
+        return (tracking.time > 0.05).astype(float)
+
+    options = {**SMALL, "reward": {"late": 1.0}}
+    env, rows = TipPoseEnv(**options), TipPoseVectorEnv(2, **options)
+    for _ in range(2):
+        rows.reset(seed=0)
+        found = [(reward, rows.step(np.zeros((2, 3)))[1].tolist()) for _, reward, *_ in steps(env, 4)]
+        assert found == [(0.0, [0.0] * 2)] * 2 + [(1.0, [1.0] * 2)] * 2
+
+
+@pytest.mark.cases("name, scale, shown", [("effort", 2.0, "2.0"), ("smoothness", [1.0, 2.0], "1.0, 2.0"), ("own", 0.1, "0.1")])
+def test_scales_of_terms_that_have_none_are_refused(forgotten, name, scale, shown):
+    @register_reward_term
+    def own(tracking):
+        return np.ones(len(tracking.distance))
+
+    with pytest.raises(ConfigurationError, match=rf"reward\.{name}\.scale is {shown}: .*; those with a scale are position, angle"):
+        TipPoseEnv(**SMALL, reward={"position": 1.0, name: {"scale": scale}})
 
 
 DRAWN = {"stiffness": [0.5, 2.0], "payload": [0.0, 0.02]}

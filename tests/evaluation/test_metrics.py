@@ -1,5 +1,6 @@
 """Scores, interquartile means, intervals and differences of pairs: against episodes and cases that are worked out by hand."""
 
+import csv
 import math
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from scipy.stats import trim_mean
 
 from soft_tendon_env.evaluation import summaries
-from soft_tendon_env.evaluation.metrics import Episode, EpisodeScore, ErrorScore, chatter, has_settled, score
+from soft_tendon_env.evaluation.metrics import METRICS, Episode, EpisodeScore, ErrorScore, Metric, chatter, has_settled, score
 from soft_tendon_env.evaluation.summaries import (
     CHATTER_COST,
     WORST,
@@ -18,6 +19,7 @@ from soft_tendon_env.evaluation.summaries import (
     summarise,
     tracking_cost,
 )
+from soft_tendon_env.evaluation.tables import records, summary_cells, write_csv
 
 PERIOD = 0.5  # [s]
 
@@ -32,6 +34,8 @@ def episode(position=(0.3, 0.3, 0.04, 0.03, 0.005), **changes):
         "errors": {"position_error": np.array(position), "angle_error": np.full(steps + 1, 0.2)},
         "reward": np.full(steps, 0.25),
         "tension": np.tile([3.0, 4.0], (steps + 1, 1)),
+        "tip_position": np.zeros((steps + 1, 3)),
+        "target_position": np.stack([position, np.zeros(steps + 1), np.zeros(steps + 1)], axis=1),
         "seconds": np.full(steps, 0.001),
     }
     return Episode(**{**values, **changes})
@@ -176,6 +180,8 @@ def test_the_middle_half_is_averaged_and_counts_are_cut_as_scipy_cuts_them(count
         (np.arange(11.0), (5.0, 9.0)),
         ([1.0] * 10 + [math.inf], (math.inf, 1.0)),
         ([1.0] * 8 + [math.inf] * 2, (math.inf, math.inf)),
+        ([1.0] * 10 + [math.nan], (math.nan, 1.0)),
+        ([1.0] * 8 + [math.nan, math.inf], (math.nan, math.nan)),
     ],
 )
 def test_tails_are_what_the_middle_half_hides(values, tails):
@@ -187,6 +193,20 @@ def test_a_run_without_a_number_is_the_worst():
     assert math.isnan(interquartile_mean([1.0, math.nan])), "nothing is cut of two"
     low, high = bootstrap_interval([1.0, math.nan])
     assert low == 1.0 and math.isnan(high)
+
+
+def test_an_own_metric_has_its_unit_in_tables_and_is_missing_where_it_is_nan(monkeypatch, tmp_path):
+    """How far the target was from the tip at most, of episodes that know it; chatter is infinite where one diverged."""
+    far = lambda episode, first: float(np.abs(episode.target_position - episode.tip_position).max()) if episode.seed else math.nan  # noqa: E731
+    monkeypatch.setitem(METRICS, "farthest", Metric("farthest [mm]", far, 1e3))
+    known, none = ([score(episode(seed=seed, period=0.02), skip=0.0)] for seed in (7, 0))
+    assert [summary_cells(summarise(one))["farthest [mm]"] for one in (known, none)] == ["300", "-"]
+    assert math.isnan(Standing([known * 3 + none]).mean("farthest").high) and Standing([known * 3 + none]).mean("farthest").value == 0.3
+    died = [score(episode(cause="too fast"), skip=0.0)]
+    found = {(name, "nominal"): Standing([one]) for name, one in (("a", known), ("b", none), ("c", died))}
+    write_csv(tmp_path / "found.csv", records(found))
+    rows = [*csv.DictReader((tmp_path / "found.csv").open())]
+    assert [row["farthest"] for row in rows] == ["0.3", "", "0.3"] and [row["chatter_mean"] for row in rows] == ["", "", "inf"]
 
 
 def test_seeds_and_episodes_are_drawn_apart(monkeypatch):

@@ -53,8 +53,10 @@ def test_rows_live_through_the_episodes_of_single_environments(task):
         assert (one.seed, one.reached, one.cause, one.period, one.length) == (row.seed, row.reached, row.cause, row.period, row.length)
         for name in one.errors:
             np.testing.assert_array_equal(one.errors[name], row.errors[name])
-        for name in ("reward", "tension"):
+        for name in ("reward", "tension", "tip_position", "target_position"):
             np.testing.assert_array_equal(getattr(one, name), getattr(row, name))
+        distance = np.linalg.norm(one.target_position - one.tip_position, axis=1)
+        np.testing.assert_allclose(distance, one.errors["position_error"], atol=1e-12)
         assert len(row.seconds) == STEPS and (row.seconds > 0.0).all()
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from soft_tendon_env.effects import Effect, register_effect
 from soft_tendon_env.identification.fit import Intervals
 from soft_tendon_env.identification.identify import randomize
 from soft_tendon_env.identification.markers import Marker, MarkerSet
@@ -56,6 +57,20 @@ def test_a_mount_that_turns_turns_gravity_against_the_arm_and_its_markers_with_i
     inside = straight[:, :3, 3] + placed.offsets
     assert np.allclose(measurement.positions(straight), inside @ R.T + [5e-3, 0.0, 0.0])
     assert np.allclose(measurement.gain, [1.1, 1.0, 1.0])
+
+
+def test_vectors_of_effects_of_a_users_own_turn_with_the_mount_if_their_class_names_them(forgotten, arm, placed):
+    @register_effect("magnet")
+    class Magnet(Effect):
+        field: tuple[float, float, float]
+
+    scene, model = arm.replace({"effects.magnet.field": [0.0, 0.0, 1.0]}), build_model(arm)
+    parameters = read_parameters(["mount.rotation"], scene, placed)
+    with pytest.raises(ValueError, match="mount.rotation cannot be estimated with effects.magnet, .*: its class names no world_vectors"):
+        Plants(scene, model, placed, parameters)
+    Magnet.world_vectors = ("field",)
+    turned = Plants(scene, model, placed, parameters).scene_at(np.array([10.0, 0.0, 0.0]), scene)
+    assert np.allclose(turned.effects.magnet.field, [0.0, 0.5, np.sqrt(0.75)]), "by 30 degrees about x, against the arm"
 
 
 def test_priors_are_shares_of_the_arms_length_and_of_its_actuators_ranges():

@@ -35,7 +35,9 @@ def test_values_that_are_alike_are_one_number_and_others_share_a_factor(scene):
     "name, message",
     [
         ("segments.0.yong_modulus", "segments.0.yong_modulus is no number of the scene: did you mean 'segments.*.young_modulus'?.*valid:"),
-        ("effects.fluid.density", "effects.fluid.density is no number of the scene.*valid: .*effects.gravity"),
+        ("effects.fluid.density", r"effects.fluid.density is no number yet: the scene has no \[effects.fluid\]: add it"),
+        ("effects.gravity.size", "effects.gravity.size is no number of the scene.*valid: .*effects.gravity.acceleration"),
+        ("effects.gravity.acceleration", r"is a vector of 3 numbers: name one, .*ion.0, or all by a common factor, .*ion.\*"),
         ("integrator.step", "integrator.step is no number of the scene"),
         ("segments.0.length", "segments.0.length is no parameter: it decides where the quadrature points lie"),
         ("tendons.0.tension_limits.1", "tendons.0.tension_limits.1 is no parameter: it bounds the commands"),
