@@ -23,6 +23,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 from _results import APPENDIX, markdown_table, parser_of, write_block, write_csv, write_picture
+from _scenes import WITH_FIELDS
 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.test_inputs import HOLD, motion_tensions
@@ -53,9 +54,8 @@ EFFECTS: dict[str, dict[str, Any]] = {
     "tendon_friction": {"effects.tendon_friction.coefficient": 0.2},
     "viscoelastic_memory": {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.2}]},
 }
-SHIPPED = ("paper", "three_tendon", "four_tendon", "helical", "two_segment_six", "catheter", "underwater")
 CASES = [
-    *((scene, "as it is", {}) for scene in SHIPPED),
+    *((scene, "as it is", {}) for scene in WITH_FIELDS),
     *(("paper", name, table) for name, table in ARMS.items()),
     *(("three_tendon", name, table) for name, table in EFFECTS.items()),
 ]

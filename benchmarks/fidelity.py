@@ -14,6 +14,7 @@ import gymnasium as gym
 import matplotlib.pyplot as plt
 import numpy as np
 from _results import APPENDIX, folders, markdown_table, parser_of, write_block, write_csv, write_picture
+from _scenes import SOFT_ARMS
 from tqdm import tqdm
 
 import soft_tendon_env as ste
@@ -22,7 +23,6 @@ from soft_tendon_env.accuracy.reference import reference_motions
 from soft_tendon_env.accuracy.test_inputs import HOLD, MOTIONS, USUAL, motion_tensions
 from soft_tendon_env.scene.scene import Scene, rod_length
 
-SCENES = ("paper", "four_tendon", "three_tendon", "two_segment_six", "helical")
 KINDS = MOTIONS[:4]
 SEEDS = range(100, 103)
 REFERENCE, WILD_REFERENCE = 5e-5, 2e-3  # of the length
@@ -32,7 +32,7 @@ HEADER = ("scene", "fidelity", "coordinates", "evaluations", "CPU [us per env st
 
 def main() -> None:
     parser = parser_of(__doc__)
-    parser.add_argument("--scenes", nargs="+", default=SCENES, choices=SCENES)
+    parser.add_argument("--scenes", nargs="+", default=SOFT_ARMS, choices=SOFT_ARMS)
     arguments = parser.parse_args()
     seeds, seconds, steps = (SEEDS[:1], 0.2, 2 * HELD) if arguments.quick else (SEEDS, 2.0, STEPS)
     rows = [row for name in tqdm(arguments.scenes, desc="arms", leave=False) for row in measured(name, seeds, seconds, steps)]

@@ -12,6 +12,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from _results import APPENDIX, folders, markdown_table, parser_of, write_block, write_csv, write_picture
+from _scenes import SOFT_ARMS
 from tqdm import tqdm
 
 import soft_tendon_env as ste
@@ -22,7 +23,6 @@ from soft_tendon_env.scene.file import SHIPPED
 from soft_tendon_env.scene.passive_fields import find_fields, read_fields
 from soft_tendon_env.scene.scene import Scene, rod_length
 
-SCENES = ("paper", "four_tendon", "three_tendon", "two_segment_six", "helical")
 KINDS = MOTIONS[:4]
 SEEDS = range(100, 103)
 OWN = (6, 9, 18)
@@ -35,7 +35,7 @@ LOOKS = {"Legendre": ("#edae49", "s"), "POD": ("#2e6f95", "o"), "explicit": ("#d
 
 def main() -> None:
     parser = parser_of(__doc__)
-    parser.add_argument("--scenes", nargs="+", default=SCENES, choices=SCENES)
+    parser.add_argument("--scenes", nargs="+", default=SOFT_ARMS, choices=SOFT_ARMS)
     arguments = parser.parse_args()
     seeds, seconds = (SEEDS[:1], 0.2) if arguments.quick else (SEEDS, 2.0)
     cases = [(name, scene) for name in arguments.scenes for scene in (ste.load_scene(name), loaded(name))]

@@ -1,8 +1,9 @@
 """Gallery of the scenes that ship: a picture of each, its first tendon pulled, and a page that describes them.
 
-    python examples/scene_gallery.py [--out out] [--write-docs]
+    python examples/scene_gallery.py [SCENE ...] [--out out] [--write-docs]
 
---write-docs writes docs/reference/scenes.md and its pictures too. Needs the extra `pictures`.
+--write-docs writes docs/reference/scenes.md, with its pictures. A picture that is there is left as it is, unless its scene is named.
+Needs the extra `pictures`.
 """
 
 import argparse
@@ -32,12 +33,16 @@ begin a scene of your own with.
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scenes", nargs="*", metavar="SCENE", help="scenes to draw again; of the others, those without a picture are drawn")
     parser.add_argument("--out", type=Path, default=Path("out/scenes"), help="folder of the pictures")
     parser.add_argument("--write-docs", action="store_true", help="write docs/reference/scenes.md and its pictures")
     arguments = parser.parse_args()
+    if unknown := {*arguments.scenes} - {*scene_names()}:
+        parser.error(f"{min(unknown)!r} is not among the scenes that ship: {', '.join(scene_names())}")
     folder = PICTURES if arguments.write_docs else arguments.out
     folder.mkdir(parents=True, exist_ok=True)
-    for name in tqdm(scene_names(), desc="scenes", unit="scene"):
+    drawn = [name for name in scene_names() if name in arguments.scenes or not (folder / f"{name}.png").exists()]
+    for name in tqdm(drawn, desc="scenes", unit="scene"):
         with_palette([picture(name)])[0].save(folder / f"{name}.png", optimize=True)
     if arguments.write_docs:
         page = DOCS / "reference" / "scenes.md"

@@ -7,9 +7,10 @@ pack p form block b = 2 p + z. All fields are flat float64 vectors with the lane
     a field over points   [.., block, component, lane]
     a field over nodes    [.., pack, component, lane]     (node = the end of an interval; at the base everything is known)
 
-Letters, one meaning each: xi strain, eta body twist, J body Jacobian, e = Sigma^1/2 (xi - xi*) the scaled strain, H = I - C^1/2
-Psi C^1/2 with C = Sigma^-1 the scaled section stiffness (H = L D L^T), Phi the columns of xi_dot = Phi q_dot, Y their wrenches, with
-G = sum Phi^T Y, M D G the mass, damping and stiffness matrices.
+Letters follow docs/reference/symbols.md, five of which have two meanings. Here xi is the strain, eta the body twist, J the body
+Jacobian, e = Sigma^1/2 (xi - xi*) the scaled strain, and H = I - C^1/2 Psi C^1/2 with C = Sigma^-1 the scaled section stiffness
+(H = L D L^T). Phi has the columns of xi_dot = Phi q_dot, and Y their wrenches, with G = sum Phi^T Y. M, D and G are the mass, damping and
+stiffness matrices.
 """
 
 import numpy as np

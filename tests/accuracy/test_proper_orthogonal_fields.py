@@ -12,10 +12,11 @@ from soft_tendon_env.accuracy.test_inputs import USUAL
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.model.simulation import simulate
 from soft_tendon_env.model.tension_limits import TensionLimitWarning
-from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.scene.file import SHIPPED, load_scene, scene_names
+from soft_tendon_env.scene.passive_fields import SUFFIX
 
 ARM = load_scene("three_tendon")
-SHIPPED = ("paper", "four_tendon", "three_tendon", "two_segment_six", "helical")
+WITH_FIELDS = [name for name in scene_names() if (SHIPPED / f"{name}{SUFFIX}").exists()]
 
 
 def with_fields(scene, count):
@@ -50,7 +51,7 @@ def test_errors_fall_with_the_number_of_fields(quick):
     assert fields.needed(max(fields.errors[kind][1] for kind in USUAL), USUAL) == 3
 
 
-@pytest.mark.cases("name", SHIPPED)
+@pytest.mark.cases("name", WITH_FIELDS)
 def test_abrupt_loads_make_no_phantom_tensions(name):
     """The greatest tension, and 2.5 times that, at once on one, two and all tendons, at steps of 10 and 20 ms."""
     scene = with_fields(load_scene(name), 9)

@@ -10,6 +10,7 @@ from scipy.optimize import minimize
 from soft_tendon_env.control import CONTROLLERS, ControllerInput, Reference
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.objectives import TipPose, TipPosition
+from soft_tendon_env.control.paper_laws import PaperTipPose
 from soft_tendon_env.model.inverse_statics import tension_for_tip_pose
 from soft_tendon_env.model.statics import static_equilibrium
 
@@ -22,7 +23,12 @@ ARMS = {
     "loads inside": ("three_tendon", {**HEAVY, "strain.include_loads": True}),
 }
 FAR = np.array([2.0, 1.0, 0.5])
-CASES = [(task, name) for task in ("TipPose", "Reach") for name in CONTROLLERS[task] if name != "paper"]  # unstable at this period
+CASES = [
+    pytest.param(task, entry, id=f"{task}-{name}")
+    for task in ("TipPose", "Reach")
+    for name, entry in CONTROLLERS[task].items()
+    if entry.make is not PaperTipPose  # unstable at this period
+]
 LONG = [pytest.param(scene, marks=pytest.mark.slow) for scene in ("four_tendon", "catheter", "paper")]
 
 
@@ -62,18 +68,23 @@ def far():
     return Reference(np.zeros(1), pose[None], FAR[None])
 
 
-def miss(posed, model, target, tip):
-    """How far a tip is from the target [m], as controllers of the pose count, or those of the position alone."""
-    objective = TipPose(0.1 * model.length) if posed else TipPosition()
+def objective_of(controller, task, model):
+    """What a controller says that it drives to zero, alone or behind a reference governor; that of its task where it says nothing."""
+    usual = TipPose(0.1 * model.length) if task == "TipPose" else TipPosition()
+    return getattr(getattr(controller, "statics", controller), "objective", usual)
+
+
+def miss(objective, model, target, tip):
+    """How far a tip is from the target [m], as the objective counts."""
     return np.linalg.norm(objective.error(np.zeros(model.coordinate_count), tip, target, 0.0))
 
 
-def least_miss(posed, model, target, limits):
+def least_miss(objective, model, target, limits):
     """That of the nearest tip at rest, by a search that no controller uses."""
     least, greatest = limits.T
 
     def cost(tension):
-        return miss(posed, model, target, model.tip_pose(model.rest_coordinates(tension)))
+        return miss(objective, model, target, model.tip_pose(model.rest_coordinates(tension)))
 
     starts = (least + share * (greatest - least) for share in (0.01, 0.3))
     found = [minimize(cost, start, method="L-BFGS-B", bounds=limits) for start in starts]
@@ -81,15 +92,17 @@ def least_miss(posed, model, target, limits):
 
 
 @pytest.mark.parametrize("scene", ["three_tendon", *LONG])
-@pytest.mark.parametrize("task, name", CASES)
-def test_what_cannot_be_reached_is_approached_and_held_still(build, limits_of, drive, far, task, name, scene):
-    """With feedforward alone the arm still swings after five and a half seconds."""
+@pytest.mark.parametrize("task, entry", CASES)
+def test_what_cannot_be_reached_is_approached_and_held_still(build, limits_of, drive, far, task, entry, scene):
+    """After five and a half seconds; with feedforward alone the arm still swings then. docs/how_to/extend.md says what is asked."""
     model, limits = build(scene), limits_of(build(scene))
-    motion = drive(CONTROLLERS[task][name].make(model, limits, PERIOD), model, far, 275)
+    controller = entry.make(model, limits, PERIOD)
+    motion = drive(controller, model, far, 275)
     change = np.abs(np.diff(motion.tension[-26:], axis=0)) / np.ptp(limits, axis=1)
     move = np.linalg.norm(np.diff(motion.tip[-26:, :3, 3], axis=0), axis=1)
-    posed = task == "TipPose" and name != "tracking_position"
-    away = miss(posed, model, far, motion.tip[-1]) - least_miss(posed, model, far, limits)
-    assert change.max() < 0.01
-    assert move.max() < (1e-2 if name == "feedforward" else 1e-3) * model.length
-    assert abs(away) < 0.02 * model.length
+    objective = objective_of(controller, task, model)
+    away = miss(objective, model, far, motion.tip[-1]) - least_miss(objective, model, far, limits)
+    still = 1e-2 if isinstance(controller, StaticFeedforward) else 1e-3
+    assert change.max() < 0.01, "shares of the limits that tensions change by in a period"
+    assert move.max() < still * model.length, "[m] in a period: the tip does not come to rest"
+    assert abs(away) < 0.02 * model.length, f"[m] beyond the nearest tip at rest, as {type(objective).__name__} counts"
