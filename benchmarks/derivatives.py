@@ -26,7 +26,7 @@ from _results import APPENDIX, markdown_table, parser_of, write_block, write_csv
 from _scenes import WITH_FIELDS
 
 import soft_tendon_env as ste
-from soft_tendon_env.accuracy.test_inputs import HOLD, motion_tensions
+from soft_tendon_env.accuracy.input_motions import HOLD, motion_tensions
 from soft_tendon_env.differentiable import gradient_accuracy
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.model.model import Model

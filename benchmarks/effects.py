@@ -23,7 +23,7 @@ from _in_step import evaluate_force_often
 from _results import APPENDIX, folders, markdown_table, parser_of, write_block, write_csv, write_picture
 
 import soft_tendon_env as ste
-from soft_tendon_env.accuracy.test_inputs import HOLD, motion_tensions
+from soft_tendon_env.accuracy.input_motions import HOLD, motion_tensions
 from soft_tendon_env.compiler.compilation import cache_folder, kernel
 from soft_tendon_env.mechanics.motion.extrapolation import STEP_TOLERANCE
 from soft_tendon_env.mechanics.motion.scratch import make_scratch

@@ -18,8 +18,8 @@ from _results import machine, markdown_table, write_csv, write_picture
 from scipy.optimize import nnls
 
 import soft_tendon_env as ste
+from soft_tendon_env.accuracy.input_motions import motion_tensions
 from soft_tendon_env.accuracy.pareto import evaluation_cost
-from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.model.model import model_on
 
 SCENES = ("paper", "four_tendon", "helical", "two_segment_six")

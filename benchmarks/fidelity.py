@@ -19,8 +19,8 @@ from tqdm import tqdm
 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.fidelity import AS_SCENE, PRESETS, at_fidelity
+from soft_tendon_env.accuracy.input_motions import HOLD, MOTIONS, USUAL, motion_tensions
 from soft_tendon_env.accuracy.reference import reference_motions
-from soft_tendon_env.accuracy.test_inputs import HOLD, MOTIONS, USUAL, motion_tensions
 from soft_tendon_env.scene.scene import Scene, rod_length
 
 KINDS = MOTIONS[:4]

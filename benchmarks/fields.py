@@ -16,8 +16,8 @@ from _scenes import SOFT_ARMS
 from tqdm import tqdm
 
 import soft_tendon_env as ste
+from soft_tendon_env.accuracy.input_motions import MOTIONS, USUAL, motion_tensions
 from soft_tendon_env.accuracy.reference import distance, reference_motions, trajectory
-from soft_tendon_env.accuracy.test_inputs import MOTIONS, USUAL, motion_tensions
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.scene.file import SHIPPED
 from soft_tendon_env.scene.passive_fields import find_fields, read_fields

@@ -15,7 +15,7 @@ from _results import APPENDIX, folders, markdown_table, parser_of, write_block, 
 from tqdm import tqdm
 
 import soft_tendon_env as ste
-from soft_tendon_env.accuracy.test_inputs import HOLD, USUAL, motion_tensions
+from soft_tendon_env.accuracy.input_motions import HOLD, USUAL, motion_tensions
 from soft_tendon_env.scene.scene import rod_length
 
 SCENE = "paper_19dof"

@@ -25,7 +25,7 @@ from _results import APPENDIX, folders, markdown_table, parser_of, write_block, 
 from tqdm import tqdm
 
 import soft_tendon_env as ste
-from soft_tendon_env.accuracy.test_inputs import motion_tensions
+from soft_tendon_env.accuracy.input_motions import motion_tensions
 
 SIMULATORS = {"own": "own", "mujoco": "mujoco_chain", "pyelastica": "elastica_rod", "soromox": "soromox_strains"}
 """Modules of benchmarks/_peers, by what --peers takes."""

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from filelock import FileLock
 
+from soft_tendon_env.accuracy.input_motions import CALIBRATED, motion_tensions
 from soft_tendon_env.accuracy.pareto import Point, Setting, explore, pareto_front, worst
 from soft_tendon_env.accuracy.proper_orthogonal_fields import fields_path, make_passive_fields
 from soft_tendon_env.accuracy.reference import Level, Reference, reference_motions
-from soft_tendon_env.accuracy.test_inputs import CALIBRATED, motion_tensions
 from soft_tendon_env.scene.passive_fields import PassiveFields, find_fields
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.checks import checked_number, checked_type

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from soft_tendon_env.accuracy.calibration import calibrated
-from soft_tendon_env.accuracy.test_inputs import USUAL
+from soft_tendon_env.accuracy.input_motions import USUAL
 from soft_tendon_env.model import build
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.passive_fields import FieldsWarning, fields_of, find_fields

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from soft_tendon_env.accuracy.input_motions import HOLD
 from soft_tendon_env.accuracy.reference import Reference, distance, trajectory
-from soft_tendon_env.accuracy.test_inputs import HOLD
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.model.build import quadrature_estimate
 from soft_tendon_env.model.model import Model, model_on

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.polynomial import legendre
 
+from soft_tendon_env.accuracy.input_motions import MOTIONS, USUAL, Motion, motion_tensions
 from soft_tendon_env.accuracy.reference import LEVELS, distance, full_physics, reference_motions, trajectory
-from soft_tendon_env.accuracy.test_inputs import MOTIONS, USUAL, Motion, motion_tensions
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.coordinates import actuation_columns
 from soft_tendon_env.model.grid import Grid, screw_matrices, tendon_geometry

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.accuracy.test_inputs import HOLD
+from soft_tendon_env.accuracy.input_motions import HOLD
 from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.model.simulation import NoEquilibriumError, Simulation, SimulationDiverged, Trajectory, simulate
 from soft_tendon_env.model.strain_limits import StrainLimitError

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
+from soft_tendon_env.accuracy.input_motions import USUAL
 from soft_tendon_env.accuracy.proper_orthogonal_fields import KINDS, fields_path, make_passive_fields
-from soft_tendon_env.accuracy.test_inputs import USUAL
 from soft_tendon_env.cli.errors import mistakes
 from soft_tendon_env.cli.options import ArmSettings
 from soft_tendon_env.evaluation.tables import markdown_table, number

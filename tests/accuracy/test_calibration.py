@@ -7,9 +7,9 @@ import pytest
 
 from soft_tendon_env.accuracy import calibration as module
 from soft_tendon_env.accuracy.calibration import MARGIN, Calibration, calibrate, calibrated, calibration_digest, cheapest_point
+from soft_tendon_env.accuracy.input_motions import motion_tensions
 from soft_tendon_env.accuracy.pareto import Point, Setting, measure
 from soft_tendon_env.accuracy.reference import LEVELS, Reference, reference_motions
-from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.passive_fields import PassiveFields, arm_of

@@ -5,8 +5,8 @@ import warnings
 import pytest
 
 from soft_tendon_env.accuracy.fidelity import PRESETS, FidelityWarning, at_fidelity, build_model
+from soft_tendon_env.accuracy.input_motions import motion_tensions
 from soft_tendon_env.accuracy.reference import distance, reference_motions, trajectory
-from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.scene.file import load_scene, scene_names
 from soft_tendon_env.scene.scene import rod_length
 

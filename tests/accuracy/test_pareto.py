@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from soft_tendon_env.accuracy.input_motions import HOLD, MOTIONS, motion_tensions
 from soft_tendon_env.accuracy.pareto import Setting, evaluation_cost, explore, measure, pareto_front, strain_fields, worst
 from soft_tendon_env.accuracy.reference import LEVELS, Reference, full_physics, reference_motions, trajectory
-from soft_tendon_env.accuracy.test_inputs import HOLD, MOTIONS, motion_tensions
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.scene.file import load_scene

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.accuracy import proper_orthogonal_fields
+from soft_tendon_env.accuracy.input_motions import USUAL
 from soft_tendon_env.accuracy.proper_orthogonal_fields import make_passive_fields
-from soft_tendon_env.accuracy.test_inputs import USUAL
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.model.simulation import simulate
 from soft_tendon_env.model.tension_limits import TensionLimitWarning

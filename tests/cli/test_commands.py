@@ -7,7 +7,7 @@ import gymnasium as gym
 import pytest
 
 from soft_tendon_env.accuracy import calibration, proper_orthogonal_fields
-from soft_tendon_env.accuracy.test_inputs import motion_tensions
+from soft_tendon_env.accuracy.input_motions import motion_tensions
 from soft_tendon_env.cli.main import COMMANDS, register_command, shipped_command
 from soft_tendon_env.compiler.compilation import cache_folder
 from soft_tendon_env.effects import EFFECTS
