@@ -98,6 +98,7 @@ class Linearization(NamedTuple):
     state: Array  # (s, s) of the next state by the state
     command: Array  # (s, n_a) of the next state by the command
     tip: Array  # (6, s + n_a) body twist of the next tip pose [rad, m]
+    tip_twist: Array  # (6, s + n_a) of the next body twist of the tip [rad/s, m/s]
 
 
 class Simulation:
@@ -271,8 +272,8 @@ def simulate(model: Model, command: Command, duration: float, sample_period: flo
     return Trajectory(times, *record, commands, simulation.state, steps, rejected, error, evaluations)
 
 
-def ends(model: Model, start: Motion, taken: Array, inputs: Array) -> tuple[Array, Array]:
-    """States (copies, s) and tip poses (copies, 4, 4) after a period, inf where it fails. Raises LinAlgError.
+def ends(model: Model, start: Motion, taken: Array, inputs: Array) -> tuple[Array, Array, Array]:
+    """States (copies, s), tip poses (copies, 4, 4) and twists (copies, 6) after a period, inf where it fails. Raises LinAlgError.
 
     inputs (copies, s + n_a): numbers of the state where it begins, and commands; taken (steps, 2): length [s] and columns of every step,
     the same for all copies, since an order that follows their errors would jump.
@@ -293,9 +294,10 @@ def ends(model: Model, start: Motion, taken: Array, inputs: Array) -> tuple[Arra
         failed |= batch.outcome.status != status.OK
     if failed[0]:
         raise np.linalg.LinAlgError(f"the motion has no derivative: {status.MESSAGES[batch.outcome.status[0]]}")
-    states, poses = np.hstack([rows.q, rows.q_dot, rows.state]), batch.reading.tip_pose
-    states[failed], poses[failed] = np.inf, np.inf
-    return states, poses
+    found = np.hstack([rows.q, rows.q_dot, rows.state]), batch.reading.tip_pose, batch.reading.tip_twist
+    for values in found:
+        values[failed] = np.inf
+    return found
 
 
 @np.errstate(invalid="ignore")
@@ -310,9 +312,9 @@ def period_derivatives(model: Model, start: Motion, inputs: Array, taken: Array,
         right, left = value[1 : step.size + 1] - value[0], value[0] - value[step.size + 1 :]
         jumps = [(abs(a) > JUMP * abs(b)) & ((b != 0.0) | np.isinf(a)) for a, b in ((right, left), (left, right))]  # not from rest: a kink
         slopes.append(np.moveaxis(np.select(jumps, [left, right], 0.5 * (left + right)), 0, -1) / step)
-    by, pose_slopes = slopes
+    by, pose_slopes, twists = slopes
     if not np.isfinite(by).all():
         raise np.linalg.LinAlgError("the motion has no derivative: on either side of it a step fails")
     moved = np.einsum("ji,jkm->ikm", values[1][0][:3, :3], pose_slopes[:3])  # in the tip frame
     tip = np.stack([moved[2, 1], moved[0, 2], moved[1, 0], *moved[:, 3]])
-    return Linearization(following, by[:, : len(by)], by[:, len(by) :], tip)
+    return Linearization(following, by[:, : len(by)], by[:, len(by) :], tip, twists)

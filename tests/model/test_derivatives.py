@@ -37,12 +37,12 @@ def put(simulation, start, q, q_dot, effects):
 
 
 def end(model, start, *inputs):
-    """State, tip pose and tendon lengths after a plain step from inputs (q, q_dot, effects, command)."""
+    """State, tip pose and body twist of the tip over the base after a plain step from inputs (q, q_dot, effects, command)."""
     simulation = put(Simulation(model), start, *inputs[:3])
     simulation.step(inputs[3], PERIOD)
     state = simulation.state
     numbers = np.concatenate([state.q, state.q_dot, state.effects])
-    return numbers, simulation.tip_pose, model.tendon_lengths(state.q)
+    return numbers, simulation.tip_pose, model.terms(state.q, state.q_dot).tip_jacobian @ state.q_dot
 
 
 def differences(evaluate, step):
@@ -81,13 +81,15 @@ def test_linearization_is_as_differences_of_plain_steps(name, changes):
             return end(model, start, *np.split(inputs + change * np.eye(inputs.size)[i], borders[:-1]))
 
         slopes.append([size * slope for slope in differences(evaluate, 3e-4 * size)])
-    states, tips, _ = (np.stack(parts, axis=-1) for parts in zip(*slopes, strict=True))
+    states, tips, twists = (np.stack(parts, axis=-1) for parts in zip(*slopes, strict=True))
     by = np.hstack([found.state, found.command]) * unit
     for rows in np.split(np.arange(borders[2]), borders[:2]):
         for columns in np.split(np.arange(borders[3]), borders[:3]):
             if rows.size and columns.size:
                 assert_close(by[np.ix_(rows, columns)], states[np.ix_(rows, columns)])
     assert_close(found.tip * unit, tips)
+    if "effects.moving_base" not in changes:
+        assert_close(found.tip_twist * unit, twists)
 
 
 def test_leaves_the_simulation_where_it_was_and_knows_its_next_state():
