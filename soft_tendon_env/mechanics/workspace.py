@@ -2,6 +2,7 @@
 
 import inspect
 import math
+from functools import lru_cache
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
@@ -19,17 +20,24 @@ def zeros(kind: type[Kind], sizes: dict[str, int], **fields: Any) -> Kind:
 
     A shape is a text for each dimension, a size or a product of sizes and numbers, `Annotated[np.ndarray, "n", "points x 6"]`.
     """
-    known = {**sizes, **{str(number): number for number in range(25)}}
-    shapes = {
-        name: [math.prod(known[factor] for factor in size.split(" x ")) for size in annotation.__metadata__]
-        for name, annotation in inspect.get_annotations(kind).items()
-        if name not in fields
-    }
+    size, places = _places(kind, tuple(sizes.items()), tuple(fields))  # type: ignore[arg-type]  # mypy takes no class as hashable
+    memory = aligned_zeros(size)
+    return kind(**{name: memory[place].reshape(shape) for name, place, shape in places}, **fields)
+
+
+@lru_cache(maxsize=64)
+def _places(
+    kind: type[Struct], sizes: tuple[tuple[str, int], ...], given: tuple[str, ...]
+) -> tuple[int, list[tuple[str, slice, list[int]]]]:
+    """Numbers in all, and name, place and shape of the arrays of a struct, but for the fields that are given."""
+    known, size, places = dict(sizes) | {str(number): number for number in range(25)}, 0, []
     line = LINE // 8  # numbers of a cache line
-    places = np.cumsum([0, *(-(-math.prod(shape) // line) * line for shape in shapes.values())]).tolist()
-    memory = aligned_zeros(places[-1])
-    arrays = {name: memory[at : at + math.prod(shape)].reshape(shape) for at, (name, shape) in zip(places, shapes.items(), strict=False)}
-    return kind(**arrays, **fields)
+    for name, annotation in inspect.get_annotations(kind).items():
+        if name not in given:
+            shape = [math.prod(known[factor] for factor in text.split(" x ")) for text in annotation.__metadata__]
+            places.append((name, slice(size, size + math.prod(shape)), shape))
+            size += -(-math.prod(shape) // line) * line
+    return size, places
 
 
 def sizes_of(arm: Arm) -> dict[str, int]:
