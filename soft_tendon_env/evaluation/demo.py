@@ -1,4 +1,4 @@
-"""The demo: the paper's controller, model-based controllers, PPO and the best agent, on the paper's arm, its circle and random targets.
+"""The demo: the paper's controller, model-based controllers, PPO and the agent that ships, on the paper's arm, its circle and random targets.
 
 All arms are recorded side by side, first along the circle, then along one of the random targets, which also gives the times per action.
 """
@@ -18,7 +18,7 @@ from soft_tendon_env.policies.names import PolicyName
 
 TASK = "TipPose"
 SHOWN = {"paper": "paper (printed law)", "tracking": "tracking (sampled law)", "predictive": "predictive (MPC)", "ppo": "PPO"}
-SHOWN[AGENT] = "agent (the best)"
+SHOWN[AGENT] = "agent (APG)"
 """Policies that are shown, with their names there."""
 ARM = {"scene": "paper", "fidelity": "standard"}
 NOTES = """The tendons of this arm pull, with 0 to 60 N, and cannot push. The law (39) of the paper is continuous in time and takes tendons

@@ -39,7 +39,7 @@ QUICK = [
     (("train", "{config}", "--seed", "3"), ["PPO on TipPose, 128 steps, seed 3"], ["runs/small/seed_3/best/weights.pt"]),
     pytest.param(
         ("demo", "--episodes", "1", "--seconds", "0.2"),
-        ["\n| agent (the best) ", "\n| PPO ", "cannot push"],
+        ["\n| agent (APG) ", "\n| PPO ", "cannot push"],
         ["demo.rrd", "demo.png"],
         marks=pytest.mark.slow,  # it draws
     ),
