@@ -1,6 +1,8 @@
 """Curves, bodies and obstacles of arms in space, where several arms stand, and the cameras that see them, for pictures and recordings."""
 
 import functools
+import itertools
+import math
 
 import numpy as np
 
@@ -22,7 +24,8 @@ PULLS = -1.0, 0.0, 0.12, 0.4, 1.0
 PULL_COLORS = np.array([[160, 90, 255], [105, 108, 118], [255, 225, 90], [255, 150, 40], [255, 40, 30]])
 """RGB at these shares of the largest tension that the actuator gives, from pushing over slack to pulling."""
 SPACING = 0.65  # distance at which several arms are drawn, in widths of the box that most motions need
-ELEVATION = 28.0  # [deg] of the viewer's camera, by which a tip's path looks about as it does in frames
+VISITED = 0.5  # share of that box's width in which arms mostly are
+ELEVATION, FIELD_OF_VIEW = 28.0, math.radians(55.0)  # [deg], [rad] of the viewer's camera: tips' paths look about as in frames
 LABEL = 2.5  # depth of an arm's name behind its base, in depths of the mount
 
 
@@ -170,13 +173,20 @@ def label_place(model: Model) -> Array:
     return np.array([-LABEL * mount_size(model.scene)[0], 0.0, 0.0])
 
 
-def camera(model: Model, places: Array) -> tuple[Array, Array, Array]:
-    """Position, target [m] and upward direction of the camera that sees arms at places (arms, 3) [m] whole, in a view wider than high."""
+def camera(model: Model, places: Array, aspect: float) -> tuple[Array, Array, Array]:
+    """Position, target [m] and upward direction of the camera that sees arms at places (arms, 3) [m] and their names whole.
+
+    aspect: width of the view over its height.
+    """
     lower, upper, vertical, upright = view_box(model.scene)
-    middle = 0.5 * (lower + upper) + 0.5 * (places.min(axis=0) + places.max(axis=0))
-    distance = float(0.8 * np.linalg.norm(upper - lower) + 0.3 * np.linalg.norm(np.ptp(places, axis=0)))
-    towards = viewpoint(vertical, upright, ELEVATION)[2]
-    return middle + distance * towards, middle, np.eye(3)[vertical] * (1.0 if upright else -1.0)
+    turn = viewpoint(vertical, upright, ELEVATION)
+    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower) * [1.0, VISITED, VISITED]
+    corners = [middle + half * signs for signs in itertools.product((-1.0, 1.0), repeat=3)]
+    seen = np.concatenate([place + [*corners, label_place(model)] for place in places]) @ turn.T
+    middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+    slope = math.tan(0.5 * FIELD_OF_VIEW) * np.array([aspect, 1.0])
+    distance = (np.abs(seen[:, :2] - middle[:2]) / slope + (seen[:, 2:] - middle[2])).max()
+    return (middle + [0.0, 0.0, distance]) @ turn, middle @ turn, np.eye(3)[vertical] * (1.0 if upright else -1.0)
 
 
 def tension_colors(model: Model, tension: Array) -> Array:

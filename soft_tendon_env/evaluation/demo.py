@@ -1,4 +1,4 @@
-"""The demo: the paper's controller, model-based controllers, PPO and the agent that ships, on the paper's arm, its circle and random targets.
+"""The demo: the paper's controller, model-based controllers, PPO and the agent that ships, on the circle and on random targets.
 
 All arms are recorded side by side, first along the circle, then along one of the random targets, which also gives the times per action.
 """

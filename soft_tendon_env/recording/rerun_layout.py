@@ -15,6 +15,8 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 
 RECENT, AHEAD = 10.0, 1.5  # times [s] that plots of a running simulation show, before now and as room for legends
+ASPECT = 3.3  # width of the view of the arms over its height
+SHOWN = {"mm": 20.0, "deg": 10.0}  # errors up to which plots open, of an arm of 1 m: an arm that is lost hides no other
 LEGEND, NO_LEGEND = rrb.PlotLegend(rrb.Corner2D.RightTop), rrb.PlotLegend(visible=False)
 
 
@@ -70,7 +72,7 @@ def layout(arms: dict[str, DrawnArm], trail: float, *, live: bool) -> rrb.Bluepr
 def _scenery(arms: dict[str, DrawnArm], trail: float) -> rrb.Spatial3DView:
     """The arms in space, from where `render` sees one, on a floor below all of them."""
     drawn = [*arms.values()]
-    position, target, up = camera(drawn[0].model, np.array([arm.place for arm in drawn]))
+    position, target, up = camera(drawn[0].model, np.array([arm.place for arm in drawn]), ASPECT)
     lower, upper, vertical, upright = view_box(drawn[0].model.scene)
     height = min(arm.place @ up for arm in drawn) + (lower if upright else upper)[vertical] * up[vertical]
     recent = rrb.VisibleTimeRange(
@@ -87,8 +89,13 @@ def _scenery(arms: dict[str, DrawnArm], trail: float) -> rrb.Spatial3DView:
 
 def _errors(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> list[rrb.View | rrb.Container]:
     """A plot per error, in its unit, with a line per arm."""
-    legend = LEGEND if len(arms) > 1 else NO_LEGEND
-    return [_plot(f"/plot/{part(name)}", error_unit(name).heading, axis, legend) for name in _names(arms, "error")]
+    legend, found, length = LEGEND if len(arms) > 1 else NO_LEGEND, list[rrb.View | rrb.Container](), next(iter(arms.values())).model.length
+    for name in _names(arms, "error"):
+        unit = error_unit(name)
+        most = SHOWN[unit.symbol] * (length if unit.symbol == "mm" else 1.0) if unit.symbol in SHOWN else None
+        title = f"{unit.heading}, up to {most:.3g}" if most else unit.heading
+        found.append(_plot(f"/plot/{part(name)}", title, axis, legend, (0.0, most) if most else None))
+    return found
 
 
 def _tensions(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> list[rrb.View | rrb.Container]:

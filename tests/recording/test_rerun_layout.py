@@ -45,9 +45,12 @@ def plots(blueprint):
 def test_every_error_has_a_plot_with_all_arms_and_every_arm_one_of_tensions_in_one_range(model, number):
     found = plots(layout(arms_of(model, number), 3.0, live=False))
     assert {f"/plot/{error}": found[f"/plot/{error}"].name for error in SERIES["error"]} == {
-        "/plot/position_error": "position [mm]",
-        "/plot/angle_error": "angle [deg]",
+        "/plot/position_error": f"position [mm], up to {20.0 * model.length:.3g}",
+        "/plot/angle_error": "angle [deg], up to 10",
     }
+    most = [20.0 * model.length, 10.0]
+    ranges = [found[f"/plot/{error}"].properties["ScalarAxis"].range.as_arrow_array().to_pylist()[0] for error in SERIES["error"]]
+    assert np.allclose(ranges, [[0.0, value] for value in most])
     for kind in ("tension", "action"):
         assert [origin for origin in found if origin.startswith(f"/{kind}/")] == [rf"/{kind}/arm\ {k}" for k in range(number)]
     assert not [origin for origin in found if origin.startswith("/error")], "metres and radians share no axis"
