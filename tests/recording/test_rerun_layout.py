@@ -48,7 +48,6 @@ def test_every_error_has_a_plot_with_all_arms_and_every_arm_one_of_tensions_in_o
         "/plot/position_error": f"position [mm], up to {20.0 * model.length:.3g}",
         "/plot/angle_error": "angle [deg], up to 10",
     }
-    most = [20.0 * model.length, 10.0]
     ranges = [found[f"/plot/{error}"].properties["ScalarAxis"].range.as_arrow_array().to_pylist()[0] for error in SERIES["error"]]
     assert np.allclose(ranges, [[0.0, 20.0 * model.length], [0.0, 10.0]])
     for kind in ("tension", "action"):
