@@ -21,9 +21,7 @@ SIZES = {
     "lines of the tests": lambda: lines_below("tests"),
     "lines of the largest folder": lambda: max(lines_below(path) for path in (ROOT / "soft_tendon_env").iterdir() if path.is_dir()),
     "lines of the longest file": lambda: max(lines(path) for name in ("soft_tendon_env", "tests") for path in (ROOT / name).rglob("*.py")),
-    "words of the documentation": lambda: sum(
-        len(path.read_text(encoding="utf-8").split()) for pattern in PROSE for path in ROOT.glob(pattern)
-    ),
+    "words of the documentation": lambda: sum(len(path.read_text(encoding="utf-8").split()) for glob in PROSE for path in ROOT.glob(glob)),
 }
 LIMITS = {
     "lines of the package": 28_500,

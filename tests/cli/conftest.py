@@ -8,18 +8,6 @@ import tomli_w
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.learning.config import read_training
 
-TABLE = {
-    "task": "TipPose",
-    "algorithm": "PPO",
-    "steps": 128,
-    "arms": 4,
-    "seconds": 0.4,
-    "hyperparameters": {"n_steps": 16, "batch_size": 32, "n_epochs": 1},
-    "options": {"scene": "three_tendon", "fidelity": "fast"},
-    "normalise": {"observations": True},
-    "evaluation": {"every": 128, "episodes": 2, "skip": 0.2},
-}
-
 
 @pytest.fixture(scope="session")
 def command():
@@ -44,10 +32,10 @@ def refused(command, monkeypatch, capsys, tmp_path):
 
 
 @pytest.fixture(scope="session")
-def config(tmp_path_factory):
+def config(tmp_path_factory, table):
     """The file of a small training."""
     path = tmp_path_factory.mktemp("configs") / "small.toml"
-    path.write_text(tomli_w.dumps(TABLE))
+    path.write_text(tomli_w.dumps({**table, "steps": 128, "normalise": {"observations": True}}))
     return path
 
 

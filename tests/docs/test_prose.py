@@ -152,3 +152,11 @@ def refused(tried: str, capsys: pytest.CaptureFixture[str]) -> bool:
     with pytest.raises((ValueError, TypeError)) as error:
         exec(tried, {"gym": gym, "np": np, "ste": ste})
     return "\n" not in str(error.value)
+
+
+def test_no_docstring_needs_the_name_above_it():
+    """Docstrings, and texts below constants, make sense with the name above them removed, as the pages of the API show them."""
+    riddle, sources = re.compile(r'^ *"""(What|Of|Where|The same|Likewise|See)\b', re.MULTILINE), (ROOT / "soft_tendon_env").rglob("*.py")
+    texts = {path: path.read_text(encoding="utf-8") for path in sources}
+    found = [f"{path}: {match[0].strip()}" for path, text in texts.items() for match in riddle.finditer(text)]
+    assert texts and not found, found
