@@ -6,7 +6,7 @@ CPU time on one thread: of one evaluation of the equation of motion (a simulatio
 environment alone and of the native vector environment with 64 rows, by row (fidelity presets, and those of before, see
 benchmarks/fidelity.py), of resets, also under loads and among drawn effects, and of new processes when everything is compiled: until the
 package is imported, until the first step, and until the first action of the agent that ships. Once for each, of a new process until its
-first step when nothing is compiled. Wall-clock time: of a step of 64 rows on all cores.
+first step when nothing is compiled, but for a trial of one turn. Wall-clock time: of a step of 64 rows on all cores.
 Medians over turns, and of the ratios of turns that follow one another: other work on the machine makes both slower, and hardly the ratio.
 Turns take some ten milliseconds, and one thread the same core in both: other work changes slower than that, and cores differ. Medians of
 60 such ratios repeat to a few hundredths, where long turns on any core differ by tenths.
@@ -113,6 +113,8 @@ def measured(scene: str, folders: tuple[Path, ...], turns: int, calls: int, bar:
         bar.set_description(f"{scene}: new process to {what}")
         starts = [partial(start, folder, program.format(scene=scene)) for folder in folders]
         yield f"new process to {what}", [taken_in_turn(turn, starts, bar) for turn in range(max(2, turns // STARTS))]
+    if turns == 1:  # a trial
+        return
     bar.set_description(f"{scene}: cold start")
     yield "new process to first step, nothing compiled", [tuple(cold_start(folder, STEP.format(scene=scene)) for folder in folders)]
 

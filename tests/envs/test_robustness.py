@@ -58,7 +58,7 @@ WILD = {
 
 @pytest.mark.parametrize("how", [pytest.param(how, marks=[pytest.mark.slow] * (how in ("pushing", "pulling"))) for how in WILD])
 def test_wild_arms_end_in_order(how):
-    saturate(ShapeVectorEnv(4, 40, **{"fidelity": "fast", **WILD[how]}), 50)
+    saturate(ShapeVectorEnv(4, 15, **{"fidelity": "fast", **WILD[how]}), 20)
 
 
 EVERY_EFFECT = {  # in fixed steps of 20 ms
