@@ -110,10 +110,12 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
 
     def close(self) -> None:
         """Lets the tendons go, closes the robot, and completes the log."""
-        self._safe.close()
-        if self._log is not None:
-            self._log.close()
-        super().close()
+        try:
+            self._safe.close()
+        finally:  # also where Ctrl-C comes meanwhile
+            if self._log is not None:
+                self._log.close()
+            super().close()
 
 
 def _misfit(robot: Robot, episodes: Episodes) -> str:
