@@ -36,7 +36,7 @@ def draw_errors(panels: Mapping[str, Standings], path: Path) -> None:
             axes.axvline(border + 0.5, color="0.85", linewidth=0.8)
         set_log_scale(axes, axes.yaxis)
         axes.set_xticks(range(len(conditions)), conditions, rotation=20)
-        axes.set(ylabel=f"{unit.heading} RMS", title=title, xlim=(-0.5, len(conditions) - 0.5))
+        axes.set(ylabel=f"{unit.heading} RMS,\ninterquartile mean of episodes", title=title, xlim=(-0.5, len(conditions) - 0.5))
         axes.grid(axis="y", alpha=0.3)
         axes.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     save_figure(figure, path)
