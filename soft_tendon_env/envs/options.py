@@ -51,8 +51,8 @@ class Options(Configuration):
         action: "tension" maps [-1, 1] to the tension limits; "increment" maps it to changes of at most `tension_rate` times the control
             period.
         tension_rate: largest rate of change [N/s] of actions that are increments.
-        target: name of a target ("random", "hold", "circle", "ramp", "steps" or a registered one), a table with that `type` and its
-            settings, or a target object. None takes the task's default.
+        target: name of a target ("random", "hold", "circle", "ramp", "steps", "out_of_reach" or a registered one), a table with that
+            `type` and its settings, or a target object. None takes the task's default.
         observation: "full", "measurable" (tip pose, tendon lengths, strain sensors), or a list of observation groups.
         preview: times ahead [s] at which the target is observed too, rounded to whole control periods (1 to 10,000). The default is 0.1 and
             0.2 s, or one and two control periods where a period is longer than that.

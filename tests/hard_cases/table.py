@@ -90,7 +90,9 @@ def page(summaries: dict[str, str], stamp: str) -> str:
 def main() -> int:
     measurements = Measurements()
     status = pytest.main(["-q", str(HERE), f"--ignore={HERE / 'test_table.py'}"], plugins=[measurements])
-    TABLE.write_text(page({case: measurements.summary(case) for case in cases()}, stamp()), encoding="utf-8")
+    summaries = {case: measurements.summary(case) for case in cases()}
+    TABLE.write_text(page(summaries, stamp()), encoding="utf-8")
+    print(f"{len(summaries)} tests, written: {TABLE}")
     return int(status)
 
 
