@@ -1,7 +1,7 @@
-"""Loads: gravity, a wrench at the tip and a payload; and in time disturbances, which are wrenches at points of the rod, and a moving base.
+"""Loads: gravity, a wrench and a payload at the tip, disturbances (wrenches at points of the rod that change in time), and a moving base.
 
-The place of a disturbance is a cubic through the nodes nearest to it, none beyond the end of a tendon. It is shared among them with its
-weights there, by virtual work: force and moment are exact, the error is of fourth order in the distance of the nodes.
+A disturbance between nodes is shared among the nearest ones, none beyond the end of a tendon, by virtual work and the weights of a cubic:
+force and moment are exact, and the error is of fourth order in the distance of the nodes.
 """
 
 import math

@@ -37,7 +37,7 @@ USUAL_NAMES = {
     "osc": ("tracking", "operational-space control"),
     "ik": ("feedforward", "inverse statics"),
 }
-"""What others call a method: its name here, and the method."""
+"""Usual names of methods: the controller of this package, and the method."""
 
 ZIP = """a file of Stable-Baselines3 does not say what its agent observes. Write a module mine.py and name the policy mine:agent:
     from stable_baselines3 import PPO  # or what trained it; the statistics of a VecNormalize are not in the file

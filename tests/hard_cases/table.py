@@ -19,9 +19,10 @@ HEAD = """\
 
 {stamp}
 
-Inputs and arms that are known to break simulators of soft arms, and what was measured. Each is a test in `tests/hard_cases`, whose
-docstring says why the case is hard and what is expected. A test with several parameters has the least and the greatest number; at most
-{numbers} quantities are listed. `python tests/hard_cases/table.py` runs the tests and writes this page.
+Inputs and arms that are known to break simulators of soft arms, with measured errors. Each line is a test in `tests/hard_cases`. Its
+docstring says why the case is hard and what is expected. A test with several parameters has the smallest and the largest number. At most
+{numbers} quantities are listed; "holds" means that the test passes without a number. `python tests/hard_cases/table.py` runs the tests and
+writes this page.
 """
 NUMBERS = 3
 """Quantities of a case that are listed."""
@@ -44,7 +45,7 @@ def listed() -> list[str]:
         if line.startswith("## "):
             file = f"test_{line.removeprefix('## ').lower().replace(' ', '_')}.py"
         elif line.startswith("- `"):
-            found.append(f"{file}::test_{line.split('`')[1]}")
+            found.append(f"{file}::test_{line.split('`')[1].replace(' ', '_')}")
     return found
 
 
@@ -82,7 +83,7 @@ def page(summaries: dict[str, str], stamp: str) -> str:
         file, _, test = case.partition("::")
         if file != last:
             lines.append(f"\n## {file.removeprefix('test_').removesuffix('.py').replace('_', ' ').capitalize()}\n")
-        lines.append(f"- `{test.removeprefix('test_')}`: {summary}")
+        lines.append(f"- `{test.removeprefix('test_').replace('_', ' ')}`: {summary}")
         last = file
     return "\n".join(lines) + "\n"
 
