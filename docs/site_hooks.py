@@ -37,6 +37,12 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     return files
 
 
+def on_page_content(content: str, page: Page, **kwargs: Any) -> str:
+    """Lets long names, such as those of tests, break behind an underscore or a dot."""
+    broken = re.compile(r"(?<=\w[_.])(?=\w)")
+    return re.sub(r"<code>([\w.\[\]]{30,})</code>", lambda match: f"<code>{broken.sub('<wbr>', match[1])}</code>", content)
+
+
 def on_post_build(config: MkDocsConfig) -> None:
     """Names the generated tables and pictures that are not of the present code."""
     generated.say(generated.not_current())

@@ -45,7 +45,7 @@ def listed() -> list[str]:
         if line.startswith("## "):
             file = f"test_{line.removeprefix('## ').lower().replace(' ', '_')}.py"
         elif line.startswith("- `"):
-            found.append(f"{file}::test_{line.split('`')[1].replace(' ', '_')}")
+            found.append(f"{file}::test_{line.split('`')[1]}")
     return found
 
 
@@ -83,7 +83,7 @@ def page(summaries: dict[str, str], stamp: str) -> str:
         file, _, test = case.partition("::")
         if file != last:
             lines.append(f"\n## {file.removeprefix('test_').removesuffix('.py').replace('_', ' ').capitalize()}\n")
-        lines.append(f"- `{test.removeprefix('test_').replace('_', ' ')}`: {summary}")
+        lines.append(f"- `{test.removeprefix('test_')}`: {summary}")
         last = file
     return "\n".join(lines) + "\n"
 
