@@ -84,8 +84,9 @@ def read(command: str, kind: type[Kind], arguments: Sequence[str]) -> Kind:
 
 def _check_names(command: str, kind: type[Configuration], arguments: Sequence[str]) -> None:
     """Raises Mistake for an option that is none, nor nearly one, of a command whose --set may have it as a key."""
-    known = {"--help", *(flag(kind, name) for name in kind.model_fields), *(f"--{name}" for name in SHORTCUTS if "options" in kind.model_fields)}
-    for word, value in zip(arguments, [*arguments[1:], "VALUE"], strict=True) if "--set" in known else ():
+    known = {"--help", "-h", *(flag(kind, name) for name in kind.model_fields)}
+    known |= {f"--{name}" for name in SHORTCUTS if "options" in kind.model_fields}
+    for word, value in zip(arguments, [*arguments[1:], "VALUE"], strict=False) if "--set" in known else ():
         name, _, own = word.removeprefix("--").partition("=")
         if word.startswith("--") and not get_close_matches(f"--{name.replace('_', '-')}", known, cutoff=0.75):
             key = f"{name.replace('-', '_')}={own or value}"
