@@ -51,7 +51,7 @@ def step(id: str, scene: str) -> str:
     """Time of a step of an environment. Raises ValueError for an observation outside of its space."""
     env = gym.make(id, scene=scene)
     env.reset(seed=0)
-    action = np.zeros(env.action_space.shape, dtype=np.float32)
+    action = np.zeros_like(env.action_space.sample())
     env.step(action)  # loads the kernels, or compiles them
     started = perf_counter()
     observation, reward, *_ = env.step(action)

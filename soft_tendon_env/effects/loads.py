@@ -1,6 +1,6 @@
 """Loads: gravity, a wrench and a payload at the tip, disturbances (wrenches at points of the rod that change in time), and a moving base.
 
-A disturbance between nodes is shared among the nearest ones, none beyond the end of a tendon, by virtual work and the weights of a cubic:
+A disturbance between nodes is shared among the nearest ones, none beyond the end of a tendon. By virtual work and the weights of a cubic,
 force and moment are exact, and the error is of fourth order in the distance of the nodes.
 """
 

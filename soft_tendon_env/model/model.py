@@ -35,9 +35,9 @@ TOLERANCE = 1e-12  # relative size of the last Newton correction at which a stra
 class Model:
     """Reduced-order Cosserat-rod model of a tendon-driven arm, made by `build_model` from a scene; it never changes.
 
-    Coordinates q (n,): with the statics-based strain the tensions [N] that the strain answers to (combinations of them where tendons are
-    redundant), then the passive coordinates; with an explicit basis the amplitudes of its fields. Methods raise ValueError or TypeError for
-    bad arrays, `StrainLimitError` where no strain balances the coordinates, and OverflowError for absurd rates.
+    Coordinates q (n,) of the statics-based strain are the tensions [N] that determine the strain (combinations of them if tendons are
+    redundant), then the passive coordinates. With an explicit basis they are the amplitudes of its fields. Methods raise ValueError or
+    TypeError for bad arrays, `StrainLimitError` if no strain balances the coordinates, and OverflowError for absurd rates.
     """
 
     scene: Scene

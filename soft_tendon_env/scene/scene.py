@@ -82,11 +82,11 @@ class Quadrature(Configuration):
 class Integrator(Configuration):
     """Time integration: linearly implicit Euler, extrapolated, with steps of `step` [s].
 
-    `columns` of extrapolation are its order (None: see `extrapolation_columns`), and k of them cost 1 + k (k - 1) / 2 evaluations. A step
-    that fails is halved up to `max_halvings` times.
+    The order is the number of `columns` of the extrapolation (None: see `extrapolation_columns`); k columns cost 1 + k (k - 1) / 2
+    evaluations. A step that fails is halved up to `max_halvings` times.
 
-    With a `tolerance` [m] the order follows the error, and then the step: each step of up to `step` takes 2 columns, or as many more, up
-    to `columns`, as bring its estimated error, as root mean square displacement of the rod, below the tolerance, or a shorter step.
+    With a `tolerance` [m] the order adapts, and then the step. Each step begins with 2 columns and adds one at a time, up to `columns`,
+    until its estimated error is below the tolerance: the root mean square displacement of the rod. If that fails, the step is shortened.
     """
 
     step: TimeStep = 0.02
