@@ -47,10 +47,11 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
     is the zero of tendon lengths and strains. Commands stay within the environment's limits. If the robot is stopped, see safety.py, the
     episode is truncated, and `info["stopped"]` says why; `reset` begins again. `close` makes the tendons slack and closes the robot.
 
-    rate: largest rate of commands [N/s, or m/s]; None: unlimited. settle: time [s] to the first command; 0 for a robot that rests there when
-    the first episode begins, with sensors that have zeros. rest_speed: greatest speed of the tip at rest, root mean square, in lengths of
-    the arm per second. patience: periods without a new reading, or behind the deadlines, after which the robot is stopped. log: new CSV
-    file of the periods, see log.py. Raises ConfigurationError where the robot does not fit the environment, TypeError, ValueError, OSError.
+    rate: largest rate of commands [N/s, or m/s]; None: unlimited. settle: time [s] to the first command; 0 for a robot that rests there
+    when the first episode begins, with sensors that have zeros. rest_speed: greatest speed of the tip at rest, root mean square, in
+    lengths of the arm per second. patience: periods without a new reading, or behind the deadlines, after which the robot is stopped. log:
+    new CSV file of the periods, see log.py. Raises ConfigurationError where the robot does not fit the environment, TypeError, ValueError,
+    OSError.
     """
 
     def __init__(

@@ -192,7 +192,8 @@ class File(Target):
         return path
 
     def check(self, scene: Scene) -> None:
-        farthest, bound = np.abs(FileCourse(self.path).place(FileCourse(self.path).times)).max(), FARTHEST_POSE * rod_length(scene)
+        course, bound = FileCourse(self.path), FARTHEST_POSE * rod_length(scene)
+        farthest = np.abs(course.place(course.times)).max()
         if farthest > bound:
             allowed = f"within ±{bound:g} m, {FARTHEST_POSE:g} lengths of the rod"
             raise ConfigurationError([Problem(("target", "path"), f"has a pose at {farthest:g} m: it should lie {allowed}")], "environment")
