@@ -4,6 +4,7 @@ Lengths with a unit, such as "1mm", are read and written here too.
 """
 
 import contextlib
+import math
 import re
 from typing import Annotated
 
@@ -38,6 +39,18 @@ Frequency = Annotated[float, Field(ge=0, le=FASTEST)]
 Turning = Annotated[float, Field(ge=-FASTEST, le=FASTEST)]
 Length = Annotated[float, Field(gt=0), _between(SHORTEST, LONGEST, " m")]
 Triple = tuple[Number, Number, Number]
+UNIT = 1e-3  # by which the length of a unit quaternion may be off: numbers with four digits have it
+
+
+def _normalised(quaternion: tuple[float, ...]) -> tuple[float, ...]:
+    size = math.hypot(*quaternion)
+    if len(quaternion) != 4 or abs(size - 1.0) > UNIT:
+        text = f"should be a unit quaternion, four numbers in the order (w, x, y, z) whose length is 1 within {UNIT:g}"
+        raise ValueError(f"{text}, not {len(quaternion)} of length {size:.4g}; (1, 0, 0, 0) turns nothing")
+    return tuple(part / size for part in quaternion)
+
+
+Quaternion = Annotated[tuple[Number, ...], AfterValidator(_normalised)]
 
 
 def _is_direction(vector: Triple) -> Triple:
