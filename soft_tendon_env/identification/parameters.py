@@ -75,7 +75,7 @@ def read_parameters(asked: Sequence[str], scene: Scene, markers: MarkerSet) -> t
         elif matches := [one for name, one in measured.items() if re.match(rf"{re.escape(key)}(\.|$)".replace(r"\*", r"[^.]+"), name)]:
             found += [_with_bounds(one, bounds, scene) for one in matches]
         else:
-            raise ValueError(f"parameter {key!r} is none of base, markers and commands: {not_among(key, measured)}")
+            raise ValueError(f"parameter {key!r} is none of the measurement: {not_among(key, measured)}")
     keys = [key for one in found for key in (one.of_scene.keys if one.of_scene else (one.name,))]
     if twice := next((key for key in keys if keys.count(key) > 1), None):
         raise ValueError(f"parameters name {twice} twice")

@@ -45,8 +45,8 @@ UNIT = 1e-3  # by which the length of a unit quaternion may be off: numbers with
 def _normalised(quaternion: tuple[float, ...]) -> tuple[float, ...]:
     size = math.hypot(*quaternion)
     if len(quaternion) != 4 or abs(size - 1.0) > UNIT:
-        text = f"should be a unit quaternion, four numbers in the order (w, x, y, z) whose length is 1 within {UNIT:g}"
-        raise ValueError(f"{text}, not {len(quaternion)} of length {size:.4g}; (1, 0, 0, 0) turns nothing")
+        what = f"length 1, not {size:.4g}" if len(quaternion) == 4 else f"four numbers, not {len(quaternion)}"
+        raise ValueError(f"should have {what}: (w, x, y, z) of a rotation within {UNIT:g}, (1, 0, 0, 0) for none")
     return tuple(part / size for part in quaternion)
 
 

@@ -43,7 +43,7 @@ REFUSED = [
         {"strain.strains": ["bend_y"], "strain.passive": [{"strains": ["stretch"], "order": 0, "span": "rod"}]},
         "should name strains that the rod has, bend_y; not stretch",
     ),
-    ({"quadratur.intervals": 6}, "quadratur is an unknown key (given {'intervals': 6}): did you mean 'quadrature'? valid: description"),
+    ({"quadratur.intervals": 6}, "quadratur is an unknown key (given {'intervals': 6}): did you mean 'quadrature'? valid: base, description"),
     ({"integrator": {"columns": 1, "tolerance": 1e-4}}, "integrator.tolerance is 0.0001: it needs the error estimate of at least 2"),
     ({"segments.2.length": 1.0}, "segments.2.length cannot be set: '2' is no position in segments; valid: 0 to 1"),
 ]
