@@ -29,7 +29,7 @@ class NoHoldError(ValueError):
 
 
 class Measurement(NamedTuple):
-    """Where an arm is, and how it is marked and commanded."""
+    """How an arm is placed, marked and commanded."""
 
     position: Array  # (3,) of the base [m]
     offsets: Array  # (m, 3) of the markers [m]
