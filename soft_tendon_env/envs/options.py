@@ -219,12 +219,12 @@ def check_target(target: Target, task: Task, scene: Scene) -> None:
         _fail("target", f"is {kind!r}, which is a pose alone: {task.name} needs one that is made of tensions, such as random or ramp")
     if isinstance(target, Hold) and target.given is not None:
         place, bound = target.given[:3, 3], GOAL_BOUND * rod_length(scene)
-        home = f" of the base, at {shown(scene.base.position)} m" if any(scene.base.position) else ""
+        home = f", around the base at {shown(scene.base.position)} m" if any(scene.base.position) else ""
         if task.goal is None and target.position is not None:
             _fail("target.position", f"is a position alone: {task.name} needs a pose, 4 x 4")
         if task.goal is not None and np.abs(place - scene.base.position).max() > bound:
             key = "target.pose" if target.position is None else "target.position"
-            allowed = f"within ±{bound:g} m, {GOAL_BOUND:g} lengths of the rod,{home}".removesuffix(",")
+            allowed = f"within ±{bound:g} m, {GOAL_BOUND:g} lengths of the rod{home}"
             _fail(key, f"is at {shown(place.tolist())} m: goals should lie {allowed}")
     target.check(scene)
 

@@ -99,8 +99,9 @@ class OutOfReach(DrawnShapes):
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         pose = setting.model.tip_pose(shape_course(self, generator, setting).coordinates(np.zeros(1))[0][0])
-        away = pose[:3, 3] - setting.model.scene.base.position
-        pose[:3, 3] += (self.beyond * setting.model.length / np.linalg.norm(away) - 1.0) * away
+        base = np.array(setting.model.scene.base.position)
+        away = pose[:3, 3] - base
+        pose[:3, 3] = base + away * (self.beyond * setting.model.length / np.linalg.norm(away))
         return FixedPose(pose)
 
 
