@@ -54,7 +54,7 @@ class Base(Configuration):
         turn, angle = np.radians(self.rotation), math.radians(math.hypot(*self.rotation))
         a, (b, c, d) = math.cos(0.5 * angle), 0.5 * np.sinc(0.5 * angle / np.pi) * turn
         product = np.array([[a, -b, -c, -d], [b, a, -d, c], [c, d, a, -b], [d, -c, b, a]]) @ self.quaternion
-        w, x, y, z = product.tolist()
+        w, x, y, z = (product / math.hypot(*product)).tolist()
         pose = np.eye(4)
         pose[:3, 3] = self.position
         pose[:3, :3] = [

@@ -42,15 +42,15 @@ Triple = tuple[Number, Number, Number]
 UNIT = 1e-3  # by which the length of a unit quaternion may be off: numbers with four digits have it
 
 
-def _normalised(quaternion: tuple[float, ...]) -> tuple[float, ...]:
+def _is_unit(quaternion: tuple[float, ...]) -> tuple[float, ...]:
     size = math.hypot(*quaternion)
     if len(quaternion) != 4 or abs(size - 1.0) > UNIT:
         what = f"length 1, not {size:.4g}" if len(quaternion) == 4 else f"four numbers, not {len(quaternion)}"
         raise ValueError(f"should have {what}: (w, x, y, z) of a rotation within {UNIT:g}, (1, 0, 0, 0) for none")
-    return tuple(part / size for part in quaternion)
+    return quaternion
 
 
-Quaternion = Annotated[tuple[Number, ...], AfterValidator(_normalised)]
+Quaternion = Annotated[tuple[Number, ...], AfterValidator(_is_unit)]  # its length is for its user to make 1
 
 
 def _is_direction(vector: Triple) -> Triple:
