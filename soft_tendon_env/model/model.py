@@ -184,7 +184,7 @@ class Model:
             by_node = work.pose.reshape(-1, 12, LANES).swapaxes(1, 2).reshape(-1, 12)
         state = state if effects is None else checked_array("effects", effects, state.shape)
         stiffness, weight = grid.at_points(rod.root_stiffness, 6).reshape(-1, 6) ** 2, grid.weights.ravel()
-        configured = Configured(rod.node_mass, _poses(by_node), strain, weight, stiffness, self.discretisation, state)
+        configured = Configured(rod.node_mass, _poses(by_node), strain, weight, stiffness, self.discretisation, self.arm.base, state)
         elastic = 0.5 * float(weight @ (stiffness * strain**2).sum(axis=1))
         return Energy(0.5 * float(rate @ mass @ rate), elastic, self.scene.effects.potential_energy(configured))
 

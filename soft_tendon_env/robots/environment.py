@@ -74,8 +74,9 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         settle = checked_number("settle", settle, 0.0, "a number of seconds, at least 0")
         still = checked_number("rest_speed", rest_speed, 1e-9, "a positive number of lengths per second") * episodes.model.length
         limits = np.stack([episodes.actuation.actions.least, episodes.actuation.actions.greatest], axis=1)
-        reach, sensors = np.inf if episodes.model.scene.effects.moving_base else episodes.model.length, episodes.sensors.size
-        self._safe = SafeRobot(robot, limits, sensors, reach, episodes.period, fastest, checked_count("patience", patience, 1))
+        scene, sensors = episodes.model.scene, episodes.sensors.size
+        place = scene.base.position, np.inf if scene.effects.moving_base else episodes.model.length
+        self._safe = SafeRobot(robot, limits, sensors, place, episodes.period, fastest, checked_count("patience", patience, 1))
         self._log = None if log is None else RobotLog(Path(log), robot.command_unit, self._safe.senses, len(limits), sensors)
         arm = MeasuredArm(episodes, self._safe, settle, still, self._log)
         self._last: Any = None

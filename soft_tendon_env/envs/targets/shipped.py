@@ -63,7 +63,7 @@ class Hold(GivenShapes):
 
     @property
     def given(self) -> Array | None:
-        """The given pose (4, 4), of a position alone with the base's axes; None where it is made of tensions."""
+        """The given pose (4, 4), of a position alone with the world's axes; None where it is made of tensions."""
         if self.position is None:
             return None if self.pose is None else np.array(self.pose)
         pose = np.eye(4)
@@ -105,7 +105,9 @@ class OutOfReach(DrawnShapes):
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         pose = setting.model.tip_pose(shape_course(self, generator, setting).coordinates(np.zeros(1))[0][0])
-        pose[:3, 3] *= self.beyond * setting.model.length / np.linalg.norm(pose[:3, 3])
+        base = np.array(setting.model.scene.base.position)
+        away = pose[:3, 3] - base
+        pose[:3, 3] = base + away * (self.beyond * setting.model.length / np.linalg.norm(away))
         return FixedPose(pose)
 
 
@@ -136,10 +138,10 @@ class Stepped(ShapeCourse):
 
 @register_target
 class Circle(Target):
-    """The tip runs along a circle parallel to the y-z plane, its x axis leaning outward: the task of the paper's Section IV-B.
+    """The tip runs along a circle across the base's x axis, its own x axis leaning outward: the task of the paper's Section IV-B.
 
-    `radius` [m], by default a quarter of the rod's length; `centre` [m], by default 0.95 of it away along x; `tilt` [degrees]; `period` [s]
-    of one turn, which the paper does not give.
+    `radius` [m], by default a quarter of the rod's length; `centre` [m] in the world, by default 0.95 of it away along the base's x axis;
+    `tilt` [degrees]; `period` [s] of one turn, which the paper does not give.
     """
 
     type: Literal["circle"] = "circle"
@@ -149,17 +151,19 @@ class Circle(Target):
     period: Positive = 4.0
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        return CircleCourse(self, setting.arms.model.length)
+        return CircleCourse(self, setting.arms.model.length, setting.model.scene.base.pose)
 
 
 class CircleCourse(PoseCourse):
     """The circle; its body twist follows from R(a) = Rx(a) R(0) Rx(-a), with a the angle and Rx turns about x."""
 
-    def __init__(self, circle: Circle, length: float = 1.0) -> None:
-        """length: [m] of the rod, by default of the paper's."""
+    def __init__(self, circle: Circle, length: float = 1.0, base: Array | None = None) -> None:
+        """length: [m] of the rod, by default of the paper's; base: its pose (4, 4), by default the world's origin."""
         self.circle = circle
+        base = np.eye(4) if base is None else base
+        self._axes = base[:3, :3]
         self.radius = 0.25 * length if circle.radius is None else circle.radius
-        self.centre = np.array((0.95 * length, 0.0, 0.0) if circle.centre is None else circle.centre)
+        self.centre = base[:3, 3] + 0.95 * length * base[:3, 0] if circle.centre is None else np.array(circle.centre)
 
     def sample(self, times: Array) -> TargetSamples:
         rate = 2.0 * np.pi / self.circle.period
@@ -171,9 +175,10 @@ class CircleCourse(PoseCourse):
         pose[:, :3, 0] = np.cos(lean) * ahead + np.sin(lean) * outward
         pose[:, :3, 1] = c[:, None] * radial - s[:, None] * across  # no roll: the axes of the base, carried by the shortest turn
         pose[:, :3, 2] = s[:, None] * radial + c[:, None] * across
-        pose[:, :3, 3] = self.centre + self.radius * outward
         angular = rate * (pose[:, 0, :3] - ahead)
         linear = (pose[:, :3, :3] * (rate * self.radius * across)[:, :, None]).sum(axis=1)
+        pose[:, :3, :3] = self._axes @ pose[:, :3, :3]
+        pose[:, :3, 3] = self.centre + self.radius * outward @ self._axes.T
         return pose_samples(pose, np.concatenate([angular, linear], axis=1))
 
 
