@@ -25,15 +25,13 @@ from soft_tendon_env.drawing.shapes import (
 )
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import Scene, disc_rows, rod_length, rod_outline, rod_radius, tendon_ends
+from soft_tendon_env.scene.scene import Scene, Segment, along_rod, disc_rows, rod_length, rod_radius, tendon_ends
 from soft_tendon_env.tools.types import Array
 
 SECTIONS, AROUND = 40, 32  # sections along the rod (more where it has many borders), and corners around each: eighths for rectangles
 CIRCLE = np.stack([np.cos(angle := 2.0 * np.pi / AROUND * np.arange(AROUND)), np.sin(angle)])
 
-TUBE, MOUNT, TRAIL, OBSTACLE, DISC = np.array(
-    [[0.62, 0.71, 0.82], [0.40, 0.42, 0.46], [0.42, 0.24, 0.66], [0.80, 0.72, 0.58], [0.55, 0.58, 0.63]]
-)
+TUBE, MOUNT, TRAIL, OBSTACLE = np.array([[0.62, 0.71, 0.82], [0.40, 0.42, 0.46], [0.42, 0.24, 0.66], [0.80, 0.72, 0.58]])
 PAPER, FLOOR, TEXT, TARGET = (1.0, 1.0, 1.0), (0.86, 0.87, 0.89), (0.30, 0.30, 0.33), (0.05, 0.58, 0.30)
 POSE_AXES = np.array([[0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.12, 0.35, 0.80]])  # x, y, z
 GRID, AXES = 0.25, 0.09  # distance between lines on the floor, and length of a target's axes, in lengths of the rod
@@ -76,7 +74,8 @@ class ArmRenderer:
         scene = model.scene
         self._model, self._arc_length = model, drawing_stations(model, SECTIONS + 1)
         self._radius, _ = rod_radius(scene, self._arc_length)
-        self._outline, self._discs = rod_outline(scene, self._arc_length, CIRCLE), disc_rows(scene)
+        self._outline = along_rod(scene, self._arc_length, outline).T.reshape(-1, *CIRCLE.shape)
+        self._discs = disc_rows(scene)
         ends = [tendon_ends(scene, tendon) for tendon in scene.tendons]
         self._inside = [(self._arc_length >= start) & (self._arc_length <= end) for start, end in ends]
         self._box, self.turn = view_box(scene)[:2], viewpoint(*view_box(scene)[2:])
@@ -125,7 +124,7 @@ class ArmRenderer:
         mount = cylinder(base, -depth, 0.0, radius)
         sizes = self._discs[:, 2:].tolist()
         spacers = [cylinder(pose, -0.5 * thick, 0.5 * thick, wide) for pose, (wide, thick) in zip(discs, sizes, strict=True)]
-        return [solid(mount, MOUNT, self.turn), solid(rod, TUBE, self.turn), *(solid(disc, DISC, self.turn) for disc in spacers)]
+        return [solid(mount, MOUNT, self.turn), solid(rod, TUBE, self.turn), *(solid(disc, TUBE, self.turn) for disc in spacers)]
 
     def _tendons(self, backbone: Array, tension: Array) -> list[Pieces]:
         """Lines coloured by tension (n_a,), all on the near surface of the tube; those of the far side are faded."""
@@ -160,6 +159,12 @@ def moving_artists(figure: Any, axes: Any) -> list[Any]:
     return [*artists, title]
 
 
+def outline(segment: Segment, places: Array) -> Array:
+    """Corners y, z [m] around the sections at arc lengths (m,) [m] of a segment: (2 * AROUND, m)."""
+    half = 0.5 * segment.shape.hull(places, segment.length)[:2]
+    return (half[:, None] * segment.shape.outline(CIRCLE)[..., None]).reshape(CIRCLE.size, -1)
+
+
 def cylinder(pose: Array, start: float, end: float, radius: float) -> Array:
     """Quadrilaterals (3 * AROUND, 4, 3) of a cylinder with its ends, about the x axis of a pose (4, 4) from start to end [m]."""
     ends = np.tile(np.eye(4), (4, 1, 1))
@@ -168,7 +173,7 @@ def cylinder(pose: Array, start: float, end: float, radius: float) -> Array:
 
 
 def tube(poses: Array, outline: Array) -> Array:
-    """Quadrilaterals ((m - 1) * AROUND, 4, 3), seen counterclockwise from outside, on outlines y, z (m, 2, AROUND) [m] at poses (m, 4, 4)."""
+    """Quadrilaterals ((m - 1) * AROUND, 4, 3), seen counterclockwise from outside, on outlines (m, 2, AROUND) [m] at poses (m, 4, 4)."""
     rings = poses[:, None, :3, 3] + (poses[:, :3, 1:3] @ outline).swapaxes(1, 2)
     turned = np.roll(rings, -1, axis=1)
     return np.stack([rings[:-1], turned[:-1], turned[1:], rings[1:]], axis=2).reshape(-1, 4, 3)

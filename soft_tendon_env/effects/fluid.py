@@ -71,9 +71,12 @@ class Fluid(Effect):
     def added_masses(self, rod: Discretisation) -> Array:
         """Added masses (2, nodes) [kg] of the slices along y and z."""
         place, _, radius, thickness = rod.discs.T
-        across = rod.over_nodes(lambda arc_length: 0.25 * rod.hull(arc_length)[1::-1].T ** 2).T  # what moves along y is as wide as its height
-        of_discs = (radius**2 - 0.25 * rod.hull(place)[1::-1] ** 2) * thickness @ weights(rod, place)
-        return np.pi * self.added_mass * self.density * (across + of_discs)
+
+        def squares(arc_length: Array) -> Array:  # of half the width that a motion along y or z sees: the height, or the width
+            return 0.25 * rod.hull(arc_length)[1::-1].T ** 2
+
+        of_discs = (radius**2 - squares(place).T) * thickness @ weights(rod, place)
+        return np.pi * self.added_mass * self.density * (rod.over_nodes(squares).T + of_discs)
 
     def added_inertia(self, rod: Discretisation) -> Array:
         return np.concatenate([np.zeros((4, rod.node.size)), self.added_masses(rod)]).T

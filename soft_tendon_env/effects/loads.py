@@ -163,7 +163,8 @@ class Disturbance(Effect):
                 problem = Problem(("effects", "disturbance", "loads", i, "at"), f"is {push.at:g} m: the rod has {rod.length:g} m")
                 raise ConfigurationError([problem])
         rows = [[*(push.signal.numbers if push.signal else ALWAYS), *push.moment, *push.force] for push in self.loads]
-        return DisturbanceParameters(np.array(rows), np.array([node_field(row[:, None]) for row in weights(rod, [push.at for push in self.loads])]))
+        shares = weights(rod, [push.at for push in self.loads])
+        return DisturbanceParameters(np.array(rows), np.array([node_field(share[:, None]) for share in shares]))
 
 
 def weights(rod: Discretisation, arc_length: ArrayLike, most: int = 4) -> Array:

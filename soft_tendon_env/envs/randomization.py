@@ -107,9 +107,8 @@ def _in_full(numbers: dict[str, Any]) -> dict[str, Any]:
 
 
 def _whole_rod(scene: Scene, name: str, value: Any) -> str:
-    """The key of a number, and where a factor of it means others in some segments, with theirs."""
-    is_factor = isinstance(value, dict) and "factor" in value
-    mixed = is_factor and any(isinstance(segment.section, Stiffness) for segment in scene.segments)
+    """The key of a number, with the others that a factor of it means in some segments."""
+    mixed = isinstance(value, dict) and "factor" in value and any(isinstance(part.section, Stiffness) for part in scene.segments)
     return "|".join([name, *(f"segments.*.section.{key}" for key in OF_STIFFNESS.get(name, ()) if mixed)])
 
 

@@ -101,7 +101,7 @@ class QuadratureTest:
         sides[0] = 1  # all at their greatest
         together = [self.limits[np.arange(count), side] for side in sides]
         self.tensions = list({tension.tobytes(): tension for tension in [*together, *alone, self.slack]}.values())
-        tapers = [taper for segment in scene.segments for taper in segment.shape.tapers()]
+        tapers = [taper for segment in scene.segments for taper in segment.shape.tapers().values()]
         shortest = min(shape.wavelength() for shape in (*(tendon.routing for tendon in scene.tendons), *tapers))
         per_piece = math.ceil(PER_WAVE * np.diff(breakpoints(scene)).max() / shortest)
         # that a finer quadrature has at least: coarser ones could agree with each other and be both wrong

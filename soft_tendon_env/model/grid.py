@@ -11,17 +11,7 @@ from soft_tendon_env.effects.loads import weights
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.motion.batch import Places
 from soft_tendon_env.mechanics.types import IntVector, Rod, Tendons, node_field, point_field
-from soft_tendon_env.scene.scene import (
-    Scene,
-    along_rod,
-    breakpoints,
-    disc_rows,
-    rod_hull,
-    rod_radius,
-    segment_index,
-    tendon_ends,
-    tendon_offset,
-)
+from soft_tendon_env.scene.scene import Scene, along_rod, breakpoints, disc_rows, rod_radius, segment_index, tendon_ends, tendon_offset
 from soft_tendon_env.scene.strain import STRAINS
 from soft_tendon_env.tools.types import Array
 
@@ -105,11 +95,7 @@ def newton_cotes(intervals: int) -> Array:
 
 def screw_matrices(scene: Scene, arc_length: Array) -> tuple[Array, Array, Array]:
     """Diagonals of Sigma, Upsilon and the screw inertia density at arc lengths (m,), each (m, 6), without discs. See scene.sections."""
-    rows = along_rod(
-        scene,
-        arc_length,
-        lambda segment, places: segment.shape.screw_matrices(segment.material, places, segment.length).reshape(18, -1),
-    )
+    rows = along_rod(scene, arc_length, lambda segment, places: segment.screw_matrices(places).reshape(18, -1))
     elasticity, damping, inertia = np.ascontiguousarray(rows.reshape(3, 6, -1).swapaxes(1, 2))
     return elasticity, damping, inertia
 
@@ -146,7 +132,7 @@ def at_points(scene: Scene, grid: Grid) -> AtPoints:
         node=grid.start + grid.length,
         point=grid.points,
         radius=lambda arc_length: rod_radius(scene, arc_length)[0],
-        hull=lambda arc_length: rod_hull(scene, arc_length),
+        hull=lambda arc_length: along_rod(scene, arc_length, lambda segment, places: segment.shape.hull(places, segment.length)),
         discs=disc_rows(scene),
         elasticity=lambda arc_length: screw_matrices(scene, arc_length)[0],
         line_mass=lambda arc_length: screw_matrices(scene, arc_length)[2][:, 3],

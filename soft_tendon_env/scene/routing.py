@@ -95,13 +95,6 @@ Size = Annotated[
 ]
 
 
-def size_and_slope(size: float | Taper, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
-    """A size [m] and its derivative along the rod [-] at arc lengths (m,) [m] from the segment's start, each (m,)."""
-    if isinstance(size, Taper):
-        return size.size_and_slope(arc_length, segment_length)
-    return np.full_like(arc_length, size), np.zeros_like(arc_length)
-
-
 class TendonRouting(AlongRod):
     """Base of the tendon routings. Arc lengths are measured from the rod's base; y, z span the section."""
 

@@ -14,7 +14,7 @@ from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.scene.routing import Ends, Routing, Size
-from soft_tendon_env.scene.sections import AnySection, Circle, Discs, Material, Section, Stiffness
+from soft_tendon_env.scene.sections import PLACES, AnySection, Discs, Section, Stiffness, Tube
 from soft_tendon_env.scene.strain import ExplicitStrain, StaticsBased
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, override
 from soft_tendon_env.tools.types import Array, Length, NotNegative, Positive, TimeStep, Triple
@@ -46,7 +46,7 @@ class Segment(Configuration):
     elsewhere: ClassVar[Mapping[str, str]] = dict.fromkeys(
         ("inner_radius", "outer_radius", "width", "height", "diameter"),
         'a solid circle has a radius, and a tube is written section = {type = "tube", radius = 0.005, inner_radius = 0.004} in its place,'
-        ' see soft_tendon_env.scene.sections',
+        " see soft_tendon_env.scene.sections",
     )
 
     length: Length  # [m]
@@ -73,13 +73,14 @@ class Segment(Configuration):
 
     @model_validator(mode="after")
     def _parts_fit_its_length(self) -> Self:
-        section = () if self.section is None else ("section",)
-        problems = [Problem((*section, *key), text) for key, text in self.shape.misfits(self.length)]
+        place: tuple[str, ...] = () if self.section is None else ("section",)
+        problems = [Problem((*place, *key), text) for key, text in self.shape.misfits(self.length)]
         if self.discs is not None and not problems:
-            places = self.discs.at(self.length)
+            places = self.discs.rows(self.length)[:, 0]
+            widest = self.shape.outer_radius(places, self.length)[0].max()
             if places.max() > self.length * (1 + SAME_PLACE):
                 problems.append(Problem(("discs", "places"), f"go to {places.max():g}: they should be at most the length, {self.length:g}"))
-            elif self.discs.radius <= (widest := self.shape.outer_radius(places, self.length)[0].max()):
+            elif self.discs.radius <= widest:
                 text = f"is {self.discs.radius:g}: it should be greater than that of the rod there, {widest:g}"
                 problems.append(Problem(("discs", "radius"), text))
         if problems:
@@ -88,21 +89,12 @@ class Segment(Configuration):
 
     @property
     def shape(self) -> Section:
-        """Its section: the circle of its radius where it has no other."""
-        return Circle.model_construct(radius=self.radius) if self.section is None else self.section
+        """Its section: a circle is a tube without a hole."""
+        return Tube.model_construct(radius=self.radius, inner_radius=0.0) if self.section is None else self.section  # type: ignore[arg-type]
 
-    @property
-    def material(self) -> Material:
-        """The numbers of its material."""
-        return Material(self.young_modulus, self.poisson_ratio, self.density, self.damping)
-
-    @property
-    def retardation_time(self) -> float:
-        """Time constant [s] of its Kelvin-Voigt damping in bending, viscosity over stiffness."""
-        if isinstance(self.section, Stiffness):
-            return self.section.retardation_time
-        assert self.damping is not None and self.young_modulus is not None
-        return 3.0 * self.damping / self.young_modulus
+    def screw_matrices(self, arc_length: Array) -> Array:
+        """Diagonals (3, 6, m) of Sigma, Upsilon and the screw inertia per length at arc lengths (m,) [m] from its start."""
+        return self.shape.screw_matrices(arc_length, self.length, self.young_modulus, self.poisson_ratio, self.density, self.damping)
 
 
 class Tendon(Configuration):
@@ -237,21 +229,6 @@ def rod_radius(scene: Scene, arc_length: ArrayLike) -> tuple[Array, Array]:
     return radius, slope
 
 
-def rod_hull(scene: Scene, arc_length: ArrayLike) -> Array:
-    """Widths along y and z [m], perimeter [m] and area [m^2] of the rod's outline at arc lengths (m,) [m]: (4, m)."""
-    return along_rod(scene, arc_length, lambda segment, places: segment.shape.hull(places, segment.length))
-
-
-def rod_outline(scene: Scene, arc_length: ArrayLike, circle: Array) -> Array:
-    """Outline of the rod's section at arc lengths (m,) [m], y and z [m] of k points (m, 2, k), around points of the unit circle (2, k)."""
-
-    def points(segment: Segment, places: Array) -> Array:
-        half = 0.5 * segment.shape.hull(places, segment.length)[:2]
-        return (half[:, None] * segment.shape.outline(circle)[..., None]).reshape(circle.size, -1)
-
-    return along_rod(scene, arc_length, points).T.reshape(-1, *circle.shape)
-
-
 def disc_rows(scene: Scene) -> Array:
     """Arc length [m], mass [kg], radius and thickness [m], 0 for thin ones, of every spacer disc: (d, 4)."""
     parts = zip(scene.segments, segment_borders(scene), strict=False)
@@ -274,7 +251,8 @@ def extrapolation_columns(scene: Scene) -> int:
     if scene.integrator.columns is not None:
         return scene.integrator.columns
     omega = 0.64 / scene.integrator.step
-    ratios = [0.5 * segment.retardation_time * omega for segment in scene.segments]  # in bending
+    parts = [segment.screw_matrices(np.zeros(1))[:2, 1, 0] for segment in scene.segments]
+    ratios = [0.5 * omega * damping / stiffness for stiffness, damping in parts]  # in bending
     if min(ratios) < 0.01:
         return 2
     return 3 if scene.integrator.tolerance is None else MOST_COLUMNS
@@ -301,8 +279,10 @@ def _misfits(scene: Scene) -> Iterator[Problem]:
             yield Problem(("strain", "borders", i), f"is {border}: it should be less than the rod's length, {length:g}")
     law = scene.effects.nonlinear_elasticity
     for i, segment in enumerate(scene.segments):
-        if law is not None and law.bending is not None and not segment.shape.is_round:
-            text = "has one e0 for both curvatures: it needs sections that bend alike about y and z, and that of segments"
-            yield Problem(("effects", "nonlinear_elasticity", "bending"), f"{text}[{i}] does not")
+        if law is not None and law.bending is not None:
+            about_y, about_z = segment.screw_matrices(segment.length * PLACES)[0, 1:3]
+            if np.abs(about_y - about_z).max() > 1e-9 * about_y.max():
+                text = "has one e0 for both curvatures: it needs sections that bend alike about y and z, and that of segments"
+                yield Problem(("effects", "nonlinear_elasticity", "bending"), f"{text}[{i}] does not")
         if scene.effects.fluid is not None and segment.discs is not None and segment.discs.thickness is None:
             yield Problem(("segments", i, "discs", "thickness"), "is missing: in a fluid it is required")

@@ -13,28 +13,20 @@ To add a section, write its class here and name it in `AnySection`.
 
 from abc import abstractmethod
 from collections.abc import Iterator
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, field_validator
+from pydantic_core.core_schema import ValidationInfo
 
-from soft_tendon_env.scene.routing import Size, Taper, size_and_slope
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
+from soft_tendon_env.scene.routing import Size, Taper
+from soft_tendon_env.tools.configuration import Configuration, Problem
 from soft_tendon_env.tools.types import Array, Length, NotNegative, Positive
 
 VISCOUS = np.array([1.0, 3.0, 3.0, 3.0, 1.0, 1.0])[:, None]  # viscosity of the six strains in eta: 3 along the rod (Trouton's ratio)
-ODD = np.array([1.0, 3.0, 5.0, 7.0])  # of the series below: what the others add is less than round-off
+ODD = np.array([[1.0], [3.0], [5.0], [7.0]])  # of the series below: what the others add is less than round-off
 SUM_OF_ODD = 31.0 / 32.0 * 1.0369277551433699  # of 1 / n^5 over all odd n, 31/32 of Riemann's zeta(5)
-PLACES = 65  # along a segment, at which sizes that vary are compared
-
-
-class Material(NamedTuple):
-    """Numbers of a segment's material, None in one whose section has the stiffnesses themselves."""
-
-    young_modulus: float | None  # [Pa]
-    poisson_ratio: float | None
-    density: float | None  # [kg/m^3]
-    damping: float | None  # [Pa s]
+PLACES = np.linspace(0.0, 1.0, 65)  # along a segment, in lengths, at which what varies is compared
 
 
 class Section(Configuration):
@@ -45,23 +37,24 @@ class Section(Configuration):
 
     sizes: ClassVar[tuple[str, ...]] = ("radius",)
 
-    @property
-    def is_round(self) -> bool:
-        """Whether it bends alike in all directions."""
-        return True
-
     @abstractmethod
-    def screw_matrices(self, material: Material, arc_length: Array, length: float) -> Array:
-        """Diagonals (3, 6, m) of Sigma [N m^2, N], Upsilon and the screw inertia per length [kg m, kg/m]."""
+    def screw_matrices(self, arc_length: Array, length: float, *material: Any) -> Array:
+        """Diagonals (3, 6, m) of Sigma [N m^2, N], Upsilon and the screw inertia per length [kg m, kg/m].
 
-    def tapers(self) -> list[Taper]:
-        """Those of the sizes that vary."""
-        return [size for name in self.sizes if isinstance(size := getattr(self, name), Taper)]
+        material: Young's modulus [Pa], Poisson's ratio, density [kg/m^3] and viscosity [Pa s], where it is of one.
+        """
+
+    def tapers(self) -> dict[str, Taper]:
+        """Those of the sizes that vary, by name."""
+        return {name: size for name in self.sizes if isinstance(size := getattr(self, name), Taper)}
 
     def at(self, arc_length: Array, length: float) -> tuple[Array, Array]:
         """Sizes [m] and their derivatives along the rod [-], each (sizes, m)."""
-        values, slopes = zip(*(size_and_slope(getattr(self, name), arc_length, length) for name in self.sizes), strict=True)
-        return np.stack(values), np.stack(slopes)
+        values, slopes = np.zeros((2, len(self.sizes), arc_length.size))
+        for i, name in enumerate(self.sizes):
+            size = getattr(self, name)
+            values[i], slopes[i] = size.size_and_slope(arc_length, length) if isinstance(size, Taper) else (size, 0.0)
+        return values, slopes
 
     def outer_radius(self, arc_length: Array, length: float) -> tuple[Array, Array]:
         """Radius [m] of the circle around the section, and its derivative along the rod [-], each (m,)."""
@@ -70,7 +63,7 @@ class Section(Configuration):
 
     def hull(self, arc_length: Array, length: float) -> Array:
         """Widths along y and z [m], perimeter [m] and area [m^2] of the outline: (4, m)."""
-        radius, _ = self.outer_radius(arc_length, length)
+        radius = self.at(arc_length, length)[0][0]
         return np.stack([2.0 * radius, 2.0 * radius, 2.0 * np.pi * radius, np.pi * radius**2])
 
     def outline(self, circle: Array) -> Array:
@@ -79,8 +72,8 @@ class Section(Configuration):
 
     def misfits(self, length: float) -> Iterator[Problem]:
         """What does not fit the segment, by keys of the section."""
-        for name in self.sizes:
-            if isinstance(size := getattr(self, name), Taper) and (text := size.misfit(length)):
+        for name, taper in self.tapers().items():
+            if text := taper.misfit(length):
                 yield Problem((name,), text)
 
 
@@ -93,9 +86,8 @@ class Solid(Section):
     def integrals(self, sizes: Array) -> tuple[Array, Array, Array, Array]:
         """A [m^2], Iy, Iz and Saint-Venant's J [m^4], each (m,), of sizes (sizes, m)."""
 
-    def screw_matrices(self, material: Material, arc_length: Array, length: float) -> Array:
+    def screw_matrices(self, arc_length: Array, length: float, *material: Any) -> Array:
         E, nu, rho, eta = material
-        assert E is not None and nu is not None
         area, bending_y, bending_z, torsion = self.integrals(self.at(arc_length, length)[0])
         sheared, G = self.shear_correction * area, E / (2 * (1 + nu))
         strained = np.stack([torsion, bending_y, bending_z, area, sheared, sheared])
@@ -103,18 +95,8 @@ class Solid(Section):
         return np.stack([np.array([G, E, E, E, G, G])[:, None] * strained, eta * (VISCOUS * strained), rho * moved])
 
 
-class Circle(Solid):
-    """Solid circle, what a segment with a `radius` has."""
-
-    radius: Size
-
-    def integrals(self, sizes: Array) -> tuple[Array, Array, Array, Array]:
-        area, bending = np.pi * sizes[0] ** 2, np.pi * sizes[0] ** 4 / 4
-        return area, bending, bending, 2 * bending
-
-
 class Tube(Solid):
-    """Round tube. In a fluid its ends are closed: its hole displaces fluid, and holds none."""
+    """Round tube; without a hole it is the solid circle. In a fluid its ends are closed: its hole displaces fluid, and holds none."""
 
     sizes: ClassVar[tuple[str, ...]] = ("radius", "inner_radius")
 
@@ -128,7 +110,7 @@ class Tube(Solid):
 
     def misfits(self, length: float) -> Iterator[Problem]:
         yield from super().misfits(length)
-        outer, inner = self.at(np.linspace(0.0, length, PLACES), length)[0]
+        outer, inner = self.at(length * PLACES, length)[0]
         if (inner >= outer).any():
             i = int(np.argmin(outer - inner))
             yield Problem(("inner_radius",), f"is {inner[i]:g}: it should be less than the radius there, {outer[i]:g}")
@@ -142,10 +124,6 @@ class Flat(Solid):
     width: Size  # along y [m]
     height: Size  # along z [m]
 
-    @property
-    def is_round(self) -> bool:
-        return False
-
 
 class Rectangle(Flat):
     """Solid rectangle. Torsion is Timoshenko and Goodier's (170), summed to round-off."""
@@ -155,7 +133,7 @@ class Rectangle(Flat):
     def integrals(self, sizes: Array) -> tuple[Array, Array, Array, Array]:
         (width, height), (short, long) = sizes, np.sort(sizes, axis=0)
         area, ratio = width * height, short / long
-        series = SUM_OF_ODD - ((1.0 - np.tanh(0.5 * np.pi * ODD[:, None] / ratio)) / ODD[:, None] ** 5).sum(axis=0)
+        series = SUM_OF_ODD - ((1.0 - np.tanh(0.5 * np.pi * ODD / ratio)) / ODD**5).sum(axis=0)
         torsion = long * short**3 * (1.0 / 3.0 - 64.0 / np.pi**5 * ratio * series)
         return area, area * height**2 / 12, area * width**2 / 12, torsion
 
@@ -184,7 +162,7 @@ class Ellipse(Flat):
 
     def outer_radius(self, arc_length: Array, length: float) -> tuple[Array, Array]:
         values, slopes = self.at(arc_length, length)
-        return 0.5 * values.max(axis=0), 0.5 * np.where(values[0] >= values[1], *slopes)
+        return 0.5 * values.max(axis=0), 0.5 * np.where(values[0] >= values[1], slopes[0], slopes[1])
 
     def hull(self, arc_length: Array, length: float) -> Array:
         a, b = 0.5 * self.at(arc_length, length)[0]
@@ -213,16 +191,13 @@ class Stiffness(Section):
     radius: Size  # of the outer circle [m], for contact, fluids, drawing and tendons on the surface
     rotary_inertia: tuple[Positive, Positive, Positive] | None = None  # about x, y, z per length [kg m]; None: a solid circle's
 
-    @property
-    def is_round(self) -> bool:
-        return self.bending[0] == self.bending[1]
-
-    def screw_matrices(self, material: Material, arc_length: Array, length: float) -> Array:
-        radius, mass = self.outer_radius(arc_length, length)[0], self.mass_per_length
-        sigma = np.array([self.torsion, *self.bending, self.stretch, *self.shear])[:, None] * np.ones_like(radius)
-        about = mass * np.outer([0.5, 0.25, 0.25], radius**2) if self.rotary_inertia is None else np.array([self.rotary_inertia]).T
-        moved = np.concatenate([about * np.ones_like(radius), np.full((3, radius.size), mass)])
-        return np.stack([sigma, self.retardation_time * sigma, moved])
+    def screw_matrices(self, arc_length: Array, length: float, *material: Any) -> Array:
+        mass, ones = self.mass_per_length, np.ones_like(arc_length)
+        sigma = np.outer([self.torsion, *self.bending, self.stretch, *self.shear], ones)
+        about: Array = np.outer(self.rotary_inertia or (0.5 * mass, 0.25 * mass, 0.25 * mass), ones)
+        if self.rotary_inertia is None:
+            about *= self.outer_radius(arc_length, length)[0] ** 2
+        return np.stack([sigma, self.retardation_time * sigma, np.concatenate([about, np.outer([mass] * 3, ones)])])
 
 
 AnySection = Annotated[Tube | Rectangle | Ellipse | Stiffness, Field(discriminator="type")]
@@ -238,19 +213,16 @@ class Discs(Configuration):
     radius: Length  # [m]; their inertia is that of full cylinders
     thickness: Length | None = None  # [m]; None: thin
     number: int | None = Field(default=None, ge=1, le=1000)
-    places: tuple[NotNegative, ...] | None = Field(default=None, min_length=1)
+    places: tuple[NotNegative, ...] | None = Field(default=None, min_length=1, validate_default=True)
 
-    @model_validator(mode="after")
-    def _stand_somewhere(self) -> Self:
-        if (self.number is None) == (self.places is None):
-            raise ConfigurationError([Problem(("number",), "or places should say where the discs are: give one of the two")])
-        return self
-
-    def at(self, length: float) -> Array:
-        """Arc lengths (d,) [m] from the start of a segment of this length [m]."""
-        return np.array(self.places) if self.number is None else length * np.arange(1, self.number + 1) / self.number
+    @field_validator("places")
+    @classmethod
+    def _or_number(cls, places: Any, info: ValidationInfo) -> Any:
+        if "number" in info.data and (places is None) == (info.data["number"] is None):
+            raise ValueError("should be arc lengths from the start of the segment, or a number of discs be given in their place")
+        return places
 
     def rows(self, length: float) -> Array:
-        """Arc length from the start of the segment [m], mass [kg], radius and thickness [m] of each: (d, 4)."""
-        numbers = np.array([self.mass, self.radius, self.thickness or 0.0])
-        return np.column_stack([places := self.at(length), np.tile(numbers, (places.size, 1))])
+        """Arc length from the start of a segment of this length [m], mass [kg], radius and thickness [m] of each: (d, 4)."""
+        places = length * np.arange(1, self.number + 1) / self.number if self.number is not None else np.array(self.places)
+        return np.column_stack([places, np.tile([self.mass, self.radius, self.thickness or 0.0], (places.size, 1))])

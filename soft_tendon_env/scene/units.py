@@ -38,7 +38,7 @@ def _ask(value: float, usual: float, units: Mapping[str, float]) -> str:
 
 def _stiffness(segment: Segment, places: Array) -> Array:
     """Bending [N m^2], about the softer axis, and stretch [N] at arc lengths (m,) [m] of a segment: (2, m)."""
-    elasticity = segment.shape.screw_matrices(segment.material, places, segment.length)[0]
+    elasticity = segment.screw_matrices(places)[0]
     return np.stack([elasticity[1:3].min(axis=0), elasticity[3]])
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from soft_tendon_env import ConfigurationError, build_model, load_scene, static_equilibrium
+from soft_tendon_env import ConfigurationError, build_model, load_scene, scene_parameters, static_equilibrium
+from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.model.grid import screw_matrices
 from soft_tendon_env.scene.scene import Scene, rod_radius, scene_to_dict
 
@@ -40,6 +41,11 @@ SECTIONS = [  # with A, Iy, Iz and J
     ({"type": "rectangle", "width": 0.008, "height": 0.008}, rectangle(0.008, 0.008, 0.1406)),
     ({"type": "rectangle", "width": 0.004, "height": 0.012}, rectangle(0.004, 0.012, 0.2633)),
     ({"type": "rectangle", "width": 0.02, "height": 0.002}, rectangle(0.02, 0.002, 0.3123)),
+]
+TAPERED = [
+    {**TUBE, "radius": {**TABLE, "radius": [0.006, 0.005, 0.004]}, "inner_radius": {"type": "linear", "base": 0.004, "tip": 0.003}},
+    {"type": "rectangle", "width": {**TABLE, "size": [0.006, 0.005, 0.004]}, "height": 0.004},
+    {"type": "ellipse", "width": {**TABLE, "size": [0.006, 0.005, 0.004]}, "height": 0.003},
 ]
 
 
@@ -86,8 +92,8 @@ def test_first_three_frequencies_about_both_axes_and_of_torsion(section, known):
     area, *bending, torsion = known
     roots = np.array([1.87510407, 4.69409113, 7.85475744])
     slopes = np.array([4.6478, 32.417, 77.299])  # integrals of phi'^2 over 1, with phi^2 integrating to 1
-    for strain, I in zip(("bend_y", "bend_z"), bending, strict=True):
-        exact = (roots / L) ** 2 * np.sqrt(E * I / (RHO * area)) / np.sqrt(1 + slopes * I / (area * L**2))
+    for strain, second in zip(("bend_y", "bend_z"), bending, strict=True):
+        exact = (roots / L) ** 2 * np.sqrt(E * second / (RHO * area)) / np.sqrt(1 + slopes * second / (area * L**2))
         found = frequencies(arm(section, (strain,), 8, **{"quadrature.intervals": 24}))[:3]
         np.testing.assert_allclose(found, exact, rtol=1e-3)
     exact = np.pi / L * np.array([0.5, 1.5, 2.5]) * np.sqrt(G * torsion / (RHO * sum(bending)))
@@ -110,7 +116,8 @@ def test_what_is_a_circle_too_equals_the_circle():
     area, bending, _, torsion = tube(0.006, 0.0)
     numbers = {"bending": 2 * [E * bending], "torsion": G * torsion, "stretch": E * area, "shear": G * area}
     stiff = {**STIFF, **numbers, "mass_per_length": RHO * area, "retardation_time": 3 * ETA / E}
-    alike = [arm({**TUBE, "inner_radius": 1e-9}, SHEAR), arm({"type": "ellipse", "width": 0.012, "height": 0.012}, SHEAR), arm(stiff, SHEAR)]
+    round_ellipse = {"type": "ellipse", "width": 0.012, "height": 0.012}
+    alike = [arm(section, SHEAR) for section in ({**TUBE, "inner_radius": 1e-9}, round_ellipse, stiff)]
     places = np.linspace(0.0, L, 7)
     for model in alike:
         for parts in zip(*(screw_matrices(one.scene, places) for one in (circle, model)), strict=True):
@@ -119,16 +126,10 @@ def test_what_is_a_circle_too_equals_the_circle():
     np.testing.assert_allclose(screw_matrices(alike[-1].scene, places)[::2], screw_matrices(circle.scene, places)[::2], rtol=1e-12)
 
 
-@pytest.mark.cases(
-    "sizes",
-    [
-        {"type": "tube", "radius": {**TABLE, "radius": [0.006, 0.005, 0.004]}, "inner_radius": {"type": "linear", "base": 0.004, "tip": 0.003}},
-        {"type": "rectangle", "width": {**TABLE, "size": [0.006, 0.005, 0.004]}, "height": 0.004},
-    ],
-)
-def test_sizes_follow_tapers(sizes):
-    """The outer radius' slope is its derivative, and a scene survives as a table, old key of tabled radii or new."""
-    scene, x, h = arm(sizes).scene, np.linspace(0.011, 0.289, 15), 1e-6
+@pytest.mark.cases("section", TAPERED)
+def test_sizes_follow_tapers(section):
+    """The outer radius' slope is its derivative, and a scene survives as a table, with the old key of tabled radii too."""
+    scene, x, h = arm(section).scene, np.linspace(0.011, 0.289, 15), 1e-6
     np.testing.assert_allclose(rod_radius(scene, x)[1], (rod_radius(scene, x + h)[0] - rod_radius(scene, x - h)[0]) / (2 * h), atol=1e-7)
     assert Scene(**scene_to_dict(scene)) == scene
 
@@ -173,14 +174,14 @@ def test_weight_of_discs_on_few_intervals(where):
 
 
 REFUSED = [
-    ({"segments.0.inner_radius": 0.003}, 'inner_radius is an unknown key .*: a solid circle has a radius, and a tube is written section = {type = "tube"'),
+    ({"segments.0.inner_radius": 0.003}, 'inner_radius is an unknown key .*, and a tube is written section = {type = "tube"'),
     ({"segments.0.radius": 0.01}, r"segments\[0\].radius is 0.01: it should be left out: the section, of type 'tube', takes its place"),
     ({"segments.0.section": None}, r"segments\[0\].radius is missing: it is required, or a section"),
     ({"segments.0.section.inner_radius": 0.007}, r"section.inner_radius is 0.007: it should be less than the radius there, 0.006"),
     ({"segments.0.section": STIFF}, r"segments\[0\].density is 1200.0: it should be left out: the section, of type 'stiffness'"),
-    ({"segments.0.discs": DISCS}, "discs.number or places should say where the discs are"),
+    ({"segments.0.discs": DISCS}, "discs.places is None: it should be arc lengths .* or a number of discs"),
     ({"segments.0.discs": {**DISCS, "places": [0.1, 0.4]}}, "discs.places go to 0.4: they should be at most the length, 0.3"),
-    ({"segments.0.discs": {**DISCS, "number": 3, "radius": 0.005}}, "discs.radius is 0.005: it should be greater than that of the rod there"),
+    ({"segments.0.discs": {**DISCS, "number": 3, "radius": 0.005}}, "discs.radius is 0.005: it should be greater than that of the rod"),
     (
         {"segments.0.discs": {"mass": 1e-3, "radius": 0.02, "number": 3}, "effects.fluid.density": 1e3},
         r"segments\[0\].discs.thickness is missing: in a fluid it is required",
@@ -199,9 +200,15 @@ def test_mistakes_are_refused_by_name(changes, message):
 
 
 def test_numbers_of_sections_are_parameters():
-    model = arm(TUBE, **{"segments.0.discs": {**DISCS, "number": 5}})
-    changes = {"segments.*.section.inner_radius": 0.004, "segments.0.discs.mass": 1e-3, "segments.0.discs.radius": 0.02}
-    for key, value in changes.items():
-        made, built = model.with_numbers({key.replace("*", "0"): value}), build_model(model.scene.replace({key: value}), "scene")
-        np.testing.assert_array_equal(made.terms(np.ones(15), np.ones(15)).mass, built.terms(np.ones(15), np.ones(15)).mass)
-    assert load_scene("paper").segments[0].shape.is_round
+    """A model with another number is as one that is built with it; what is short for the whole rod changes stiffnesses too."""
+    model, still = arm(TUBE, **{"segments.0.discs": {**DISCS, "number": 5}, "quadrature.intervals": 6}), np.zeros(15)
+    for key in ("segments.0.section.inner_radius", "segments.0.discs.mass", "segments.0.discs.radius"):
+        value = 0.99 * scene_parameters(model.scene, [key])[0].value
+        built = build_model(model.scene.replace({key: value}), "scene")
+        np.testing.assert_array_equal(model.with_numbers({key: value}).terms(still, still).mass, built.terms(still, still).mass)
+    without = {f"segments.0.{key}": None for key in ("young_modulus", "poisson_ratio", "density", "damping", "radius")}
+    mixed = load_scene("two_segment_six").replace({**without, "segments.0.section": STIFF})
+    drawn = {key: value for one in Randomization(stiffness=0.5, damping=2.0).ranges(mixed) for key, value in one.changes(one.least).items()}
+    changed = mixed.replace(drawn).segments
+    assert changed[0].section.bending == (0.15, 0.35) and changed[0].section.retardation_time == 0.02
+    assert changed[1].young_modulus == 0.5 * mixed.segments[1].young_modulus and changed[1].damping == 2.0 * mixed.segments[1].damping

@@ -7,10 +7,10 @@ from soft_tendon_env.scene.routing import (
     ConvergingRouting,
     HelixRouting,
     LinearTaper,
-    TaperTable,
     StraightRouting,
     SurfaceRouting,
     TableRouting,
+    TaperTable,
 )
 from soft_tendon_env.tools.configuration import ConfigurationError
 

@@ -1,5 +1,6 @@
-"""Samples of the arm, at which contact is looked for: balls of its outer radius, evenly along the axis, the nearest to a spacer disc of its.
+"""Samples of the arm, at which contact is looked for: balls of its outer radius, evenly along the axis.
 
+The ball nearest to a spacer disc has the radius of the disc, and stands for its mass too.
 Each stands for its share of the length, that at the tip for the round cap too. They lie on the cubic Hermite curve through neighbouring
 nodes: with tangents h R e_x for an interval of length h, x(t) = H00 r_a + H10 h R_a e_x + H01 r_b + H11 h R_b e_x.
 """
