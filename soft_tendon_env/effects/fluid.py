@@ -51,40 +51,44 @@ class Fluid(Effect):
     disc_drag: NotNegative = Field(1.1, description="drag coefficient of a spacer disc's face along the rod [-], 1.1 of one alone")
 
     def parameters(self, rod: Discretisation) -> "FluidParameters":
-        half, (place, _, radius, thickness) = 0.5 * self.density, rod.discs.T
-        width, height, perimeter, _ = rod.over_nodes(lambda arc_length: rod.hull(arc_length).T).T
-        b, h, _, area = rod.hull(place)
-        beyond = np.stack([(2.0 * radius - h) * thickness, (2.0 * radius - b) * thickness, np.pi * radius**2 - area])
-        across_y, across_z, faces = beyond @ weights(rod, place, 2)  # of two nodes none is negative
-        normal = (half * self.normal_drag * np.stack([height + across_y, width + across_z])) ** (2.0 / 3.0)
+        half, (height, width, perimeter, faces, volume, *added) = 0.5 * self.density, _outside(rod)
+        normal = (half * self.normal_drag * np.stack([height, width])) ** (2.0 / 3.0)
         tangential = half * (self.tangential_drag * perimeter + self.disc_drag * faces)
         gravity = rod.effects.gravity.acceleration if rod.effects.gravity else (0.0, 0.0, 0.0)
-        slices = self.displaced_mass(rod)[:, 0], *self.added_masses(rod), *normal, tangential
+        slices = self.density * volume, *(self.added_mass * self.density * part for part in added), *normal, tangential
         return FluidParameters(*(node_field(values[:, None]) for values in slices), self.current, gravity)
 
     def displaced_mass(self, rod: Discretisation) -> Array:
         """Mass (nodes, 1) [kg] of the fluid in whose place the slices are."""
-        place, _, radius, thickness = rod.discs.T
-        of_discs = (np.pi * radius**2 - rod.hull(place)[3]) * thickness @ weights(rod, place)
-        return self.density * (rod.over_nodes(lambda arc_length: rod.hull(arc_length)[3:].T) + of_discs[:, None])
-
-    def added_masses(self, rod: Discretisation) -> Array:
-        """Added masses (2, nodes) [kg] of the slices along y and z."""
-        place, _, radius, thickness = rod.discs.T
-
-        def squares(arc_length: Array) -> Array:  # of half the width that a motion along y or z sees: the height, or the width
-            return 0.25 * rod.hull(arc_length)[1::-1].T ** 2
-
-        of_discs = (radius**2 - squares(place).T) * thickness @ weights(rod, place)
-        return np.pi * self.added_mass * self.density * (rod.over_nodes(squares).T + of_discs)
+        return self.density * _outside(rod)[4][:, None]
 
     def added_inertia(self, rod: Discretisation) -> Array:
-        return np.concatenate([np.zeros((4, rod.node.size)), self.added_masses(rod)]).T
+        added = self.added_mass * self.density * _outside(rod)[5:]
+        return np.concatenate([np.zeros((4, rod.node.size)), added]).T
 
     def potential_energy(self, arm: Configured) -> float:
         if any(self.current):
             raise ValueError("a fluid that streams has no potential energy")
         return float(self.displaced_mass(arm.rod)[:, 0] @ (arm.pose[:, :3, 3] @ np.array(self.parameters(arm.rod).gravity)))
+
+
+def _outside(rod: Discretisation) -> Array:
+    """Of the slices, with their discs, (7, nodes): areas [m^2] that motions along y and z meet, area of the surface [m^2], area of the
+    faces of discs [m^2], volume [m^3], and the volumes [m^3] of the added mass along y and z where C_a is 1."""
+
+    def per_length(arc_length: Array) -> Array:
+        width, height, perimeter, area = rod.hull(arc_length)
+        return np.stack([height, width, perimeter, 0.0 * area, area, 0.25 * np.pi * height**2, 0.25 * np.pi * width**2], axis=1)
+
+    found = rod.over_nodes(per_length).T
+    if rod.discs.size:
+        place, _, radius, thickness = rod.discs.T
+        height, width, _, _, area, added_y, added_z = per_length(place).T
+        full = np.pi * radius**2
+        met = np.stack([(2.0 * radius - height) * thickness, (2.0 * radius - width) * thickness, 0.0 * full, full - area])
+        found[:4] += met @ weights(rod, place, 2)  # of two nodes none is negative
+        found[4:] += thickness * (full - np.stack([area, added_y, added_z])) @ weights(rod, place)
+    return found
 
 
 class FluidParameters(Struct):

@@ -32,6 +32,9 @@ EXPERIMENTS = {
     "gain": "a known weight hung from the tip or a load cell shows it",
     "density": "holds in another direction of gravity, or weighing the arm, show it",
     "young_modulus": "a known weight hung from the tip shows it",
+    "bending": "a known weight hung from the tip shows it",
+    "retardation": "a free decay shows it",
+    "mass_per_length": "holds in another direction of gravity, or weighing it, show it",
     "mount": "measure the mount's frame, or record the arm at rest",
 }
 """Experiments that show a parameter, by a part of its name; the first that fits."""

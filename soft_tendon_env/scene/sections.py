@@ -26,6 +26,7 @@ from soft_tendon_env.tools.types import Array, Length, NotNegative, Positive
 VISCOUS = np.array([1.0, 3.0, 3.0, 3.0, 1.0, 1.0])[:, None]  # viscosity of the six strains in eta: 3 along the rod (Trouton's ratio)
 ODD = np.array([[1.0], [3.0], [5.0], [7.0]])  # of the series below: what the others add is less than round-off
 SUM_OF_ODD = 31.0 / 32.0 * 1.0369277551433699  # of 1 / n^5 over all odd n, 31/32 of Riemann's zeta(5)
+THINNEST = 1e-6  # wall of a tube in radii, with six digits of the difference of fourth powers left
 PLACES = np.linspace(0.0, 1.0, 65)  # along a segment, in lengths, at which what varies is compared
 
 
@@ -110,8 +111,11 @@ class Tube(Solid):
 
     def misfits(self, length: float) -> Iterator[Problem]:
         yield from super().misfits(length)
-        outer, inner = self.at(length * PLACES, length)[0]
-        if (inner >= outer).any():
+        if not self.inner_radius:
+            return
+        places = np.concatenate([length * PLACES, *(getattr(taper, "arc_length", ()) for taper in self.tapers().values())])
+        outer, inner = self.at(places, length)[0]
+        if (inner > (1.0 - THINNEST) * outer).any():
             i = int(np.argmin(outer - inner))
             yield Problem(("inner_radius",), f"is {inner[i]:g}: it should be less than the radius there, {outer[i]:g}")
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from soft_tendon_env.scene.scene import Scene, Segment, Tendon, along_rod, rod_length, rod_radius, tendon_ends, tendon_offset
+from soft_tendon_env.scene.scene import Scene, Segment, Tendon, along_rod, disc_rows, rod_length, rod_radius, tendon_ends, tendon_offset
 from soft_tendon_env.tools.types import UNITS, Array
 
 DENSITIES, MODULI = {"g/cm^3": 1e3, "t/mm^3": 1e12}, {"kPa": 1e3, "MPa": 1e6, "GPa": 1e9}
@@ -65,6 +65,9 @@ def _unlikely(scene: Scene) -> Iterator[str]:
         offset, radius = np.linalg.norm(tendon_offset(scene, tendon, places)[0], axis=1), rod_radius(scene, places)[0]
         if (widest := radius.max()) >= length:
             yield f"the rod has a radius of {widest:g} m on a length of {length:g} m{_ask(widest, SLENDER * length, UNITS)}"
+            return
+        if (wide := disc_rows(scene)[:, 2].max(initial=0.0)) >= length:
+            yield f"spacer discs have a radius of {wide:g} m on a length of {length:g} m{_ask(wide, SLENDER * length, UNITS)}"
             return
         if (farthest := offset.max()) > max(FAR_OFF * length, widest):
             yield f"tendons[{i}] is up to {farthest:g} m off the axis of a rod of {length:g} m{_ask(farthest, SLENDER * length, UNITS)}"
