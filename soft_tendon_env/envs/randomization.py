@@ -30,7 +30,7 @@ OF_STIFFNESS = {
     "segments.*.damping": ("retardation_time",),
     "segments.*.density": ("mass_per_length", "rotary_inertia.*"),
 }
-"""What a factor of these means in segments that have the stiffnesses themselves for a section."""
+"""Numbers of a section that has the stiffnesses themselves, which a factor of these changes too."""
 
 
 def _as_range(value: Any) -> Any:

@@ -72,7 +72,7 @@ class Section(Configuration):
         return circle
 
     def misfits(self, length: float) -> Iterator[Problem]:
-        """What does not fit the segment, by keys of the section."""
+        """Problems of sizes that do not fit the segment, or each other, by keys of the section."""
         for name, taper in self.tapers().items():
             if text := taper.misfit(length):
                 yield Problem((name,), text)
@@ -117,7 +117,9 @@ class Tube(Solid):
         outer, inner = self.at(places, length)[0]
         if (inner > (1.0 - THINNEST) * outer).any():
             i = int(np.argmin(outer - inner))
-            yield Problem(("inner_radius",), f"is {inner[i]:g}: it should be less than the radius there, {outer[i]:g}")
+            yield Problem(
+                ("inner_radius",), f"is {inner[i]:g}: it should be less than the radius there, {outer[i]:g}, by {THINNEST:g} of it"
+            )
 
 
 class Flat(Solid):
