@@ -73,8 +73,8 @@ class Fluid(Effect):
 
 
 def _outside(rod: Discretisation) -> Array:
-    """Outside of the slices and their discs, (7, nodes): areas [m^2] that motions along y and z meet, area of the surface [m^2], area of the
-    faces of discs [m^2], volume [m^3], and the volumes [m^3] of the added mass along y and z where C_a is 1."""
+    """Outside of the slices and their discs, (7, nodes): areas [m^2] that motions along y and z meet, of the surface and of the discs'
+    faces, the volume [m^3], and the volumes [m^3] of the added mass along y and z where C_a is 1."""
 
     def per_length(arc_length: Array) -> Array:
         width, height, perimeter, area = rod.hull(arc_length)
