@@ -68,8 +68,7 @@ def test_a_flat_section_with_discs(uniform):
     np.testing.assert_allclose(found.added_y.sum(), 1e3 * np.pi * (1e-4 * rod + 3 * 0.002 * 3e-4), rtol=1e-3)
 
 
-@pytest.mark.no_jit
-@pytest.mark.cases("shape", ({}, FLAT))
+@pytest.mark.parametrize("shape", [pytest.param({}, marks=pytest.mark.no_jit, id="round"), pytest.param(FLAT, id="flat")])
 def test_damping_is_the_derivative_of_the_drag(uniform, workspace_at, slope, shape):
     """-dF/dq_dot = J^T (node damping) J, symmetric and not negative; without the added mass, whose share is no damping."""
     changes = {"effects.fluid": {"density": 1000.0, "current": [0.2, -0.1, 0.3], "added_mass": 0.0}, "quadrature.intervals": 4, **shape}

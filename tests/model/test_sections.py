@@ -110,7 +110,6 @@ def test_a_short_tube_bends_and_shears_as_timoshenko_says(correction):
     np.testing.assert_allclose(pose[1, 3], exact, rtol=1e-5)
 
 
-@pytest.mark.no_jit
 def test_what_is_a_circle_too_equals_the_circle():
     circle = arm({"radius": 0.006}, SHEAR)
     area, bending, _, torsion = tube(0.006, 0.0)
