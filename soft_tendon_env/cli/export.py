@@ -20,7 +20,7 @@ from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import rod_length
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.files import digest
-from soft_tendon_env.tools.messages import UserError
+from soft_tendon_env.tools.messages import UserError, describe
 
 WHAT = "folder of an agent; or agent, ppo, sac, dagger or apg, of those that ship; with --mjcf a shipped scene's name, or a TOML file"
 
@@ -60,10 +60,13 @@ def export_arm(settings: Export) -> None:
     if find_spec("mujoco") is None:
         print('to compare the tips, MuJoCo must be there: pip install "soft_tendon_env[mujoco]"')
         return
-    rest, motion, seconds = compare(path, scene)
+    try:
+        rest, motion, seconds = compare(path, scene)
+    except ValueError as error:  # of MuJoCo, whose least inertia is greater than that of some thin rods; or there is no rest
+        raise UserError(f"{path} cannot be compared: {describe(error)}") from error
     known = rest[np.isfinite(rest)]
     sets = f"at rest under {known.size} of {rest.size} sets of tensions"
-    found = {f"{sets}, mean": known.mean() if known.size else np.nan, f"{sets}, largest": known.max(initial=0.0)}
+    found = {f"{sets}, mean": known.mean() if known.size else np.nan, f"{sets}, largest": known.max() if known.size else np.nan}
     found[f"in {seconds:g} s after a step of tensions, largest"] = motion
     rows = [(name, tables.number(1e3 * value), tables.number(100.0 * value / rod_length(scene), 2)) for name, value in found.items()]
     print(tables.markdown_table(("distance of the tip in MuJoCo from the rod's", "[mm]", "[% of the length]"), rows))

@@ -68,13 +68,11 @@ def rest_poses(scene: Scene, arc_length: Array) -> Array:
 
 
 def make_chain(scene: Scene, links: int) -> Chain:
-    """Chain of at least two links; compliances are in series, four Gauss points between borders of elements, links and segments."""
+    """Chain of at least two links; the compliances of an element are in series, by midpoints of at least sixteen parts of each."""
     borders = rod_length(scene) * np.linspace(0.0, 1.0, links + 1)
     stations = np.array([0.0, *0.5 * (borders[1:] + borders[:-1]), borders[-1]])
-    cells = np.unique(np.clip([*borders, *stations, *segment_borders(scene)], 0.0, borders[-1]))
-    nodes, weights = np.polynomial.legendre.leggauss(4)
-    arc = (cells[:-1, None] + 0.5 * np.diff(cells)[:, None] * (1.0 + nodes)).ravel()
-    length = np.outer(0.5 * np.diff(cells), weights).reshape(-1, 1)
+    cuts = np.unique([*np.linspace(0.0, borders[-1], 16 * links + 1), *segment_borders(scene)])
+    arc, length = 0.5 * (cuts[1:] + cuts[:-1]), np.diff(cuts)[:, None]
     elasticity, viscosity, density = screw_matrices(scene, arc)
     element = np.searchsorted(borders[1:-1], arc) == np.arange(links)[:, None]
     stiffness = 1.0 / (element @ (length / elasticity))
@@ -104,21 +102,20 @@ def mujoco_chain(scene: Scene, links: int) -> "ElementTree[Element]":
     """
     scene, left = exportable(scene)
     chain, root, gravity = make_chain(scene, links), Element("mujoco", model=scene.name), scene.effects.gravity
-    why = f"timestep: at most {LONGEST_STEP:g} s, a tenth of the scene's, and half of that at which the stiffest joint is stable"
-    for line in (why, f"left out: {', '.join(left) or 'nothing'}"):
-        root.append(Comment(f" {line.replace('--', '- -')} "))
+    why = f"timestep: at most {LONGEST_STEP:g} s, a tenth of the scene's, half of that at which the stiffest joint is stable"
+    root.append(Comment(f" {why}; left out: {', '.join(left) or 'nothing'} ".replace("--", "- -")))
     down, step = text(gravity.acceleration if gravity else np.zeros(3)), text(time_step(scene, chain))
     SubElement(root, "option", timestep=step, integrator="implicitfast", gravity=down)
     world, tendons, motors = (SubElement(root, name) for name in ("worldbody", "tendon", "actuator"))
     bodies = [add_body(world, scene, chain, 0)]
     for i in range(1, links + 1):
         bodies.append(add_body(bodies[-1], scene, chain, i))
-    SubElement(bodies[-1], "site", name="tip", **placed(inverse_pose(chain.pose[-2]) @ chain.pose[-1]))
+    SubElement(bodies[-1], "site", {"name": "tip", **placed(inverse_pose(chain.pose[-2]) @ chain.pose[-1])})
     for k, tendon in enumerate(scene.tendons):
         path = SubElement(tendons, "spatial", name=f"tendon_{k}", width=text(rod_radius(scene, 0.0)[0] / 20.0))
         add_branches(bodies, path, scene, chain, k)
-        limits = {"ctrllimited": "true", "ctrlrange": text(tendon.tension_limits)}
-        SubElement(motors, "motor", name=f"tension_{k}", tendon=f"tendon_{k}", gear="-1", **limits)
+        limits = text(tendon.tension_limits)
+        SubElement(motors, "motor", name=f"tension_{k}", tendon=f"tendon_{k}", gear="-1", ctrllimited="true", ctrlrange=limits)
     indent(root)
     return ElementTree(root)
 
@@ -136,7 +133,7 @@ def placed(pose: Array) -> dict[str, str]:
 def add_body(parent: Element, scene: Scene, chain: Chain, i: int) -> Element:
     """Body of the base, i = 0, or of link i - 1, with inertia, capsule and joints."""
     name, pose, inertia = f"link_{i - 1}" if i else "base", chain.pose[i], chain.inertia[i]  # [[J, m c~], [-m c~, m]]
-    body = SubElement(parent, "body", name=name, **placed(inverse_pose(chain.pose[i - 1]) @ pose if i else pose))
+    body = SubElement(parent, "body", {"name": name, **placed(inverse_pose(chain.pose[i - 1]) @ pose if i else pose)})
     mass, centre = inertia[5, 5], inertia[[2, 0, 1], [4, 5, 3]] / inertia[5, 5]
     about = (inertia[:3, :3] + mass * skew(centre) @ skew(centre))[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     SubElement(body, "inertial", pos=text(centre), mass=text(mass), fullinertia=text(about))
@@ -144,9 +141,8 @@ def add_body(parent: Element, scene: Scene, chain: Chain, i: int) -> Element:
     SubElement(body, "geom", name=name, type="capsule", size=text(radius), fromto=text([0.0, 0.0, 0.0, *end]), contype="0")
     for j in (3, 4, 5, 0, 1, 2)[:: (-1) ** i] if i else ():
         if STRAINS[j] in scene.strain.free:
-            spring = {"stiffness": text(chain.stiffness[i - 1, j]), "damping": text(chain.damping[i - 1, j])}
-            kind, axis = "hinge" if j < 3 else "slide", text(np.eye(3)[j % 3])
-            SubElement(body, "joint", name=f"{STRAINS[j]}_{i - 1}", type=kind, axis=axis, **spring)
+            joint = SubElement(body, "joint", name=f"{STRAINS[j]}_{i - 1}", type="hinge" if j < 3 else "slide", axis=text(np.eye(3)[j % 3]))
+            joint.attrib |= {"stiffness": text(chain.stiffness[i - 1, j]), "damping": text(chain.damping[i - 1, j])}
     return body
 
 
@@ -176,10 +172,8 @@ def add_branches(bodies: list[Element], path: Element, scene: Scene, chain: Chai
 
 
 def compare(path: Path, scene: Scene) -> tuple[Array, float, float]:
-    """Distances [m] of the tip of an exported scene in MuJoCo, without contact, from that of its rod at the preset "fine".
-
-    Returns those at rest under sets of tensions within limits, (SETS,), NaN where either has no rest; the largest after a step of tensions,
-    and the time [s] for which that is followed."""
+    """Distances [m] of the tip of an exported scene in MuJoCo, without contact, from that of its rod at the preset "fine": at rest under
+    sets of tensions within limits (SETS,), NaN where either has no rest; the largest after a step of tensions, and how long [s] that is."""
     import mujoco
 
     chain, (scene, _) = mujoco.MjModel.from_xml_path(str(path)), exportable(scene)
