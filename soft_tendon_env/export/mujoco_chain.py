@@ -63,8 +63,8 @@ def rest_poses(scene: Scene, arc_length: Array) -> Array:
     """Poses (m, 4, 4) of the stress-free rod in the world frame at arc lengths (m,) [m]."""
     places = np.unique([0.0, *arc_length, *segment_borders(scene)])
     twists = np.diff(places)[:, None] * stress_free_strain(scene, 0.5 * (places[1:] + places[:-1]))
-    base = np.eye(4)
-    return np.array([*itertools.accumulate(twists, moved_pose, initial=base)])[np.searchsorted(places, arc_length)]
+    poses = itertools.accumulate(twists, moved_pose, initial=scene.base.pose)
+    return np.array([*poses])[np.searchsorted(places, arc_length)]
 
 
 def make_chain(scene: Scene, links: int) -> Chain:

@@ -19,7 +19,11 @@ TAPER = {
     "tendons.0.start": 0.07,
     "tendons.1.end": 0.113,
 }
-CURVED = {"segments.1.curvature": [2.0, 5.0, 1.0], "tendons.*.tension_limits": [-1.0, 4.0]}
+CURVED = {
+    "segments.1.curvature": [2.0, 5.0, 1.0],
+    "tendons.*.tension_limits": [-1.0, 4.0],
+    "base": {"position": [0.1, -0.2, 0.3], "quaternion": [0.5, 0.5, -0.5, 0.5]},
+}
 ARMS = [("three_tendon", WEIGHT), ("three_tendon", TAPER), ("helical", {}), ("two_segment_six", CURVED)]
 
 
