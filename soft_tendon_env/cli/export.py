@@ -1,10 +1,12 @@
-"""`soft-tendon export`: a trained agent as one ONNX file, from measurements in SI units to commands, checked against the original."""
+"""`soft-tendon export`: a trained agent as one ONNX file, or the arm of a scene as a chain in MuJoCo, checked against the original."""
 
 import json
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
@@ -12,33 +14,75 @@ from soft_tendon_env.cli.options import TASK
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import provenance, tables
 from soft_tendon_env.evaluation.settings import TaskName
-from soft_tendon_env.policies.agent import AgentName, find_agent, load_agent, read_config
+from soft_tendon_env.policies.agent import SHIPPED, find_agent, is_agent, load_agent, read_config
 from soft_tendon_env.policies.network import WEIGHTS
+from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.scene.scene import rod_length
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.files import digest
-from soft_tendon_env.tools.messages import UserError
+from soft_tendon_env.tools.messages import UserError, describe
+
+WHAT = "folder of an agent; or agent, ppo, sac, dagger or apg, of those that ship; with --mjcf a shipped scene's name, or a TOML file"
 
 
 class Export(Configuration):
-    """Write a trained agent as one ONNX file, and compare it with the original on what it observes in an environment."""
+    """Write a trained agent as one ONNX file, or with --mjcf the arm of a scene for MuJoCo, and compare it with the original."""
 
-    agent: AgentName = Field(description="folder of an agent; or agent, ppo, sac, dagger or apg, of those that ship")
+    agent_or_scene: str = Field(description=WHAT)
     task: TaskName = Field(default="TipPose", description=TASK)
     options: dict[str, Any] = Field(default={})
-    out: str = Field(default="out/agent.onnx", description="file of the agent")
+    mjcf: bool = Field(default=False, description="write the arm of a scene as a chain of rigid links in MJCF")
+    links: int = Field(default=20, ge=2, le=200, description="links of the chain")
+    out: str | None = Field(default=None, description="file; by default out/agent.onnx, or out/SCENE.xml")
 
 
 def run(settings: Export) -> None:
     """Export, check, print and write. Raises UserError where the file is another policy than the agent."""
-    path = Path(settings.out)
+    others = {"task": "--task", "options": "--scene, --fidelity, --target or --set"} if settings.mjcf else {"links": "--links"}
+    with mistakes():
+        if wrong := [flags for field, flags in others.items() if field in settings.model_fields_set]:
+            raise ValueError(f"{' and '.join(wrong)} cannot be given {'with' if settings.mjcf else 'without'} --mjcf")
+        if not settings.mjcf and not is_agent(name := settings.agent_or_scene):
+            raise ValueError(f"{name} should be the folder of an agent, or {', '.join(SHIPPED)}, which ship; for a scene give --mjcf")
+    (export_arm if settings.mjcf else export_policy)(settings)
+
+
+def export_arm(settings: Export) -> None:
+    """Write the arm for MuJoCo, and compare the tips where that is installed."""
+    from soft_tendon_env.export.mujoco_chain import compare, exportable, mujoco_chain
+
+    with mistakes():
+        scene = load_scene(settings.agent_or_scene)
+        path = Path(settings.out or f"out/{Path(settings.agent_or_scene).stem}.xml")
+        writable_folder(path.parent)
+    mujoco_chain(scene, settings.links).write(path, encoding="utf-8")
+    print(f"written: {path} ({settings.links} links)\nleft out: {', '.join(exportable(scene)[1]) or 'nothing'}\n")
+    if find_spec("mujoco") is None:
+        print('to compare the tips, MuJoCo must be there: pip install "soft_tendon_env[mujoco]"')
+        return
+    try:
+        rest, motion, seconds = compare(path, scene)
+    except ValueError as error:  # of MuJoCo, whose least inertia is greater than that of some thin rods; or there is no rest
+        raise UserError(f"{path} cannot be compared: {describe(error)}") from error
+    known = rest[np.isfinite(rest)]
+    sets = f"at rest under {known.size} of {rest.size} sets of tensions"
+    found = {f"{sets}, mean": known.mean() if known.size else np.nan, f"{sets}, largest": known.max() if known.size else np.nan}
+    found[f"in {seconds:g} s after a step of tensions, largest"] = motion
+    rows = [(name, tables.number(1e3 * value), tables.number(100.0 * value / rod_length(scene), 2)) for name, value in found.items()]
+    print(tables.markdown_table(("distance of the tip in MuJoCo from the rod's", "[mm]", "[% of the length]"), rows))
+
+
+def export_policy(settings: Export) -> None:
+    """Write the agent as ONNX and compare it with the original. Raises UserError where the file is another policy."""
+    name, path = settings.agent_or_scene, Path(settings.out or "out/agent.onnx")
     with mistakes():
         require("export")
         from soft_tendon_env.export.agent import ALLOWED, compare, export_agent
 
-        folder = find_agent(settings.agent, settings.task)
+        folder = find_agent(name, settings.task)
         env = gym.make(IDS[settings.task], **{**read_config(folder).options, **settings.options})
-        policy = load_agent(settings.agent, env)
-        about = {"name": settings.agent, "weights_sha256": digest(folder / WEIGHTS)}
+        policy = load_agent(name, env)
+        about = {"name": name, "weights_sha256": digest(folder / WEIGHTS)}
         model = export_agent(policy, env, {"agent": about, "record": provenance.origin()})
         writable_folder(path.parent)
     path.write_bytes(model.SerializeToString())

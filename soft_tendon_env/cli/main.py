@@ -21,7 +21,7 @@ COMMANDS: dict[str, str] = {
     "evaluate": "evaluate one policy on the evaluation episodes, under every model error",
     "compare": "compare controllers and agents on the same episodes",
     "arena": "benchmark of learned and model-based policies on arms that differ from every model, with intervals",
-    "export": "write a trained agent as one ONNX file, from measurements to commands, and check it",
+    "export": "write a trained agent as one ONNX file, or an arm as a chain of links for MuJoCo, and check it",
     "run": "run a policy on a robot in real time, with limits, a watchdog and a log",
     "record": "record policies side by side for the Rerun viewer",
     "reproduce-paper": "figures 2 to 6 of the paper, and what it says beside what is measured",

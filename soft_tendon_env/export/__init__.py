@@ -1,3 +1,1 @@
-"""Trained agents as single ONNX files: measurements in SI units in, commands out; no simulator, and no framework of learning, is needed."""
-
-from soft_tendon_env.export.agent import export_agent as export_agent
+"""Trained agents as ONNX files, `agent`, and arms as chains in MuJoCo, `mujoco_chain`: each needs the libraries of its own extra alone."""

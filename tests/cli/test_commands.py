@@ -36,6 +36,7 @@ QUICK = [
         ["agent.onnx"],
         marks=pytest.mark.slow,
     ),
+    pytest.param(("export", "three_tendon", "--mjcf", "--links", "2"), ["(2 links)"], ["three_tendon.xml"], marks=pytest.mark.slow),
     (("train", "{config}", "--seed", "3"), ["PPO on TipPose, 128 steps, seed 3"], ["runs/small/seed_3/best/weights.pt"]),
     pytest.param(
         ("demo", "--episodes", "1", "--seconds", "0.2"),

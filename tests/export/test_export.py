@@ -11,10 +11,9 @@ onnxruntime = pytest.importorskip("onnxruntime")
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
-from soft_tendon_env import export  # noqa: E402
 from soft_tendon_env.envs import IDS  # noqa: E402
 from soft_tendon_env.envs.observation import GROUPS, Group  # noqa: E402
-from soft_tendon_env.export.agent import compare, pose_logarithm  # noqa: E402
+from soft_tendon_env.export.agent import compare, export_agent, pose_logarithm  # noqa: E402
 from soft_tendon_env.mechanics.motion import pose_errors as kernels  # noqa: E402
 from soft_tendon_env.policies import load_agent, make_policy, policy_options  # noqa: E402
 from soft_tendon_env.policies.agent import NetworkPolicy  # noqa: E402
@@ -57,7 +56,7 @@ def exported(tmp_path):
         agent = NetworkPolicy(network, Normalization(moments, 3.0, 1e-8) if normalised else None)
         agent = agent if integral_time is None else IntegralPolicy(agent, env, integral_time)
         path = tmp_path / "agent.onnx"
-        path.write_bytes(export.export_agent(agent, env, {"of": "nobody"}).SerializeToString())
+        path.write_bytes(export_agent(agent, env, {"of": "nobody"}).SerializeToString())
         return env, agent, path
 
     return make
@@ -75,7 +74,7 @@ def test_commands_are_those_of_the_original(exported, given):
 def test_agents_that_ship(folder, tmp_path):
     env = gym.make(IDS[folder.name], **policy_options(folder.parent.name, folder.name, {}))
     agent, path = load_agent(folder.parent.name, env), tmp_path / "agent.onnx"
-    path.write_bytes(export.export_agent(agent, env).SerializeToString())
+    path.write_bytes(export_agent(agent, env).SerializeToString())
     assert compare(path, agent, env, steps=15)[2] < 3e-6
 
 
@@ -123,4 +122,4 @@ def test_what_cannot_be_exported(exported, monkeypatch):
         exported(observation=["tip_position", "own"])
     env = gym.make(IDS["TipPose"], scene="three_tendon", fidelity="fast")
     with pytest.raises(ValueError, match="as load_agent gives it, not ControllerPolicy"):
-        export.export_agent(make_policy("tracking", env), env)
+        export_agent(make_policy("tracking", env), env)
