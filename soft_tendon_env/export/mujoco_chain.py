@@ -23,21 +23,18 @@ from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.accuracy.input_motions import HOLD, motion_tensions
 from soft_tendon_env.control.rigid_motions import adjoint, inverse_pose, moved_pose, skew
 from soft_tendon_env.envs.observation import stress_free_strain
-from soft_tendon_env.model.grid import screw_matrices
+from soft_tendon_env.model.grid import disc_inertia, screw_matrices
 from soft_tendon_env.model.simulation import simulate
 from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.scene.scene import Scene, rod_length, rod_radius, segment_borders, tendon_ends, tendon_offset
+from soft_tendon_env.scene.scene import Scene, disc_rows, rod_length, rod_radius, segment_borders, tendon_ends, tendon_offset
 from soft_tendon_env.scene.strain import STRAINS
 from soft_tendon_env.tools.types import Array
 
 KEPT = {"gravity": {"acceleration"}, "tip_load": {"mass", "inertia"}}  # effects, and what of them, that a chain has
 LONGEST_STEP = 2e-3  # [s], MuJoCo's own, which its contacts are made for
 SETS, LONGEST_MOTION, MOST_STEPS = 20, 2.0, 20_000  # that are compared: sets of tensions at rest; [s] and steps after a step of tensions
-SLOW, SETTLED, MOST_TURNS = (
-    1e3,
-    1e-7,
-    50,
-)  # [s], damping by stiffness to come to rest; movement of the tip that is rest, of the length; tries
+SLOW = 1e3  # [s], damping by stiffness to come to rest
+SETTLED, MOST_TURNS = 1e-7, 50  # movement of the tip that counts as rest, as a share of the length, and how often it is looked for
 
 
 class Chain(NamedTuple):
@@ -77,9 +74,10 @@ def make_chain(scene: Scene, links: int) -> Chain:
     element = np.searchsorted(borders[1:-1], arc) == np.arange(links)[:, None]
     stiffness = 1.0 / (element @ (length / elasticity))
     damping = stiffness**2 * (element @ (length * viscosity / elasticity**2))
-    pose, lumps = rest_poses(scene, stations), np.vstack([length * density, scene.effects.payload])
-    link = np.searchsorted(stations[1:-1], [*arc, borders[-1]]) == np.arange(links + 1)[:, None]
-    to_lump = np.array([adjoint(inverse_pose(here)) for here in (*rest_poses(scene, arc), pose[-1])])
+    discs = disc_rows(scene)
+    places, lumps = np.array([*arc, *discs[:, 0], borders[-1]]), np.vstack([length * density, disc_inertia(discs), scene.effects.payload])
+    link = np.searchsorted(stations[1:-1], places) == np.arange(links + 1)[:, None]
+    pose, to_lump = rest_poses(scene, stations), np.array([adjoint(inverse_pose(here)) for here in rest_poses(scene, places)])
     inertia = np.einsum("lp,pki,pk,pkj->lij", link.astype(float), to_lump, lumps, to_lump, optimize=True)
     to_world = np.array([adjoint(here) for here in pose[:-1]])
     return Chain(stations, pose, stiffness, damping, np.einsum("lki,lkm,lmj->lij", to_world, inertia, to_world))

@@ -100,6 +100,13 @@ def screw_matrices(scene: Scene, arc_length: Array) -> tuple[Array, Array, Array
     return elasticity, damping, inertia
 
 
+def disc_inertia(discs: Array) -> Array:
+    """Diagonals (d, 6) of the screw inertia [kg m^2, kg] of spacer discs, full cylinders; rows as of `disc_rows`."""
+    _, mass, radius, thickness = discs.T
+    across = mass * (radius**2 / 4 + thickness**2 / 12)
+    return np.stack([mass * radius**2 / 2, across, across, mass, mass, mass], axis=-1)
+
+
 class AtPoints(NamedTuple):
     """Section and shape of the stress-free arm at the points of a grid, which rod, tendons and strain are all made from."""
 
@@ -153,10 +160,7 @@ def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], here: AtPoints) ->
     reference[..., :3] = here.curvature
     reference[..., 3] = 1.0
     inertia = over_nodes(grid, lambda arc_length: screw_matrices(scene, arc_length)[2])
-    place, disc_mass, radius, thickness = here.rod.discs.T
-    across = disc_mass * (radius**2 / 4 + thickness**2 / 12)
-    of_discs = np.stack([disc_mass * radius**2 / 2, across, across, disc_mass, disc_mass, disc_mass])
-    inertia += (of_discs @ weights(here.rod, place)).T
+    inertia += weights(here.rod, here.rod.discs[:, 0]).T @ disc_inertia(here.rod.discs)
     mass = inertia[:, 3].copy()
     mass[-1] += scene.effects.payload[3]
     inertia += scene.effects.added_inertia(here.rod)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from soft_tendon_env.export import mujoco_chain as chain
 from soft_tendon_env.model.grid import screw_matrices
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.scene import rod_length, segment_borders
+from soft_tendon_env.scene.scene import disc_rows, rod_length, segment_borders
 
 WEIGHT = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.01}
 TAPER = {
@@ -18,6 +18,7 @@ TAPER = {
     "tendons.*.tension_limits": [0.0, 2.0],
     "tendons.0.start": 0.07,
     "tendons.1.end": 0.113,
+    "segments.0.discs": {"number": 5, "mass": 0.003, "radius": 0.03},
 }
 CURVED = {
     "segments.1.curvature": [2.0, 5.0, 1.0],
@@ -49,6 +50,7 @@ def test_the_file_has_masses_tendons_and_limits_of_the_arm(build, tmp_path, name
     root = ElementTree.parse(tmp_path / "arm.xml").getroot()
     line_mass, borders = lambda s: screw_matrices(scene, np.array([s]))[2][0, 3], segment_borders(scene)
     mass = quad(line_mass, 0.0, borders[-1], points=borders[1:-1])[0] + scene.effects.payload[3]
+    mass += disc_rows(scene)[:, 1].sum()
     assert sum(float(part.attrib["mass"]) for part in root.iter("inertial")) == pytest.approx(mass, rel=1e-5)
     sites = sites_of(root.find("worldbody"), np.eye(4))
     np.testing.assert_allclose(sites["tip"], model.tip_pose(np.zeros(model.coordinate_count))[:3, 3], atol=1e-4 * rod_length(scene))
