@@ -93,7 +93,7 @@ class Holdable(Target):
     seed: int
 
     def draw(self, generator, setting):
-        env = gym.make(f"TendonRod-{TASK}-v0", scene=self.scene, fidelity=TRUE, target={"type": "random", "fraction": 0.4})
+        env = gym.make(f"TendonRod-{TASK}-v1", scene=self.scene, fidelity=TRUE, target={"type": "random", "fraction": 0.4})
         env.reset(seed=self.seed)
         return SeenCourse(env, np.array(self.frame))
 
@@ -180,7 +180,7 @@ def identified(robot: Robot, seed: int) -> Estimate:
         logs = [Path(folder) / f"steps{i}.csv" for i in range(MOTIONS)]
         for i, log in enumerate(logs):
             arm = Seen(robot.mount, scene=robot.scene, fidelity=TRUE, randomize={"noise": {"position": NOISE}}, seed=i)
-            env = gym.make("TendonRod-Reach-v0", scene=DRAWING, fidelity=BELIEVED, observation=["tip_position"])
+            env = gym.make("TendonRod-Reach-v1", scene=DRAWING, fidelity=BELIEVED, action="tension", observation=["tip_position"])
             real = RobotEnv(env, arm, settle=STILL, log=log)
             real.reset(seed=0)
             for action in random.uniform(-1.0, 2.0 * LARGEST - 1.0, (STEPS, 3)):
@@ -201,7 +201,7 @@ def error_of(policy: str, robot: Robot, scene: Scene, frame: np.ndarray, seed: i
     """Root mean square error [m] of the tip's position."""
     target = {"type": "holdable", "scene": scene_to_dict(robot.scene), "frame": tuple(map(tuple, frame.tolist())), "seed": seed}
     options = {**policy_options(policy, TASK, {"scene": scene, "fidelity": BELIEVED}), "target": target}
-    env = gym.make(f"TendonRod-{TASK}-v0", **options)
+    env = gym.make(f"TendonRod-{TASK}-v1", **options)
     player = load_policy(policy, env)
     rehearse(player, env)
     arm = Seen(frame, scene=robot.scene, fidelity=TRUE, sensors=options.get("sensors", 0))

@@ -26,7 +26,7 @@ SIZE = 1280, 960  # [pixels]
 HEAD = """# Scenes
 
 A scene describes an arm and what acts on it: geometry, material, tendons, effects. These ship with the package. Give the name, as in
-`gym.make("TendonRod-TipPose-v0", scene="three_tendon")` or `load_scene("three_tendon")`. `soft-tendon scenes NAME` prints one as TOML, to
+`gym.make("TendonRod-TipPose-v1", scene="three_tendon")` or `load_scene("three_tendon")`. `soft-tendon scenes NAME` prints one as TOML, to
 begin a scene of your own with.
 """
 

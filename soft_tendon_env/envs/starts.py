@@ -32,6 +32,7 @@ class Drawn(NamedTuple):
 
     model: Model
     rest: Array  # (n,) coordinates at which it rests
+    numbers: Mapping[str, float] = {}  # drawn ones of its scene, by dotted keys
 
 
 class Starts:
@@ -103,7 +104,7 @@ class Starts:
         if reason:
             why = f"cannot begin at rest, under {shown_numbers(self.tension)} N: {reason}"
             raise _problem(("randomize",), f"can make arms that {why}: {_listed(changes)}")
-        return Drawn(model, q)
+        return Drawn(model, q, changes)
 
     def _model_with(self, changes: Mapping[str, float], *key: str) -> Model:
         """The model with these numbers of the scene, which the range of that key draws. Raises ConfigurationError."""

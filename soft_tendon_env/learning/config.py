@@ -63,7 +63,7 @@ class Training(Configuration):
     seed: int = Field(default=0, ge=0, lt=2**32)
     learning_rate: Share | tuple[Share, Share] = 3e-4
     hyperparameters: dict[str, Any] = Field(default={})
-    options: dict[str, Any] = Field(default={})
+    options: dict[str, Any] = Field(default={}, validate_default=True)
     normalise: Normalisation = Normalisation()
     integral_time: Positive | None = None
     hindsight: int = Field(default=0, ge=0)
@@ -79,6 +79,11 @@ class Training(Configuration):
         if algorithm not in (names := (*ALGORITHMS, *MODULES)):
             raise ValueError(f"should be an algorithm to train with: {not_among(algorithm, names)}")
         return algorithm
+
+    @field_validator("options")
+    @classmethod
+    def _say_action(cls, options: dict[str, Any]) -> dict[str, Any]:
+        return {"action": Options.model_fields["action"].default, **options}  # so that config.json says it
 
     @model_validator(mode="after")
     def _fits(self) -> "Training":
