@@ -86,7 +86,8 @@ class Rollouts:
 
     def __init__(self, envs: gym.vector.VectorEnv, agent: Agent, arguments: argparse.Namespace) -> None:
         self.envs, self.agent, self.arguments = envs, agent, arguments
-        self.observation, _ = envs.reset(seed=arguments.seed)
+        apart = [1 + arguments.episode * row // envs.num_envs for row in range(envs.num_envs)]  # first episodes end one after the other,
+        self.observation, _ = envs.reset(seed=arguments.seed, options={"episode_steps": apart})  # so that rollouts have all parts of them
         self.ended = np.zeros(envs.num_envs, dtype=bool)  # rows whose episode ended with the last step
         self.errors: list[float] = []  # of the tip's position [m], after each step of the last rollout
 
@@ -153,7 +154,9 @@ def main() -> None:
     torch.manual_seed(given.seed)
     torch.set_num_threads(1)  # several are slower for networks as small
     options = {"fidelity": "fast", "difficulty": given.difficulty}
-    envs = gym.make_vec(given.id, num_envs=given.rows, autoreset_mode=given.autoreset, max_episode_steps=given.episode, **options)
+    drawn = {"latency": [0.0, 0.02]}  # for a margin of the loop: without it some arms begin to whirl
+    learning = {"autoreset_mode": given.autoreset, "max_episode_steps": given.episode, "randomize": drawn}
+    envs = gym.make_vec(given.id, num_envs=given.rows, **learning, **options)
     agent = Agent(envs.single_observation_space.shape[0], envs.single_action_space.shape[0])
     optimizer = torch.optim.Adam(agent.parameters(), lr=given.learning_rate, eps=1e-5)
     rollouts, updates = Rollouts(envs, agent, given), max(given.steps // (given.rows * given.rollout), 1)

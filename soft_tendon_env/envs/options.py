@@ -3,7 +3,7 @@
 import contextlib
 import re
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, NoReturn
+from typing import Annotated, Any, Literal, NoReturn, Self
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, InstanceOf, SerializeAsAny, field_validator
@@ -107,6 +107,13 @@ class Options(Configuration):
     threshold: Annotated[Positive, Field(ge=1e-9)] | None = None
     randomize: Randomization = Field(default=Randomization())
     tip_speed_limit: Positive | None = None
+
+    @classmethod
+    def parse(cls, values: Mapping[str, Any], source: str) -> Self:
+        """As of every configuration. Raises TypeError for `frameskip`, which TorchRL tries, and leaves out where that is raised."""
+        if "frameskip" in values:
+            raise TypeError(f"{source} got an unexpected keyword argument 'frameskip'")
+        return super().parse(values, source)
 
     @field_validator("scene", mode="before")
     @classmethod

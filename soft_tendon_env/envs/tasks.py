@@ -128,7 +128,7 @@ The reward is a weighted mean of terms between 0 and 1, and 0 where the simulati
 - `graded_position` (weight 1) and `graded_angle` (0.25) are the mean of 1 / (1 + (error / scale)^2) over three scales: 0.2, 0.02 and 0.002
   lengths of the rod, and 2, 0.2 and 0.02 rad.
 - `effort` (0.02) is 1 minus the mean square tension, as a share of the limits.
-- `smoothness` (0.02) is 1 minus a quarter of the mean square change of the action.
+- `smoothness` (0.1) is 1 minus a quarter of the mean square change of the action.
 - `position` and `angle`, weight 0 by default, have one scale, 0.05 lengths and 0.5 rad.
 
 ## Starting State
@@ -149,7 +149,7 @@ Every environment takes the keyword arguments of `soft_tendon_env.envs.Options`.
             "measurable": (*TIP, "tendon_lengths", "strain", "target_error", "target_twist", "preview", "last_action"),
         },
         errors=(POSITION, ANGLE),
-        reward={"graded_position": 1.0, "graded_angle": 0.25, "effort": 0.02, "smoothness": 0.02},
+        reward={"graded_position": 1.0, "graded_angle": 0.25, "effort": 0.02, "smoothness": 0.1},
         reference=("target_error", "preview"),
         measured_reference=("target_error", "preview"),
     )
@@ -179,7 +179,7 @@ error) and `position` are further terms, and their graded ones, with weight 0 by
             "measurable": (*TIP, "tendon_lengths", "strain", "target_error", "target_lengths", "preview", "last_action"),
         },
         errors=(BACKBONE, COORDINATES, POSITION),
-        reward={"graded_backbone": 1.0, "effort": 0.02, "smoothness": 0.02},
+        reward={"graded_backbone": 1.0, "effort": 0.02, "smoothness": 0.1},
         reference=("target_coordinates", "coordinate_preview"),
         measured_reference=("target_error", "preview", "wanted_coordinates"),
         shapes=True,

@@ -10,8 +10,8 @@ from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 WEIGHTS = {
-    TipPoseEnv: {"graded_position": 1.0, "graded_angle": 0.25, "effort": 0.02, "smoothness": 0.02},
-    ShapeEnv: {"graded_backbone": 1.0, "effort": 0.02, "smoothness": 0.02},
+    TipPoseEnv: {"graded_position": 1.0, "graded_angle": 0.25, "effort": 0.02, "smoothness": 0.1},
+    ShapeEnv: {"graded_backbone": 1.0, "effort": 0.02, "smoothness": 0.1},
 }
 
 
