@@ -90,7 +90,7 @@ class Actuation:
             self.in_transit[row] = command
 
     def drawn(self, row: int) -> dict[str, Any]:
-        """What is drawn of a row's actuators, by the names in `randomize`: gain and offset [N] (n_a,), latency [s]."""
+        """Gain and offset [N] (n_a,), and latency [s], of a row's actuators as they were drawn, by their names in `randomize`."""
         found = {"tension_gain": self.gain[row].copy(), "tension_offset": self.offset[row] / self._share} if self.imperfect else {}
         return found | ({} if self.in_transit is None else {"latency": self.delay(row)})
 
