@@ -191,8 +191,7 @@ REACH = register_task(
         name="Reach",
         description="""
 ## Description
-The policy brings the tip of a tendon-driven soft arm to a point. The task is goal-conditioned, for hindsight experience replay
-(HER). Actions, starting state, episode end and arguments are those of `TipPoseEnv`, with the argument `threshold`.
+The policy brings the tip of a tendon-driven soft arm to a point. The task is goal-conditioned. Actions, starting state, episode end and arguments are those of `TipPoseEnv`, with the argument `threshold`.
 
 ## Observation Space
 `Dict` with three entries. `observation` has the groups coordinates, rates, tip_position, tip_rotation, tip_twist, last_action.

@@ -51,8 +51,6 @@ class Training(Configuration):
         hyperparameters: further arguments of the algorithm, by Stable-Baselines3's names; `activation_fn` is a name in torch.nn.
         options: options of the environment, see `soft_tendon_env.envs.Options`.
         integral_time: [s], integral action around the agent once it acts and is evaluated, see policies/integral.py; None: none.
-        hindsight: goals reached later that each transition gets besides its own: hindsight experience replay, for off-policy algorithms on
-            tasks with goals; 0: none.
     """
 
     task: TaskName
@@ -66,7 +64,6 @@ class Training(Configuration):
     options: dict[str, Any] = Field(default={}, validate_default=True)
     normalise: Normalisation = Normalisation()
     integral_time: Positive | None = None
-    hindsight: int = Field(default=0, ge=0)
     evaluation: Evaluation = Evaluation()
 
     def arm_seed(self, done: int = 0) -> int:
