@@ -191,7 +191,8 @@ REACH = register_task(
         name="Reach",
         description="""
 ## Description
-The policy brings the tip of a tendon-driven soft arm to a point. The task is goal-conditioned. Actions, starting state, episode end and arguments are those of `TipPoseEnv`, with the argument `threshold`.
+The policy brings the tip of a tendon-driven soft arm to a point. The task is goal-conditioned. Actions, starting state, episode
+end and arguments are those of `TipPoseEnv`, with the argument `threshold`.
 
 ## Observation Space
 `Dict` with three entries. `observation` has the groups coordinates, rates, tip_position, tip_rotation, tip_twist, last_action.
@@ -199,8 +200,8 @@ The policy brings the tip of a tendon-driven soft arm to a point. The task is go
 
 ## Rewards
 `reward="sparse"` is 1 within `threshold` (0.01 lengths of the rod) of the goal, else 0. `reward="dense"` is the mean of
-1 / (1 + (distance / scale)^2) over scales of 20, 2 and 0.2 thresholds.
-`compute_reward(achieved_goal, desired_goal, info)` gives the same for many goals.
+1 / (1 + (distance / scale)^2) over scales of 20, 2 and 0.2 thresholds. `compute_reward(achieved_goal, desired_goal, info)` gives the
+same for many goals.
 
 ## Starting State
 The goal is drawn: it is the tip's position at rest under random tensions. One within `threshold` of where the tip begins is drawn

@@ -80,9 +80,7 @@ def test_arms_of_trainings_have_seeds_of_their_own_and_scales_of_the_environment
     np.testing.assert_array_equal(model.rollout_buffer.observations[::16], plain.reset())  # row after row
 
 
-@pytest.mark.parametrize(
-    "run", ["PPO", *(pytest.param(run, marks=pytest.mark.slow) for run in ("SAC", "APG", "DAgger", "running"))]
-)
+@pytest.mark.parametrize("run", ["PPO", *(pytest.param(run, marks=pytest.mark.slow) for run in ("SAC", "APG", "DAgger", "running"))])
 def test_a_training_that_was_stopped_ends_as_one_that_was_not(training, tmp_path, run):
     """Stopped at an evaluation, it goes on from the checkpoint before: the same weights, bit for bit."""
     options = {**SMALL, "randomize": {"latency": [0.0, 0.03], "noise": {"position": 1e-3}}}
