@@ -87,7 +87,6 @@ class Episodes:
         self.step_count: Indices = np.zeros(rows, dtype=np.int64)
         self.errors = {error.name: np.full(rows, np.nan) for error in task.errors}
         self.diverged, self.terms = np.zeros(rows, dtype=bool), dict[str, Array]()
-        self._numbers: list[Mapping[str, float]] = [{}] * rows
         self.target, error, _ = self.trajectories.now_and_ahead(self.step_count, reading.tip_pose)
         self.observed = self._seen(reading, error)
         self.history = History(rows, options.history, self.layout.kept) if options.history else None
@@ -138,14 +137,13 @@ class Episodes:
         """How those of the rows `members` begin that are given options. Raises ConfigurationError, TypeError, ValueError."""
         found = {}
         for row in members.tolist() if given else ():
-            options, target = given[row], self._usual[row].target
+            options = given[row]
             if options.state is not None:
                 self._refuse_states_of_robots()
                 if not self.options.randomize.numbers:
                     checked_motion(self.model, options.state)
-            if wanted := options.goal or options.target:
-                target = self._settled(wanted)
-            found[row] = Beginning(target, options.state)
+            wanted = options.goal or options.target
+            found[row] = Beginning(self._settled(wanted) if wanted else self._usual[row].target, options.state)
         return found
 
     def begin(self, members: Indices, generators: Sequence[np.random.Generator], beginnings: Mapping[int, Beginning] | None = None) -> None:
@@ -155,7 +153,7 @@ class Episodes:
         for row, _, generator in rows:
             drawn[row] = self.starts.begin(row, generator)
             self.actuation.begin(row, generator, command)
-            self._numbers[row], self.generators[row] = drawn[row].numbers, generator
+            self.generators[row] = generator
         motions = {row: checked_motion(drawn[row].model, how.state) for row, how, _ in rows if how.state is not None}
         tensions, commands = (np.tile(start, (members.size, 1)) for start in (self.start_tension, command))
         self.arms.place(members, np.array([start.rest for start in drawn.values()]), tensions)
@@ -185,9 +183,8 @@ class Episodes:
             if row in self.generators:
                 now = self.arms.reading.tip_pose[row, :3, 3], int(self.step_count[row])
                 self._draws.begin(row, usual.target, self.generators[row], *now)
-        if self.generators:
-            self.trajectories.prepare(self.step_count, members)
-            self._observe(self._all[:0])
+        self.trajectories.prepare(self.step_count, members)
+        self._observe(self._all[:0])
 
     def _refuse_states_of_robots(self) -> None:
         if not self._simulated:
@@ -298,8 +295,7 @@ class Episodes:
 
     def drawn(self, row: int) -> dict[str, Any]:
         """Info of what `randomize` has drawn for a row's episode, if anything: numbers of its scene by dotted keys, of its actuators."""
-        found = {**self._numbers[row], **self.actuation.drawn(row)}
-        return {DRAWN: found} if found else {}
+        return {DRAWN: found} if (found := {**self.starts.numbers[row], **self.actuation.drawn(row)}) else {}
 
     def cause(self, row: int) -> str:
         """Why the last step of a row failed."""

@@ -49,9 +49,9 @@ def at_difficulty(target: Target, difficulty: Difficulty | None) -> Target:
     """The target with the settings of a difficulty that it leaves open; the same object where there are none."""
     if difficulty is None or not target.is_random or not isinstance(target, DrawnShapes):
         return target
-    given = {name: getattr(target, name) for name in target.model_fields_set}
+    given: dict[str, Any] = {name: getattr(target, name) for name in target.model_fields_set}
     more = {name: value for name, value in DIFFICULTIES[difficulty].items() if name in type(target).model_fields and name not in given}
-    return type(target)(**given, **more) if more else target
+    return type(target)(**given | more) if more else target
 
 
 NamedTarget = Annotated[SerializeAsAny[Target], BeforeValidator(_target_by_name)]
