@@ -72,7 +72,7 @@ class Holdable(Target):
     seed: int
 
     def draw(self, generator, setting):
-        env = gym.make(f"TendonRod-{TASK}-v0", scene=self.scene, fidelity=TRUE, target={"type": "random", "fraction": 0.4})
+        env = gym.make(f"TendonRod-{TASK}-v1", scene=self.scene, fidelity=TRUE, target={"type": "random", "fraction": 0.4})
         env.reset(seed=self.seed)
         return TipCourse(env)
 
@@ -156,7 +156,7 @@ def identified(robot: Scene, seed: int) -> Estimate:
         logs = [Path(folder) / f"steps{i}.csv" for i in range(MOTIONS)]
         for i, log in enumerate(logs):
             arm = SimulatedRobot(i, real_time=False, scene=robot, fidelity=TRUE, randomize={"noise": {"position": NOISE}})
-            env = gym.make("TendonRod-Reach-v0", scene=DRAWING, fidelity=BELIEVED, observation=["tip_position"])
+            env = gym.make("TendonRod-Reach-v1", scene=DRAWING, fidelity=BELIEVED, action="tension", observation=["tip_position"])
             real = RobotEnv(env, arm, settle=STILL, log=log)
             real.reset(seed=0)
             for action in random.uniform(-1.0, 2.0 * LARGEST - 1.0, (STEPS, 3)):
@@ -170,7 +170,7 @@ def error_of(policy: str, robot: Scene, scene: Scene, seed: int, seconds: float)
     """Root mean square error [m] of the tip's position. scene: what is believed of the robot."""
     target = {"type": "holdable", "scene": scene_to_dict(robot), "seed": seed}
     options = {**policy_options(policy, TASK, {"scene": scene, "fidelity": BELIEVED}), "target": target}
-    env = gym.make(f"TendonRod-{TASK}-v0", **options)
+    env = gym.make(f"TendonRod-{TASK}-v1", **options)
     player = load_policy(policy, env)
     rehearse(player, env)
     arm = SimulatedRobot(real_time=False, scene=robot, fidelity=TRUE, sensors=options.get("sensors", 0))

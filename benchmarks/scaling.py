@@ -170,7 +170,7 @@ def step_costs(family: Family, sizes: Sequence[int], turns: int) -> list[float]:
 
 def stepping(rows: int, threads: int = 1, **options: Any) -> Callable[[], gym.vector.VectorEnv]:
     """Steps an environment for PERIODS with small random actions; returns it."""
-    envs = gym.make_vec("TendonRod-TipPose-v0", num_envs=rows, threads=threads, max_episode_steps=None, **options)
+    envs = gym.make_vec("TendonRod-TipPose-v1", num_envs=rows, threads=threads, max_episode_steps=None, action="tension", **options)
     envs.reset(seed=0)
     actions = np.random.default_rng(0).uniform(-1.0, -0.8, (PERIODS, *envs.action_space.shape)).astype(np.float32)
     envs.step(actions[0])
@@ -279,7 +279,7 @@ def memory_table(quick: bool) -> str:
     tasks, fidelities = (("TipPose",), ("fast",)) if quick else (("TipPose", "Shape", "Reach"), ("fast", "standard"))
     environment, rows = {**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}, []
     for task in tasks:
-        commands = [[sys.executable, "-c", GROWTH, f"TendonRod-{task}-v0", own, str(few), str(many)] for own in fidelities]
+        commands = [[sys.executable, "-c", GROWTH, f"TendonRod-{task}-v1", own, str(few), str(many)] for own in fidelities]
         grown = [subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout for command in commands]
         rows.append((task, *(f"{json.loads(own) / 1024:.0f}" for own in grown)))
     return markdown_table(("task", *(f"{fidelity} [kB per row]" for fidelity in fidelities)), rows)

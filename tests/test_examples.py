@@ -52,6 +52,8 @@ RUNS = [
         ("--steps", "30_000"),
         lambda said: numbers(said.splitlines()[0])[0] < 0.0 and numbers(said.splitlines()[1])[0] > 80.0,
     ),
+    ("ppo_cleanrl.py", ("--steps", "20_480"), lambda said: numbers(said)[0] == 20_480 and 0.0 < numbers(said.splitlines()[-1])[1] < 600.0),
+    ("ppo_cleanrl.py", ("--steps", "2_048", "--autoreset", "next_step"), lambda said: "root mean square" in said),
     ("own_policy.py", FEW, lambda said: re.search(r"own_policy:Bend +\| own +\| [1-9]", said)),
     ("paper_trajectory.py", ("--models", "paper", "--duration", "0.2", "--out", "."), lambda said: "paper " in said),
     ("tracking.py", ("--fidelity", "fast", "--out", "tracking.gif"), lambda said: numbers(said.split("position error ")[1])[0] < 0.2),

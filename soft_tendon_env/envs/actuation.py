@@ -89,6 +89,11 @@ class Actuation:
         if self.in_transit is not None:
             self.in_transit[row] = command
 
+    def drawn(self, row: int) -> dict[str, Any]:
+        """Gain and offset [N] (n_a,), and latency [s], of a row's actuators as they were drawn, by their names in `randomize`."""
+        found = {"tension_gain": self.gain[row].copy(), "tension_offset": self.offset[row] / self._share} if self.imperfect else {}
+        return found | ({} if self.in_transit is None else {"latency": self.delay(row)})
+
     def delay(self, row: int) -> float:
         """Time [s] by which a row's commands are late."""
         return float(self._periods_late[row] * self._period + self._durations[row, 0])

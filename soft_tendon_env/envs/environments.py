@@ -18,7 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.episodes import Beginning, Episodes
 from soft_tendon_env.envs.frames import RENDER_MODES, Frames, make_renderer
-from soft_tendon_env.envs.options import MASK, Options, reset_options
+from soft_tendon_env.envs.observation import of_row
+from soft_tendon_env.envs.options import MASK, Options, reset_options, row_seeds
+from soft_tendon_env.envs.randomization import drawn_in_rows
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.envs.tasks import Task, task_of_class
 from soft_tendon_env.model.model import Model
@@ -60,6 +62,17 @@ class EpisodesEnv:
         goal = Box(-reach, reach, (3,), np.float32)
         return Dict({"observation": seen, "achieved_goal": goal, "desired_goal": goal}), actions
 
+    def set_target(self, target: Any, rows: ArrayLike | None = None) -> None:
+        """Another target from now on: in the episode that runs, where it begins at once and is observed after the next step, and in later
+        ones. target: as the argument of that name, None for that itself. rows: an index of them, by default all.
+
+        Raises ConfigurationError, IndexError.
+        """
+        self._refuse("set_target", begun=True)
+        every = np.arange(self.episodes.size)
+        members = np.unique(every if rows is None else every[np.asarray(rows)])
+        self.episodes.set_target(Options.parse({"target": target}, type(self).__name__).target, members)
+
     def _refuse(self, called: str, begun: bool) -> None:
         """Raises ClosedEnvironmentError after close, and ResetNeeded unless begun."""
         if self.closed:
@@ -97,7 +110,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         self._begun, self._most_steps = True, given[0].episode_steps or np.inf if given else np.inf
         if self._renderer is not None:
             self._renderer.begin(ONE)
-        return of_row(self.episodes.observation(), 0), self._info()
+        return of_row(self.episodes.observation(), 0), self._info() | self.episodes.drawn(0)
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """One control period. Raises ValueError or TypeError for an action of wrong shape or type or with NaN, before anything changes."""
@@ -182,7 +195,6 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         self._all, self._ended = np.arange(num_envs, dtype=np.int64), np.zeros(num_envs, dtype=bool)
         self._usual_steps = np.inf if self.max_episode_steps is None else self.max_episode_steps
         self._most_steps = np.full(num_envs, self._usual_steps)
-        self._generators: dict[int, np.random.Generator] = {}
 
     def reset(self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """New episodes: of all rows, or of those that `options={"reset_mask": (rows,) bool}` names.
@@ -192,7 +204,7 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         Raises ValueError or TypeError for bad seeds and options, before anything changes.
         """
         self._refuse("reset", begun=True)
-        members, seeds, given = self._all, _check_seeds(seed, self.num_envs), reset_options(options, self.num_envs)
+        members, seeds, given = self._all, row_seeds(seed, self.num_envs), reset_options(options, self.num_envs)
         if options is not None and MASK in options:
             mask = np.asarray(options[MASK])
             if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
@@ -200,19 +212,19 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
             members = np.flatnonzero(mask)
         if not self._begun and members.size < self.num_envs:
             raise ResetNeeded("the first reset should be of all rows")
-        beginnings = self.episodes.beginnings(given, members)
+        beginnings, generators = self.episodes.beginnings(given, members), self.episodes.generators
         for row in members.tolist():
-            if seeds[row] is not None or row not in self._generators:
-                self._generators[row] = seeding.np_random(seeds[row])[0]
+            if seeds[row] is not None or row not in generators:
+                generators[row] = seeding.np_random(seeds[row])[0]
         self._begun = False
         self._begin(members, beginnings)
         self._begun = True
         for row in members.tolist() if given else ():
             self._most_steps[row] = min(given[row].episode_steps or np.inf, self._usual_steps)
-        return self.episodes.observation(), self._info(np.zeros(self.num_envs, dtype=bool))
+        return self.episodes.observation(), self._info(np.zeros(self.num_envs, dtype=bool)) | self._drawn(members)
 
     def _begin(self, members: Indices, beginnings: Mapping[int, Beginning] | None = None) -> None:
-        self.episodes.begin(members, [self._generators[row] for row in members], beginnings)
+        self.episodes.begin(members, [self.episodes.generators[row] for row in members], beginnings)
         self._ended[members], self._most_steps[members] = False, self._usual_steps
         if self._renderer is not None:
             self._renderer.begin(members)
@@ -221,19 +233,19 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         """One control period of every row. Raises ValueError or TypeError for bad actions, before anything changes."""
         self._refuse("step", self._begun)
         action = checked_array("actions", actions, (self.num_envs, self.episodes.model.tendon_count))
-        stepped, members = ~self._ended, self._all
-        if self._ended.any():
+        stepped, members, begun = ~self._ended, self._all, np.flatnonzero(self._ended)
+        if begun.size:
             if self.autoreset_mode is AutoresetMode.DISABLED:
-                raise ResetNeeded(f"rows {np.flatnonzero(self._ended).tolist()} have ended: reset them with a reset_mask")
+                raise ResetNeeded(f"rows {begun.tolist()} have ended: reset them with a reset_mask")
             members = np.flatnonzero(stepped)
-            self._begin(np.flatnonzero(self._ended))
+            self._begin(begun)
         self.episodes.step(action, members)
         if self._renderer is not None:
             self._renderer.step(members)
         reward = np.where(stepped, self.episodes.reward, 0.0)
         terminated, truncated = self.episodes.diverged & stepped, stepped & self.timed_out
         self._ended = terminated | truncated
-        observation, info = self.episodes.observation(), self._info(stepped)
+        observation, info = self.episodes.observation(), self._info(stepped) | self._drawn(begun)
         if terminated.any():
             causes = [self.episodes.cause(row) if failed else None for row, failed in enumerate(terminated.tolist())]
             info |= {"cause": np.array(causes, dtype=object), "_cause": terminated.copy()}
@@ -247,14 +259,18 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         for row in np.flatnonzero(ended):
             final_obs[row] = of_row(observation, int(row))
         final_info = {key: value & ended if key.startswith("_") else value for key, value in info.items()}
-        self._begin(np.flatnonzero(ended))
+        self._begin(begun := np.flatnonzero(ended))
         final = {"final_obs": final_obs, "_final_obs": ended, "final_info": final_info, "_final_info": ended}
-        return self.episodes.observation(), {**self._info(~ended), **final}
+        return self.episodes.observation(), {**self._info(~ended), **final, **self._drawn(begun)}
 
     def _info(self, stepped: NDArray[np.bool_]) -> dict[str, Any]:
         """The episodes' info with its masks; rewards belong to rows that have stepped."""
         info, everywhere = self.episodes.info(), np.ones(self.num_envs, dtype=bool)
         return info | {f"_{name}": stepped if name.startswith("reward_") else everywhere for name in info}
+
+    def _drawn(self, begun: Indices) -> dict[str, Any]:
+        """Info of what was drawn for rows that have just begun."""
+        return drawn_in_rows([self.episodes.drawn(row) for row in begun.tolist()], begun, self.num_envs)
 
     @property
     def state(self) -> tuple[State, ...]:
@@ -276,23 +292,6 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         self.episodes.arms.close()
         if self._renderer is not None:
             self._renderer.close()
-
-
-def _check_seeds(seed: Any, rows: int) -> list[int | None]:
-    """A seed for each row, None to go on. Raises TypeError or ValueError."""
-    if seed is None:
-        return [None] * rows
-    if isinstance(seed, list | tuple | np.ndarray) and np.ndim(seed):
-        if len(seed) != rows:
-            raise ValueError(f"seed should be an int or a list of {rows}, not of {len(seed)}")
-        return [None if one is None else checked_count(f"seed[{i}]", one, 0) for i, one in enumerate(seed)]
-    first = checked_count("seed", seed, 0)
-    return [first + i for i in range(rows)]
-
-
-def of_row(observation: Any, row: int) -> Any:
-    """A row of observations."""
-    return {key: value[row] for key, value in observation.items()} if isinstance(observation, dict) else observation[row]
 
 
 def compute_reward(self: EpisodesEnv, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any) -> Any:

@@ -15,24 +15,23 @@ from numpy.typing import ArrayLike, NDArray
 from soft_tendon_env.control.protocol import SensorNoise
 from soft_tendon_env.envs.actuation import Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
-from soft_tendon_env.envs.kernels import closeness
 from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, Units, stress_free_strain
 from soft_tendon_env.envs.options import (
     GOAL_BOUND,
     Options,
     ResetOptions,
     check_fit,
-    check_target,
+    checked_target,
     farthest_base,
     groups_of,
     resolved_scene,
     sensor_places,
 )
-from soft_tendon_env.envs.randomization import Measured, Sensors
+from soft_tendon_env.envs.randomization import DRAWN, Measured, Sensors
 from soft_tendon_env.envs.starts import Drawn, Starts
-from soft_tendon_env.envs.targets import TARGETS, Course, Target, TargetSamples
+from soft_tendon_env.envs.targets import Course, Target, TargetSamples
 from soft_tendon_env.envs.tasks import STATIONS, Task
-from soft_tendon_env.envs.tracking import HALF, Reward, Tracking, goal_distance, norm, weights_of
+from soft_tendon_env.envs.tracking import Reward, Tracking, goal_distance, goal_reward, norm, weights_of
 from soft_tendon_env.envs.trajectories import TargetDraws, TargetTrajectories
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
@@ -60,7 +59,7 @@ class Episodes:
 
     After `begin` or `step`: `errors` and `terms` (name to (rows,)), `reward` and `diverged` (rows,), `step_count` (rows,), `tension`
     (rows, n_a) [N] applied at last, `target` (rows, 1 + previews, ..) at `ahead` (1 + previews,) [s] of now, and `observed`, of which the
-    observation is made. `arms.reading` and `arms.rows` are written in place.
+    observation is made. `arms.reading` and `arms.rows` are written in place. `generators`: what each row's episode draws from.
 
     From the options: `limits` of tensions (n_a, 2) [N], `start_tension` (n_a,) [N] at reset and `start_command` (n_a,) that holds it,
     `sensors` (s,) arc lengths [m] of strain sensors, `goal_bound` the largest coordinate [m] of goals, `threshold` [m] of reached ones.
@@ -102,10 +101,13 @@ class Episodes:
         self.limits, self.start_tension, self.start_command = starts.limits, starts.tension, starts.command
         self.threshold = THRESHOLD * self.model.length if options.threshold is None else options.threshold
         self._draws = TargetDraws(starts.setting, self.trajectories, self.period, self.threshold if task.goal else 0.0)
-        self._usual = Beginning(self._draws.settle(options.target or TARGETS[task.target](type=task.target)))
+        self._usual, self.generators = [usual := Beginning(self._settled(None))] * self.size, dict[int, np.random.Generator]()
         if self.size >= MANY and self.model.scene.effects.contact is None:  # among obstacles a motion can take seconds
-            self._draws.fill_bank(self._usual.target)
+            self._draws.fill_bank(usual.target)
         return starts
+
+    def _settled(self, target: Target | None) -> Target | Course:
+        return self._draws.settle(checked_target(target, self.options, self.task, self.model.scene))
 
     def _make_actuation(self, options: Options, rows: int) -> None:
         """Make the actuators, and what they did last."""
@@ -136,24 +138,23 @@ class Episodes:
         """How those of the rows `members` begin that are given options. Raises ConfigurationError, TypeError, ValueError."""
         found = {}
         for row in members.tolist() if given else ():
-            options, target = given[row], self._usual.target
+            options = given[row]
             if options.state is not None:
                 self._refuse_states_of_robots()
                 if not self.options.randomize.numbers:
                     checked_motion(self.model, options.state)
-            if (wanted := options.goal or options.target) is not None:
-                check_target(wanted, self.task, self.model.scene)
-                target = self._draws.settle(wanted)
-            found[row] = Beginning(target, options.state)
+            wanted = options.goal or options.target
+            found[row] = Beginning(self._settled(wanted) if wanted else self._usual[row].target, options.state)
         return found
 
     def begin(self, members: Indices, generators: Sequence[np.random.Generator], beginnings: Mapping[int, Beginning] | None = None) -> None:
         """New episodes for the rows `members`, each drawn from its generator; `beginnings` of rows that do not begin as usual."""
-        hows = [(beginnings or {}).get(row, self._usual) for row in members.tolist()]
+        hows = [(beginnings or {}).get(row, self._usual[row]) for row in members.tolist()]
         rows, drawn, command = list(zip(members.tolist(), hows, generators, strict=True)), dict[int, Drawn](), self.start_command
         for row, _, generator in rows:
             drawn[row] = self.starts.begin(row, generator)
             self.actuation.begin(row, generator, command)
+            self.generators[row] = generator
         motions = {row: checked_motion(drawn[row].model, how.state) for row, how, _ in rows if how.state is not None}
         tensions, commands = (np.tile(start, (members.size, 1)) for start in (self.start_tension, command))
         self.arms.place(members, np.array([start.rest for start in drawn.values()]), tensions)
@@ -174,6 +175,17 @@ class Episodes:
         self._observe(self._all[:0])
         if self.history is not None:
             self.history.correct(self.present, self.step_count, row)
+
+    def set_target(self, target: Target | None, members: Indices) -> None:
+        """Another target for the rows `members`, in the episodes that run and in later ones. Raises ConfigurationError."""
+        usual = Beginning(self._settled(target))
+        for row in members.tolist():
+            self._usual[row] = usual
+            if row in self.generators:
+                now = self.arms.reading.tip_pose[row, :3, 3], int(self.step_count[row])
+                self._draws.begin(row, usual.target, self.generators[row], *now)
+        self.trajectories.prepare(self.step_count, members)
+        self._observe(self._all[:0])
 
     def _refuse_states_of_robots(self) -> None:
         if not self._simulated:
@@ -248,9 +260,8 @@ class Episodes:
         return Observed(self.arms, measured, error, self.target, self._action, self.actuation.command, self._rest_values)
 
     def goal_reward(self, achieved: ArrayLike, desired: ArrayLike) -> Array:
-        """Rewards (...) of goals (..., 3) [m]: 1 within the threshold, else 0, or if dense 1/2 at HALF thresholds. Raises ValueError."""
-        distance, is_dense = goal_distance(achieved, desired), self.options.reward == "dense"
-        return np.asarray(closeness(distance, HALF * self.threshold) if is_dense else distance <= self.threshold, dtype=np.float64)
+        """Rewards (...) of goals (..., 3) [m]. Raises ValueError."""
+        return goal_reward(achieved, desired, self.threshold, self.options.reward == "dense")
 
     def target_ahead(self, periods: int) -> TargetSamples:
         """The targets of all rows (rows, 1 + periods, ..) now and in the periods ahead. Raises ValueError beyond the longest preview."""
@@ -282,6 +293,10 @@ class Episodes:
         if self.task.goal:
             info["is_success"] = goal_distance(*self._goals) <= self.threshold
         return info
+
+    def drawn(self, row: int) -> dict[str, Any]:
+        """Info of what `randomize` has drawn for a row's episode, if anything: numbers of its scene by dotted keys, of its actuators."""
+        return {DRAWN: found} if (found := {**self.starts.numbers[row], **self.actuation.drawn(row)}) else {}
 
     def cause(self, row: int) -> str:
         """Why the last step of a row failed."""

@@ -208,3 +208,8 @@ def stress_free_strain(scene: Scene, arc_length: Array) -> Array:
     """Strains (m, 6) of the stress-free rod at arc lengths (m,) [m]."""
     curvature = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, arc_length)]
     return np.concatenate([curvature, np.tile([1.0, 0.0, 0.0], (arc_length.size, 1))], axis=1)
+
+
+def of_row(observation: Any, row: int) -> Any:
+    """A row of observations."""
+    return {key: value[row] for key, value in observation.items()} if isinstance(observation, dict) else observation[row]

@@ -2,7 +2,8 @@
 
 import contextlib
 import re
-from typing import Annotated, Any, Literal, NoReturn
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, NoReturn, Self
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, InstanceOf, SerializeAsAny, field_validator
@@ -10,13 +11,14 @@ from pydantic import AfterValidator, BeforeValidator, Field, InstanceOf, Seriali
 from soft_tendon_env.accuracy.fidelity import at_fidelity, checked_fidelity
 from soft_tendon_env.envs.observation import Group
 from soft_tendon_env.envs.randomization import Randomization
-from soft_tendon_env.envs.targets import TARGETS, Target
+from soft_tendon_env.envs.targets import TARGETS, DrawnShapes, Target
 from soft_tendon_env.envs.targets.shipped import Hold
 from soft_tendon_env.envs.tasks import Task
 from soft_tendon_env.envs.tracking import GoalReward, Weight, weights_of
 from soft_tendon_env.model.state import State
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene, TensionLimits, extrapolation_columns, rod_length, scene_to_dict
+from soft_tendon_env.tools.checks import checked_count
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, not_registered, shown
 from soft_tendon_env.tools.types import Array, NotNegative, Positive
 
@@ -34,6 +36,24 @@ def _target_by_name(target: Any) -> Any:
     return TARGETS[kind](**settings)
 
 
+DIFFICULTIES: Mapping[str, Mapping[str, float]] = {
+    "easy": {"fraction": 0.25, "knot_period": 1.0},
+    "medium": {"fraction": 0.4, "knot_period": 0.6},
+    "hard": {"fraction": 0.6, "knot_period": 0.3},
+}
+"""Settings of drawn targets by difficulty; "easy" are their defaults."""
+Difficulty = Literal["easy", "medium", "hard"]
+
+
+def at_difficulty(target: Target, difficulty: Difficulty | None) -> Target:
+    """The target with the settings of a difficulty that it leaves open; the same object where there are none."""
+    if difficulty is None or not target.is_random or not isinstance(target, DrawnShapes):
+        return target
+    given: dict[str, Any] = {name: getattr(target, name) for name in target.model_fields_set}
+    more = {name: value for name, value in DIFFICULTIES[difficulty].items() if name in type(target).model_fields and name not in given}
+    return type(target)(**given | more) if more else target
+
+
 NamedTarget = Annotated[SerializeAsAny[Target], BeforeValidator(_target_by_name)]
 
 
@@ -48,11 +68,13 @@ class Options(Configuration):
             what the scene sets and takes the rest from "standard".
         control_period: time [s] between actions. The scene's integrator takes equal steps within it.
         tension_limits: (minimum, maximum) tension [N] of every tendon; None takes the scene's. With a negative minimum tendons push.
-        action: "tension" maps [-1, 1] to the tension limits; "increment" maps it to changes of at most `tension_rate` times the control
-            period.
-        tension_rate: largest rate of change [N/s] of actions that are increments.
+        action: "increment" maps [-1, 1] to changes of the tensions, of at most `tension_rate` times the control period, 2 N by default,
+            from those asked for before; "tension" maps it to the tension limits.
+        tension_rate: largest rate of change [N/s] of actions that are increments. Actions that are tensions may jump.
         target: name of a target ("random", "hold", "circle", "ramp", "steps", "out_of_reach" or a registered one), a table with that
             `type` and its settings, or a target object. None takes the task's default.
+        difficulty: "easy", "medium" or "hard" sets what a drawn target leaves open: `fraction` to 0.25, 0.4 or 0.6, and `knot_period`, of
+            random motions, to 1.0, 0.6 or 0.3 s. None leaves it to the target, whose defaults are easy.
         observation: "full", "measurable" (tip pose, tendon lengths, strain sensors), or a list of observation groups.
         preview: times ahead [s] at which the target is observed too, rounded to whole control periods (1 to 10,000). The default is 0.1 and
             0.2 s, or one and two control periods where a period is longer than that.
@@ -71,9 +93,10 @@ class Options(Configuration):
     fidelity: Annotated[str, AfterValidator(checked_fidelity)] | None = None
     control_period: Annotated[float, Field(ge=1e-6, le=100.0)] = 0.02
     tension_limits: TensionLimits | None = None
-    action: Literal["tension", "increment"] = "tension"
+    action: Literal["increment", "tension"] = "increment"
     tension_rate: Positive = 100.0
     target: NamedTarget | None = None
+    difficulty: Difficulty | None = None
     observation: str | tuple[str, ...] = "full"
     preview: tuple[Positive, ...] = Field(
         default_factory=lambda given: tuple(max(0.1 * k, k * given.get("control_period", 0.0)) for k in (1, 2))
@@ -84,6 +107,13 @@ class Options(Configuration):
     threshold: Annotated[Positive, Field(ge=1e-9)] | None = None
     randomize: Randomization = Field(default=Randomization())
     tip_speed_limit: Positive | None = None
+
+    @classmethod
+    def parse(cls, values: Mapping[str, Any], source: str) -> Self:
+        """As of every configuration. Raises TypeError for `frameskip`, which TorchRL tries, and leaves out where that is raised."""
+        if "frameskip" in values:
+            raise TypeError(f"{source} got an unexpected keyword argument 'frameskip'")
+        return super().parse(values, source)
 
     @field_validator("scene", mode="before")
     @classmethod
@@ -139,6 +169,18 @@ def reset_options(options: Any, rows: int | None = None) -> dict[int, ResetOptio
             raise ConfigurationError([Problem((key,), f"should have one value per row, {rows}, each None for what is usual")], "options")
     tables = [{key: values[row] for key, values in given.items() if values[row] is not None} for row in range(rows)]
     return {row: ResetOptions.parse(table, f"options of row {row}") for row, table in enumerate(tables)} if given else {}
+
+
+def row_seeds(seed: Any, rows: int) -> list[int | None]:
+    """A seed of a reset for each row, None to go on. Raises TypeError or ValueError."""
+    if seed is None:
+        return [None] * rows
+    if isinstance(seed, list | tuple | np.ndarray) and np.ndim(seed):
+        if len(seed) != rows:
+            raise ValueError(f"seed should be an int or a list of {rows}, not of {len(seed)}")
+        return [None if one is None else checked_count(f"seed[{i}]", one, 0) for i, one in enumerate(seed)]
+    first = checked_count("seed", seed, 0)
+    return [first + i for i in range(rows)]
 
 
 def resolved_scene(options: Options) -> Scene:
@@ -206,14 +248,22 @@ def check_fit(options: Options, task: Task, scene: Scene) -> None:
             _fail(f"preview[{i}]", f"is {time:g}: it should be {allowed}")
     if (farthest := sensor_places(options, scene).max(initial=0.0)) > length:
         _fail("sensors", f"names {farthest:g}: it should be at most the rod's length, {length:g}")
-    if options.target is not None:
-        check_target(options.target, task, scene)
+    target = options.target or usual_target(task)
+    if checked_target(None, options, task, scene) is target and options.difficulty is not None:
+        _fail("difficulty", f"is {options.difficulty!r}, and the target {target.type!r} leaves neither fraction nor knot_period open")
     if options.reward is not None and (task.goal is not None) == isinstance(options.reward, dict):
         _fail("reward", "should be 'sparse' or 'dense'" if task.goal else "should be a table of weights by term")
 
 
-def check_target(target: Target, task: Task, scene: Scene) -> None:
-    """Raises ConfigurationError where a target does not fit the task or the scene."""
+def usual_target(task: Task) -> Target:
+    """The target of a task whose options name none."""
+    return TARGETS[task.target](type=task.target)
+
+
+def checked_target(given: Target | None, options: Options, task: Task, scene: Scene) -> Target:
+    """A target, by default that of the options or the task, at their difficulty. Raises ConfigurationError where it does not fit the task
+    or the scene."""
+    target = at_difficulty(given or options.target or usual_target(task), options.difficulty)
     if task.shapes and not target.gives_shapes:
         kind = target.type
         _fail("target", f"is {kind!r}, which is a pose alone: {task.name} needs one that is made of tensions, such as random or ramp")
@@ -227,6 +277,7 @@ def check_target(target: Target, task: Task, scene: Scene) -> None:
             allowed = f"within ±{bound:g} m, {GOAL_BOUND:g} lengths of the rod{home}"
             _fail(key, f"is at {shown(place.tolist())} m: goals should lie {allowed}")
     target.check(scene)
+    return target
 
 
 def _fail(key: str, text: str) -> NoReturn:

@@ -1,5 +1,6 @@
 """Domain randomisation per episode: numbers of the scene, actuators, sensors, latency. All off by default."""
 
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Annotated, Any, NamedTuple
 
@@ -17,6 +18,7 @@ from soft_tendon_env.tools.configuration import Configuration, ConfigurationErro
 from soft_tendon_env.tools.types import Array
 
 GREATEST = 1e9  # largest absolute value of gains, offsets and latencies that can be drawn
+DRAWN = "drawn"  # key in `info`, after resets, of what was drawn
 CHUNK = 128  # samples of noise drawn at a time
 SHORT = {
     "stiffness": ("segments.*.young_modulus", "factor"),
@@ -110,6 +112,18 @@ def _whole_rod(scene: Scene, name: str, value: Any) -> str:
     """The key of a number, with the others that a factor of it means in some segments."""
     mixed = isinstance(value, dict) and "factor" in value and any(isinstance(part.section, Stiffness) for part in scene.segments)
     return "|".join([name, *(f"segments.*.section.{key}" for key in OF_STIFFNESS.get(name, ()) if mixed)])
+
+
+def drawn_in_rows(infos: Sequence[Mapping[str, Any]], members: Indices, rows: int) -> dict[str, Any]:
+    """Infos of what was drawn for `members` as one of all rows, as Gymnasium has tables in it: arrays (rows, ..), each beside its mask."""
+    if not any(infos):
+        return {}
+    found, mask = dict[str, Any](), np.isin(np.arange(rows), members)
+    for key in infos[0][DRAWN]:
+        drawn = np.array([info[DRAWN][key] for info in infos])
+        found |= {key: np.zeros((rows, *drawn.shape[1:])), f"_{key}": mask.copy()}
+        found[key][members] = drawn
+    return {DRAWN: found, f"_{DRAWN}": mask}
 
 
 class Measured(NamedTuple):

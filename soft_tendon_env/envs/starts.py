@@ -33,13 +33,15 @@ class Drawn(NamedTuple):
 
     model: Model
     rest: Array  # (n,) coordinates at which it rests
+    numbers: Mapping[str, float] = {}  # drawn ones of its scene, by dotted keys
 
 
 class Starts:
     """Beginnings of rows of arms.
 
     The scene's arm rests at `q` (n,) under the `tension` (n_a,) [N] nearest to zero within `limits` (n_a, 2), which `command` (n_a,) holds;
-    `setting`: of its targets. Arms that need no search for where they rest are made at once, others when they are first drawn.
+    `setting`: of its targets; `numbers`: drawn ones by row. Arms that need no search for where they rest are made at once, others when
+    they are first drawn.
     """
 
     def __init__(self, options: Options, arms: Arms) -> None:
@@ -57,7 +59,7 @@ class Starts:
             if free.holds(self.q[None]).all():  # else the arm rests against an obstacle
                 self.setting = self.setting._replace(model=free.model, free=free)
         self._usual, self._ranges = Drawn(arms.model, self.q), options.randomize.ranges(arms.model.scene)
-        self._bank = dict[int, Drawn]()
+        self._bank, self.numbers = dict[int, Drawn](), dict[int, Mapping[str, float]]()
         self._make_bank()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -80,6 +82,7 @@ class Starts:
         """Give a row its arm, drawn from a generator. Raises ConfigurationError."""
         drawn = self._arm(int(generator.random(DRAWS)[0] * self._size))
         self._arms.set_model(row, drawn.model)
+        self.numbers[row] = drawn.numbers
         return drawn
 
     def _arm(self, number: int) -> Drawn:
@@ -104,7 +107,7 @@ class Starts:
         if reason:
             why = f"cannot begin at rest, under {shown_numbers(self.tension)} N: {reason}"
             raise _problem(("randomize",), f"can make arms that {why}: {_listed(changes)}")
-        return Drawn(model, q)
+        return Drawn(model, q, changes)
 
     def _model_with(self, changes: Mapping[str, float], *key: str) -> Model:
         """The model with these numbers of the scene, which the range of that key draws. Raises ConfigurationError."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from soft_tendon_env.envs.observation import GROUPS, Group
 from soft_tendon_env.envs.targets import TARGETS
 from soft_tendon_env.envs.tracking import ANGLE, BACKBONE, COORDINATES, OWN_TERMS, POSITION, TERMS, Term, Tracking, TrackingError
-from soft_tendon_env.registration import MAX_EPISODE_STEPS, register_environment
+from soft_tendon_env.registration import MAX_EPISODE_STEPS, ids_of, register_environment
 from soft_tendon_env.tools.configuration import not_among, not_registered
 
 STATIONS = 20  # places along the backbone at which shapes are compared, the tip the last
@@ -51,7 +51,7 @@ class Task:
     @property
     def terms(self) -> dict[str, Term]:
         """The reward terms that the task has, by name."""
-        return {**OWN_TERMS, **{error.term: Term(error.name, error.scale, error.of_length) for error in self.errors}, **TERMS}
+        return {**OWN_TERMS, **{name: term for error in self.errors for name, term in error.terms.items()}, **TERMS}
 
     @property
     def observable(self) -> dict[str, Group]:
@@ -65,7 +65,7 @@ class Task:
     @property
     def id(self) -> str:
         """Gymnasium's id of the environments."""
-        return f"TendonRod-{self.name}-v0"
+        return ids_of(self.name)[-1]
 
 
 TASKS: dict[str, Task] = {}
@@ -112,9 +112,9 @@ with the statics-based reduced dynamics of Mathew, Renda et al. (RA-L 2024). The
 tendons.
 
 ## Action Space
-`Box(-1, 1, (n_a,), float32)` has one entry per tendon; larger values are clipped. With `action="tension"`, -1 and 1 are the
-smallest and the largest tension, 0 and 60 N on the default arm: tendons pull and do not push. With `action="increment"`, -1 and 1
-are the largest decrease and increase of a tension in one control period.
+`Box(-1, 1, (n_a,), float32)` has one entry per tendon; larger values are clipped. -1 and 1 are the largest decrease and increase of a
+tension in one control period: `tension_rate`, 100 N/s, times 20 ms is 2 N. Tensions stay within their limits, 0 and 60 N on the default
+arm: tendons pull and do not push. With `action="tension"`, -1 and 1 are these limits, and tensions may jump.
 
 ## Observation Space
 `Box(float32)` holds groups side by side: coordinates, rates, tip_position, tip_rotation, tip_twist, target_error, target_twist,
@@ -125,9 +125,11 @@ chooses others, see docs/reference/environments.md.
 The reward is a weighted mean of terms between 0 and 1, and 0 where the simulation diverged. `info` has each term as
 `reward_<term>`.
 
-- `position` (weight 1) and `angle` (0.5) are 1 / (1 + (error / scale)^2), with scales of 0.05 lengths of the rod and 0.5 rad.
-- `effort` (0.05) is 1 minus the mean square tension, as a share of the limits.
-- `smoothness` (0.05) is 1 minus a quarter of the mean square change of the action.
+- `graded_position` (weight 1) and `graded_angle` (0.25) are the mean of 1 / (1 + (error / scale)^2) over three scales: 0.2, 0.02 and 0.002
+  lengths of the rod, and 2, 0.2 and 0.02 rad.
+- `effort` (0.02) is 1 minus the mean square tension, as a share of the limits.
+- `smoothness` (0.1) is 1 minus a quarter of the mean square change of the action.
+- `position` and `angle`, weight 0 by default, have one scale, 0.05 lengths and 0.5 rad.
 
 ## Starting State
 The arm rests under the tensions nearest to zero. The target is drawn at every reset. By default it is a closed smooth random motion
@@ -147,7 +149,7 @@ Every environment takes the keyword arguments of `soft_tendon_env.envs.Options`.
             "measurable": (*TIP, "tendon_lengths", "strain", "target_error", "target_twist", "preview", "last_action"),
         },
         errors=(POSITION, ANGLE),
-        reward={"position": 1.0, "angle": 0.5, "effort": 0.05, "smoothness": 0.05},
+        reward={"graded_position": 1.0, "graded_angle": 0.25, "effort": 0.02, "smoothness": 0.1},
         reference=("target_error", "preview"),
         measured_reference=("target_error", "preview"),
     )
@@ -167,9 +169,9 @@ tensions; with `target="ramp"` it is the paper's: tensions rise from rest for 2.
 last_action. See docs/reference/environments.md.
 
 ## Rewards
-As in `TipPoseEnv`, with the term `backbone` (weight 1) in place of `position` and `angle`. Its error is the root mean square
-distance between the backbone and the target, with a scale of 0.05 lengths of the rod. `coordinates` (norm of the coordinates'
-error) and `position` are further terms, with weight 0 by default.
+As in `TipPoseEnv`, with the term `graded_backbone` (weight 1) in place of position and angle. Its error is the root mean square
+distance between the backbone and the target, with the scales of `graded_position`. `backbone`, `coordinates` (norm of the coordinates'
+error) and `position` are further terms, and their graded ones, with weight 0 by default.
 """,
         target="random",
         observations={
@@ -177,7 +179,7 @@ error) and `position` are further terms, with weight 0 by default.
             "measurable": (*TIP, "tendon_lengths", "strain", "target_error", "target_lengths", "preview", "last_action"),
         },
         errors=(BACKBONE, COORDINATES, POSITION),
-        reward={"backbone": 1.0, "effort": 0.05, "smoothness": 0.05},
+        reward={"graded_backbone": 1.0, "effort": 0.02, "smoothness": 0.1},
         reference=("target_coordinates", "coordinate_preview"),
         measured_reference=("target_error", "preview", "wanted_coordinates"),
         shapes=True,
@@ -189,16 +191,17 @@ REACH = register_task(
         name="Reach",
         description="""
 ## Description
-The policy brings the tip of a tendon-driven soft arm to a point. The task is goal-conditioned, for hindsight experience replay
-(HER). Actions, starting state, episode end and arguments are those of `TipPoseEnv`, with the argument `threshold`.
+The policy brings the tip of a tendon-driven soft arm to a point. The task is goal-conditioned. Actions, starting state, episode
+end and arguments are those of `TipPoseEnv`, with the argument `threshold`.
 
 ## Observation Space
 `Dict` with three entries. `observation` has the groups coordinates, rates, tip_position, tip_rotation, tip_twist, last_action.
 `achieved_goal` and `desired_goal` are tip positions in metres, `Box((3,), float32)`.
 
 ## Rewards
-`reward="sparse"` is 1 within `threshold` (0.01 lengths of the rod) of the goal, else 0. `reward="dense"` is
-1 / (1 + (distance / (5 threshold))^2). `compute_reward(achieved_goal, desired_goal, info)` gives the same for many goals.
+`reward="sparse"` is 1 within `threshold` (0.01 lengths of the rod) of the goal, else 0. `reward="dense"` is the mean of
+1 / (1 + (distance / scale)^2) over scales of 20, 2 and 0.2 thresholds. `compute_reward(achieved_goal, desired_goal, info)` gives the
+same for many goals.
 
 ## Starting State
 The goal is drawn: it is the tip's position at rest under random tensions. One within `threshold` of where the tip begins is drawn

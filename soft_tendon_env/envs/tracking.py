@@ -2,8 +2,8 @@
 
 Reward terms are between 0 and 1, so that no episode gains by ending early; the reward is their weighted mean. An error e counts
 1 / (1 + (e / scale)^2): 1 at none, 1/2 at `scale`. With several scales it counts as their mean: a small one, so that little errors matter,
-and larger ones, so that there is a slope from as far off as episodes begin. A task's errors make terms; those of every task are
-in TERMS, and a user's own are functions of the tracking, see `register_reward_term`.
+and larger ones, so that there is a slope from as far off as episodes begin. A task's errors make two terms each, of one scale and of
+GRADES of it; those of every task are in TERMS, and a user's own are functions of the tracking, see `register_reward_term`.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,14 +15,15 @@ from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field
 
 from soft_tendon_env.envs.arms import Arms, Indices
-from soft_tendon_env.envs.kernels import EFFORT, SMOOTHNESS, TermTable, reward_terms
+from soft_tendon_env.envs.kernels import EFFORT, SMOOTHNESS, TermTable, closeness, reward_terms
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, shown
 from soft_tendon_env.tools.types import Array
 
 GoalReward = Literal["sparse", "dense"]
-HALF = 5.0  # thresholds at which the dense reward is 1/2: near enough that the last of them still counts
+GRADES = (4.0, 0.4, 0.04)  # scales of graded terms, in that of the error: returns then order policies as errors do, large and small
+HALF = 5.0  # thresholds that are the scale of the dense reward
 Scales = Annotated[tuple[Annotated[float, Field(gt=0, ge=1e-9)], ...], Field(min_length=1)]
 
 
@@ -50,8 +51,8 @@ class Term(NamedTuple):
     """A reward term."""
 
     of: str | int | Callable[[Any], Array]  # name of its error; EFFORT or SMOOTHNESS; or a function of the Tracking, a user's own
-    scale: float = 0.0  # by default; 0: none
-    of_length: bool = False  # whether the scale is a share of the rod's length
+    scale: tuple[float, ...] = ()  # by default; (): none
+    of_length: bool = False  # whether the scales are shares of the rod's length
 
 
 TERMS: Mapping[str, Term] = {"effort": Term(EFFORT), "smoothness": Term(SMOOTHNESS)}
@@ -85,8 +86,8 @@ class Reward:
         compiled = self._compiled = {name: available[name] for name in weights if name not in functions}
         self._errors = [term.of for term in compiled.values() if isinstance(term.of, str)]
         codes = [self._errors.index(term.of) if isinstance(term.of, str) else term.of for term in compiled.values()]
-        usual = {name: term.scale * (length if term.of_length else 1.0) for name, term in compiled.items()}
-        scales = [np.atleast_1d(weights[name].scale or usual[name]) for name in compiled]
+        usual = {name: np.array(term.scale) * (length if term.of_length else 1.0) for name, term in compiled.items()}
+        scales = [np.array(weights[name].scale or usual[name]) for name in compiled]
         shares = np.array([self._shares[name] for name in compiled], dtype=np.float64)
         first, scale = np.cumsum([0, *map(len, scales)]), np.concatenate([np.empty(0), *scales])
         of, most = np.array(codes, dtype=np.int64), np.full(strongest.size, 2.0)
@@ -119,6 +120,14 @@ def goal_distance(achieved: ArrayLike, desired: ArrayLike) -> Array:
     way = np.asarray(achieved, dtype=np.float64) - np.asarray(desired, dtype=np.float64)
     x, y, z = way[..., 0], way[..., 1], way[..., 2]
     return np.asarray(np.sqrt(x * x + y * y + z * z))
+
+
+def goal_reward(achieved: ArrayLike, desired: ArrayLike, threshold: float, dense: bool) -> Array:
+    """Rewards (...) of goals (..., 3) [m]: 1 within the threshold [m], else 0; if dense graded, of HALF thresholds. Raises ValueError."""
+    distance = goal_distance(achieved, desired)
+    if dense:
+        return np.asarray(sum(closeness(distance, grade * HALF * threshold) for grade in GRADES) / len(GRADES))
+    return np.asarray(distance <= threshold, dtype=np.float64)
 
 
 class Tracking(NamedTuple):
@@ -161,7 +170,8 @@ class Tracking(NamedTuple):
 
 @dataclass(frozen=True)
 class TrackingError:
-    """A tracking error: `name` in `info`, the reward `term` that falls with it, and the `scale` of the error that halves that term.
+    """A tracking error: `name` in `info`, the reward `term` that falls with it, and the `scale` of the error that halves that term; of
+    graded_<term> it is the unit of the scales.
 
     value: (rows,) from the arm and its target, in SI units. of_length: whether `scale` is a share of the rod's length.
     """
@@ -172,6 +182,12 @@ class TrackingError:
     scale: float
     value: Callable[[Tracking], Array]
     of_length: bool = False
+
+    @property
+    def terms(self) -> dict[str, Term]:
+        """The reward terms of the error, by name."""
+        scales = {self.term: (self.scale,), f"graded_{self.term}": tuple(grade * self.scale for grade in GRADES)}
+        return {term: Term(self.name, scale, self.of_length) for term, scale in scales.items()}
 
 
 def norm(vectors: Array) -> Array:
@@ -198,7 +214,7 @@ def register_reward_term(function: Callable[[Tracking], Array]) -> Callable[[Tra
     It takes a Tracking and returns values (rows,) between 0 and 1, 1 the best, so that no episode gains by ending early. A second function
     of the same name replaces the first. Raises ValueError for a name that a term of the package has.
     """
-    if (name := function.__name__) in {*TERMS, *(error.term for error in (POSITION, ANGLE, BACKBONE, COORDINATES))}:
+    if (name := function.__name__) in {*TERMS, *(term for error in (POSITION, ANGLE, BACKBONE, COORDINATES) for term in error.terms)}:
         raise ValueError(f"the reward term {name!r} is taken: choose another name")
     OWN_TERMS[name] = Term(function)
     return function

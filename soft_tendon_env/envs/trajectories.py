@@ -41,9 +41,9 @@ class TargetTrajectories:
             ahead=np.array(ahead, dtype=np.int64),
         )
 
-    def begin(self, row: int, course: Course, first: int = 0) -> None:
-        """A new target for a row, from control period `first` of its course on."""
-        self._course[row], self._first[row], self._until[row], self._periods_left = course, first, 0, 0
+    def begin(self, row: int, course: Course, first: int = 0, now: int = 0) -> None:
+        """A new target for a row: control period `first` of its course is in `now` of the episode."""
+        self._course[row], self._first[row], self._until[row], self._periods_left = course, first - now, now, 0
 
     def prepare(self, step_count: Indices, members: Indices) -> None:
         """Sample on, where the rows `members` have run out, which are a control period on at the most since the last call."""
@@ -140,10 +140,11 @@ class TargetDraws:
             for number in range(BANK):
                 self._motion(target, number)
 
-    def begin(self, row: int, target: Target | Course, generator: np.random.Generator, tip: Array) -> None:
-        """Give a row its target, a goal away from the tip (3,) unless it begins at rest; where all goals are reached a warning says so."""
+    def begin(self, row: int, target: Target | Course, generator: np.random.Generator, tip: Array, now: int = 0) -> None:
+        """Give a row its target in control period `now` of its episode, a goal away from the tip (3,) unless it begins at rest; where all
+        goals are reached a warning says so."""
         if not isinstance(target, Target):
-            self._trajectories.begin(row, target)
+            self._trajectories.begin(row, target, now=now)
             return
         away = 0.0 if target.begins_at_rest else self._away
         for _ in range(MOST_DRAWS):
@@ -153,7 +154,7 @@ class TargetDraws:
         else:
             text = f"a goal was within the threshold, {1e3 * away:.3g} mm, of where the tip begins in {MOST_DRAWS} draws"
             warnings.warn(f"{text}: the episode begins solved; choose a smaller threshold, or a larger fraction of tensions", stacklevel=2)
-        self._trajectories.begin(row, course, first)
+        self._trajectories.begin(row, course, first, now)
 
     def _draw(self, target: Target, generator: np.random.Generator) -> tuple[Course, int]:
         """A course, and the control period of it to begin at."""

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from soft_tendon_env.envs import Options
-from soft_tendon_env.envs.options import groups_of
+from soft_tendon_env.envs.options import Difficulty, groups_of
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.conditions import SEEDS, SETTINGS
@@ -25,7 +25,7 @@ from soft_tendon_env.tools.types import NotNegative, Positive
 
 PLANT = "fine"
 """Fidelity of the arm that the benchmark is played on."""
-TARGET = {"type": "random", "fraction": 0.4, "knot_period": 0.6}
+TARGET = "random"
 """Target that all follow."""
 
 
@@ -73,6 +73,7 @@ class Benchmark(Workers):
         scene: a shipped scene's name, or the path of a TOML file: the arm that every policy may know.
         entrants: tables of the policies that are compared, see soft_tendon_env.evaluation.benchmark.BenchmarkPolicy.
         settings: names of model errors and loads, see soft_tendon_env.evaluation.conditions.
+        difficulty: of the targets, see soft_tendon_env.envs.Options.
         regimes: names of sensor sets that policies observe, see soft_tendon_env.policies.regimes.
         episodes: number of episodes of every policy in every condition, on the first of the test seeds.
         seconds: length of an episode [s].
@@ -83,6 +84,7 @@ class Benchmark(Workers):
     scene: str = "paper"
     entrants: tuple[BenchmarkPolicy, ...] = Field(min_length=1)
     settings: SettingNames = tuple(SETTINGS)
+    difficulty: Difficulty = "medium"
     regimes: RegimeNames = tuple(REGIMES)
     episodes: int = Field(default=20, ge=1, le=len(SEEDS["arena"]))
     seconds: Positive = 6.0
@@ -119,7 +121,8 @@ class Benchmark(Workers):
                     continue
                 plays, noise = True, {"noise": dict(REGIMES[regime].noise)}
                 for setting in (name for name in self.settings if name in (entrant.settings or self.settings)):
-                    given = {**observed, "scene": self.scene, "fidelity": PLANT, "target": TARGET, "randomize": noise}
+                    given = {**observed, "scene": self.scene, "fidelity": PLANT, "randomize": noise}
+                    given |= {"target": TARGET, "difficulty": self.difficulty}
                     believed = {"scene": self.scene, **(SETTINGS[setting].scene(load_scene(self.scene)) if entrant.told else {})}
                     options = SETTINGS[setting].options(given)
                     cell = Cell(self.task, policy.text, options, episodes, self.seconds, self.skip, controller_scene=believed)

@@ -59,7 +59,7 @@ class TrackingCost:
 
     def __init__(self, episodes: Episodes, settings: APGSettings) -> None:
         """Costs of the errors that the environment rewards. Raises ConfigurationError for others than those of SQUARES."""
-        names = [error.name for error in episodes.task.errors if episodes.task.goal or error.term in episodes.terms]
+        names = [error.name for error in episodes.task.errors if episodes.task.goal or error.terms.keys() & episodes.terms.keys()]
         if not names or not SQUARES.keys() >= {*names}:
             text = f"rewards {', '.join(names) or 'no error'}: APG has costs of {', '.join(SQUARES)} alone, give it a `cost`"
             raise ConfigurationError([Problem(("reward",), text)], "environment")

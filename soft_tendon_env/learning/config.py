@@ -51,8 +51,6 @@ class Training(Configuration):
         hyperparameters: further arguments of the algorithm, by Stable-Baselines3's names; `activation_fn` is a name in torch.nn.
         options: options of the environment, see `soft_tendon_env.envs.Options`.
         integral_time: [s], integral action around the agent once it acts and is evaluated, see policies/integral.py; None: none.
-        hindsight: goals reached later that each transition gets besides its own: hindsight experience replay, for off-policy algorithms on
-            tasks with goals; 0: none.
     """
 
     task: TaskName
@@ -63,10 +61,9 @@ class Training(Configuration):
     seed: int = Field(default=0, ge=0, lt=2**32)
     learning_rate: Share | tuple[Share, Share] = 3e-4
     hyperparameters: dict[str, Any] = Field(default={})
-    options: dict[str, Any] = Field(default={})
+    options: dict[str, Any] = Field(default={}, validate_default=True)
     normalise: Normalisation = Normalisation()
     integral_time: Positive | None = None
-    hindsight: int = Field(default=0, ge=0)
     evaluation: Evaluation = Evaluation()
 
     def arm_seed(self, done: int = 0) -> int:
@@ -79,6 +76,11 @@ class Training(Configuration):
         if algorithm not in (names := (*ALGORITHMS, *MODULES)):
             raise ValueError(f"should be an algorithm to train with: {not_among(algorithm, names)}")
         return algorithm
+
+    @field_validator("options")
+    @classmethod
+    def _say_action(cls, options: dict[str, Any]) -> dict[str, Any]:
+        return {"action": Options.model_fields["action"].default, **options}  # so that config.json says it
 
     @model_validator(mode="after")
     def _fits(self) -> "Training":

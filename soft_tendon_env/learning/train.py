@@ -14,7 +14,6 @@ from typing import Any
 
 import gymnasium as gym
 import torch
-from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
@@ -101,8 +100,6 @@ def make_model(training: Training) -> BaseAlgorithm:
     normalised = VecNormalize(env, norm_obs=normalise.observations, norm_reward=normalise.rewards, gamma=given.get("gamma", 0.99))
     policy = "MultiInputPolicy" if isinstance(env.observation_space, gym.spaces.Dict) else "MlpPolicy"  # of tasks with goals
     given["policy_kwargs"] = policy_arguments(given.get("policy_kwargs", {}))
-    if training.hindsight:
-        given |= {"replay_buffer_class": HerReplayBuffer, "replay_buffer_kwargs": {"n_sampled_goal": training.hindsight}}
     try:
         if (settings := getattr(kind, "settings_class", None)) is not None:
             names = [field.name for field in dataclasses.fields(settings) if field.name in given]

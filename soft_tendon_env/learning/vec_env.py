@@ -1,7 +1,7 @@
 """The environments with many arms for Stable-Baselines3, which has no adapter of its own for Gymnasium's vector environments.
 
     from soft_tendon_env.learning.vec_env import make_sb3_vec_env
-    agent = PPO("MlpPolicy", make_sb3_vec_env("TendonRod-TipPose-v0", 64, fidelity="fast"))
+    agent = PPO("MlpPolicy", make_sb3_vec_env("TendonRod-TipPose-v1", 64, fidelity="fast"))
 
 Nothing else of the package imports this module, since it needs `pip install "soft_tendon_env[agents]"`.
 """
@@ -79,7 +79,7 @@ class StableBaselinesVecEnv(VecEnv):
 
     def env_method(self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any) -> list[Any]:
         """Results of a method of the environment, called once for each of `indices`. Raises ValueError for those of all rows at once."""
-        if method_name in ("reset", "step", "render", "close", "close_extras"):
+        if method_name in ("reset", "step", "set_target", "render", "close", "close_extras"):
             raise ValueError(f"{method_name!r} acts on all rows at once: it cannot be called by env_method")
         return [getattr(self.env, method_name)(*method_args, **method_kwargs) for _ in self._get_indices(indices)]
 
@@ -124,4 +124,4 @@ def _of_row(info: dict[str, Any], row: int) -> dict[str, Any]:
 
 
 def _is_value(name: str) -> bool:
-    return not name.startswith("_") and name not in ("final_obs", "final_info")
+    return not name.startswith("_") and name not in ("drawn", "final_obs", "final_info")

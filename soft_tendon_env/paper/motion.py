@@ -1,6 +1,6 @@
 """Motions of an arm under a control law that is continuous in time, and the sampled form of (39).
 
-The last is the package's tip tracker in TendonRod-TipPose-v0, on the same circle, at a control period that can be kept.
+The last is the package's tip tracker in TendonRod-TipPose-v1, on the same circle, at a control period that can be kept.
 """
 
 from collections.abc import Callable
@@ -94,7 +94,7 @@ def track(scene: str, circle: Circle, duration: float) -> Motion:
     """An episode of `duration` [s], sampled at the ends of the control periods; tensions are those of the period that ends."""
     count = round(duration / PERIOD)
     options: dict[str, Any] = {"scene": scene, "target": circle.model_dump(), "tension_limits": LIMITS, "control_period": PERIOD}
-    env = gym.make(IDS["TipPose"], preview=(PERIOD, 2.0 * PERIOD), max_episode_steps=count, **options)
+    env = gym.make(IDS["TipPose"], action="tension", preview=(PERIOD, 2.0 * PERIOD), max_episode_steps=count, **options)
     episodes = episodes_of(env)
     model, limits, aim = episodes.model, episodes.limits, TipPose(0.1 * episodes.model.length)
     controller = ReferenceGovernor(StaticFeedforward(model, limits, PERIOD, aim), TipTracking(model, limits, PERIOD, aim, **GAINS))

@@ -48,7 +48,7 @@ class AgentConfig(Configuration):
     algorithm: str  # name of the algorithm that trained it
     hyperparameters: dict[str, Any] = Field(default={})  # of the algorithm; `policy_kwargs` and `use_sde` say what the network is like
     task: str | None = None  # name of the task that it was trained on
-    options: EnvironmentOptions = Field(default={})  # of the environment that it was trained in
+    options: EnvironmentOptions = Field(default={}, validate_default=True)  # of the environment that it was trained in
     layout: dict[str, int] | None = None  # groups of its observation in their order, with their sizes
     strain: dict[str, Any] | None = None  # parametrisation that its arm had, which says what coordinates are; by default that of options
     integral_time: Positive | None = None  # [s] of integral action around it, see integral.py; None: none
@@ -60,6 +60,11 @@ class AgentConfig(Configuration):
     def parse(cls, values: Mapping[str, Any], source: str) -> Self:
         """The configuration of a plain table. Raises ConfigurationError, also for keys that it does not know."""
         return super().parse({key: value for key, value in values.items() if key not in OF_TRAINING}, source)
+
+    @field_validator("options")
+    @classmethod
+    def _say_action(cls, options: dict[str, Any]) -> dict[str, Any]:
+        return {"action": "tension", **options}  # the default of trainings that did not say it
 
     @field_validator("algorithm")
     @classmethod

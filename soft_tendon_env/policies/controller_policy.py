@@ -43,14 +43,15 @@ class RowMemory(NamedTuple):
 def observation_options(
     controller: str | Entry, task: str, period: float = 0.02, latency: float = 0.0, estimator: str | None = None, regime: str | None = None
 ) -> dict[str, Any]:
-    """Options of an environment of this task ("TipPose", ...) under which a controller sees what it needs. Raises ValueError.
+    """Options of an environment of this task ("TipPose", ...) under which a controller sees what it needs, and gives tensions. Raises
+    ValueError.
 
     estimator: of ESTIMATORS, which finds the coordinates; None: they are observed. regime: of REGIMES, what a Kalman filter observes, by
     default "sensors". latency: known input delay [s] that the controller compensates, see `make_policy`.
     """
     finds, reference = _among("estimator", estimator, ESTIMATORS), _among("task", task, TASKS).measured_reference
     ahead = _periods_ahead(_among("controller", controller, CONTROLLERS.get(task, {})), latency, period, finds)
-    options: dict[str, Any] = {"preview": [period * k for k in range(1, ahead + 1)]}
+    options: dict[str, Any] = {"action": "tension", "preview": [period * k for k in range(1, ahead + 1)]}
     if estimator is None and regime is None:
         return options
     told = _among("regime", regime or "sensors", REGIMES)

@@ -70,7 +70,7 @@ FILES = [
     ("train {config} --set seconds=1e12", "seconds is 1e+12: it should be at most 1000000 control periods, 20000 s"),
     ("train {config} --set arms=2 arms=3", "--set has arms, which is given twice"),
     ("train {config} --set hyperparameters.n_steps.x=3", "small.toml, changed: hyperparameters.n_steps.x cannot be set"),
-    ("evaluate {best} --set action=increment", "trained with action = 'tension', this environment has"),
+    ("evaluate {best} --set action=tension", "trained with action = 'increment', this environment has"),
     ("evaluate {best} --scene paper", "was trained on an arm with other segments (scene 'three_tendon')"),
     ("train {config} --set hyperparameters.n_steps=0", "hyperparameters.n_steps is 0: it should be a number at least 1"),
     ("evaluate {folder}", "it should be the folder of an agent (of a training: {best})"),

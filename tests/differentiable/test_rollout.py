@@ -72,7 +72,8 @@ def assert_observations_equal(observation, wanted, slices):
         np.testing.assert_allclose(observation[:, where], wanted[:, where], rtol=1e-6, atol=tolerance, err_msg=name)
 
 
-TENSE = {"observation": ["tip_position", "strain_rate", "tendon_lengths", "target_error", "command"], "sensors": 1, "history": 1}
+OBSERVED = ["tip_position", "strain_rate", "tendon_lengths", "target_error", "command"]
+TENSE = {"action": "tension", "observation": OBSERVED, "sensors": 1, "history": 1}
 LOADED = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.005}
 EXPLICIT = {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z"], "order": 1, "span": "rod"}]}
 CASES = {
@@ -118,7 +119,7 @@ def test_gradients_of_a_rollout_are_differences_of_rollouts(case, periods):
 
 def test_a_step_that_fails_passes_no_gradient():
     wild = {"scene": {"scene": "three_tendon", "integrator.max_halvings": 0}, "fidelity": None, "tension_limits": [-600.0, 600.0]}
-    env = rows_of("TipPose", rows=4, control_period=0.05, **wild)
+    env = rows_of("TipPose", rows=4, control_period=0.05, action="tension", **wild)
     env.reset(seed=0)
     actions = torch.tensor([[1.0], [0.01], [-0.01], [-1.0]], dtype=torch.float64).expand(4, 3).clone().requires_grad_()
     found = rollout(env, lambda observation: actions, 1)

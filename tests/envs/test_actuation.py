@@ -17,10 +17,10 @@ def tension_after(env, *actions):
 
 
 def test_tensions_go_from_limit_to_limit():
-    env = TipPoseEnv(**SMALL)
+    env = TipPoseEnv(**SMALL, action="tension")
     np.testing.assert_array_equal(tension_after(env, [-1.0, 0.0, 1.0]), [0.0, 2.5, 5.0])
     np.testing.assert_array_equal(tension_after(env, [-7.0, 0.5, 7.0]), [0.0, 3.75, 5.0])  # clipped
-    env = TipPoseEnv(**SMALL, tension_limits=[-1.0, 3.0])
+    env = TipPoseEnv(**SMALL, action="tension", tension_limits=[-1.0, 3.0])
     np.testing.assert_allclose(tension_after(env, [-1.0, 0.0, 1.0]), [-1.0, 1.0, 3.0])
 
 
@@ -40,7 +40,7 @@ def test_episodes_begin_at_rest_under_the_tension_nearest_to_zero(limits, start,
 
 
 def test_increments_add_up_within_their_rate_and_the_limits():
-    env = TipPoseEnv(**SMALL, action="increment", tension_rate=50.0)  # 1 N a step
+    env = TipPoseEnv(**SMALL, tension_rate=50.0)  # 1 N a step
     np.testing.assert_allclose(tension_after(env, [1.0, 0.5, -1.0]), [1.0, 0.5, 0.0])
     np.testing.assert_allclose(tension_after(env, [1.0, 0.5, -1.0], [1.0, 0.5, 1.0]), [2.0, 1.0, 1.0])  # no wind-up at the limit
     np.testing.assert_allclose(tension_after(env, *[[9.0, 0.1, 0.0]] * 7), [5.0, 0.7, 0.0])
@@ -53,7 +53,7 @@ LIMITS = np.array([-0.002, 0.012])  # [m]
 
 def test_an_action_that_is_held_leads_to_the_equilibrium_of_its_displacements():
     springs = {"scene": "three_tendon", "effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": LIMITS.tolist()}}
-    env = TipPoseEnv(scene=springs, fidelity="fast")
+    env = TipPoseEnv(scene=springs, fidelity="fast", action="tension")
     env.reset(seed=0)
     action = np.array([0.5, -1.0, -1.0])
     for _ in range(1000):

@@ -60,7 +60,7 @@ def scene_with(env, row=0):
 
 @pytest.mark.parametrize("case", [pytest.param(case, marks=[pytest.mark.slow] * (case == "contact")) for case in CASES])
 def test_a_row_moves_like_the_scene_with_the_numbers_drawn(case):
-    env = TipPoseEnv(**options_of(case))
+    env = TipPoseEnv(**options_of(case), action="tension")
     env.reset(seed=3)
     model = build_model(scene_with(env))
     simulation = Simulation(model)
@@ -93,6 +93,24 @@ def test_episodes_take_arms_of_a_bank_that_the_options_alone_decide(same):
             again = env.episodes.arms.model_of(row).scene.segments[0].density, env.episodes.actuation.delay(row), observation
             assert same((*again[:2], observation[row] if row else observation), found[seed])
     assert same(first.reset(seed=5)[0], first.reset(seed=5)[0]) and not same(first.reset()[0], first.reset()[0])
+
+
+def test_info_has_what_was_drawn_where_episodes_begin():
+    """By the keys of the scene and the names of `randomize`, in rows as Gymnasium has tables: arrays beside masks."""
+    assert "drawn" not in TipPoseEnv(**SMALL).reset(seed=0)[1]
+    ranges = {"segments.*.density": {"factor": [0.5, 2.0]}, "payload": [0.0, 0.01], "tension_offset": [-0.1, 0.1], "latency": [0.0, 0.03]}
+    env, rows = TipPoseEnv(**SMALL, randomize=ranges), TipPoseVectorEnv(3, 2, **SMALL, randomize=ranges)
+    found, (_, info), none = env.reset(seed=5)[1]["drawn"], rows.reset(seed=4), np.zeros((3, 3))
+    scene, actuation = env.episodes.arms.model_of(0).scene, env.episodes.actuation
+    assert {*found} == {"segments.0.density", "effects.tip_load.mass", "tension_gain", "tension_offset", "latency"}
+    assert found["segments.0.density"] == scene.segments[0].density and found["effects.tip_load.mass"] == scene.effects.tip_load.mass
+    assert found["latency"] == actuation.delay(0) and (found["tension_offset"] == actuation.offset[0]).all()
+    assert all((info["drawn"][key][1] == value).all() and info["drawn"][f"_{key}"].all() for key, value in found.items())
+    assert info["_drawn"].all() and "drawn" not in env.step(none[0])[4]
+    rows.reset(options={"reset_mask": np.array([True, False, False]), "episode_steps": [1, None, None]})
+    infos = [rows.step(none)[4] for _ in range(3)]
+    assert "drawn" not in infos[0] and [info["_drawn"].tolist() for info in infos[1:]] == [[True, False, False], [False, True, True]]
+    assert (infos[2]["drawn"]["segments.0.density"] > 0.0).tolist() == infos[2]["drawn"]["_latency"].tolist() == [False, True, True]
 
 
 WRONG = {

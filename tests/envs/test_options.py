@@ -25,7 +25,7 @@ BAD = [
     (TipPoseEnv, {"control_period": 0.0}, "control_period is 0.0: it should be greater than or equal to 0.000001"),
     (TipPoseEnv, {"tension_limits": [3.0, 1.0]}, r"tension_limits is \[3.0, 1.0\]: it should be \(least, greatest\)"),
     (TipPoseEnv, {"tension_limits": [1000.0, 1500.0]}, r"scene has an arm that cannot begin at rest, under \[1000, 1000, 1000\] N"),
-    (TipPoseEnv, {"action": "torque"}, "action is 'torque': it should be 'tension' or 'increment'"),
+    (TipPoseEnv, {"action": "torque"}, "action is 'torque': it should be 'increment' or 'tension'"),
     (
         TipPoseEnv,
         {"target": "circel"},

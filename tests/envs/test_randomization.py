@@ -5,7 +5,7 @@ import pytest
 
 from soft_tendon_env.envs import ShapeEnv, TipPoseEnv
 
-SMALL = {"scene": "three_tendon", "fidelity": "fast"}
+SMALL = {"scene": "three_tendon", "fidelity": "fast", "action": "tension"}
 STEPS = 25
 
 

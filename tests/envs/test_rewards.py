@@ -5,13 +5,13 @@ import pytest
 
 from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv, register_reward_term
 from soft_tendon_env.envs.kernels import closeness
-from soft_tendon_env.envs.tracking import OWN_TERMS
+from soft_tendon_env.envs.tracking import OWN_TERMS, goal_reward
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 WEIGHTS = {
-    TipPoseEnv: {"position": 1.0, "angle": 0.5, "effort": 0.05, "smoothness": 0.05},
-    ShapeEnv: {"backbone": 1.0, "effort": 0.05, "smoothness": 0.05},
+    TipPoseEnv: {"graded_position": 1.0, "graded_angle": 0.25, "effort": 0.02, "smoothness": 0.1},
+    ShapeEnv: {"graded_backbone": 1.0, "effort": 0.02, "smoothness": 0.1},
 }
 
 
@@ -40,8 +40,18 @@ def test_a_term_of_several_scales_is_the_mean_of_those():
         assert reward == pytest.approx((info["reward_backbone"] + 0.5 * info["reward_position"]) / 1.5, rel=1e-14)
 
 
-def test_terms_are_what_they_say():
+def test_graded_terms_tell_small_errors_apart_as_large_ones():
+    """An error of ten times as much costs about a fifth of the term, from a thousandth of the rod's length to all of it."""
     env = TipPoseEnv(**SMALL)
+    for _, _, _, _, info in steps(env, 5):
+        each = [closeness(info["position_error"], grade * 0.05 * env.model.length) for grade in (4.0, 0.4, 0.04)]
+        assert info["reward_graded_position"] == pytest.approx(np.mean(each), rel=1e-14)
+    values = goal_reward(np.outer(0.05 * 10.0 ** np.arange(-2, 2), [1.0, 0.0, 0.0]), np.zeros((4, 3)), 0.01, dense=True)
+    assert (-np.diff(values) > 0.2).all() and values[0] > 0.9
+
+
+def test_terms_are_what_they_say():
+    env = TipPoseEnv(**SMALL, action="tension")
     env.reset(seed=0)
     _, _, _, _, info = env.step([1.0, 0.0, -1.0])  # 5, 2.5 and 0 of 5 N
     assert info["reward_effort"] == pytest.approx(1 - (1 + 0.25) / 3)
@@ -124,7 +134,9 @@ def test_scales_of_terms_that_have_none_are_refused(forgotten, name, scale, show
     def own(tracking):
         return np.ones(len(tracking.distance))
 
-    with pytest.raises(ConfigurationError, match=rf"reward\.{name}\.scale is {shown}: .*; those with a scale are position, angle"):
+    with pytest.raises(
+        ConfigurationError, match=rf"reward\.{name}\.scale is {shown}: .*; those with a scale are position, graded_position"
+    ):
         TipPoseEnv(**SMALL, reward={"position": 1.0, name: {"scale": scale}})
 
 

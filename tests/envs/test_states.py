@@ -8,6 +8,7 @@ from gymnasium.error import ResetNeeded
 
 from soft_tendon_env import Simulation, build_model, load_scene
 from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
+from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 HANGING = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
@@ -26,11 +27,14 @@ def bent(env, tension=TENSION, seconds=0.1):
 @pytest.mark.parametrize("scene", ["three_tendon", HANGING, LATE], ids=["plain", "loaded", "actuators"])
 def test_episodes_begin_in_a_state_and_go_on_as_a_simulation_does(scene, same):
     """A row is the single environment."""
-    env, rows = (make(scene=scene, fidelity="fast", **size) for make, size in ((TipPoseEnv, {}), (TipPoseVectorEnv, {"num_envs": 3})))
+    env, rows = (
+        make(scene=scene, fidelity="fast", action="tension", **size)
+        for make, size in ((TipPoseEnv, {}), (TipPoseVectorEnv, {"num_envs": 3}))
+    )
     state = bent(env)
     first, _ = env.reset(seed=5, options={"state": state})
     found, _ = rows.reset(seed=4, options={"state": [None, state, None]})
-    usual, _ = TipPoseEnv(scene=scene, fidelity="fast").reset(seed=4)
+    usual, _ = TipPoseEnv(scene=scene, fidelity="fast", action="tension").reset(seed=4)
     assert same(found[1], first) and same(found[0], usual) and not same(found[2], found[1])
     assert same([*vars(env.state).values()], [*vars(state).values()]) and same([*vars(rows.state[1]).values()], [*vars(state).values()])
     simulation = Simulation(env.model, state)
@@ -100,6 +104,42 @@ def test_the_state_can_be_set_in_mid_episode(scene, same):
     assert same(env.episodes.observation()[0], begun)
     for action in actions:
         assert same(env.step(action), twin.step(action))
+
+
+def test_another_target_is_followed_from_now_on(same):
+    """In rows as in single environments: from its beginning, in later episodes too; the other rows go on."""
+    options = {**SMALL, "preview": [0.1], "history": 1}
+    rows, single = TipPoseVectorEnv(2, 12, **options), [TipPoseEnv(**options) for _ in range(2)]
+    rows.reset(seed=0)
+    for seed, env in enumerate(single):
+        env.reset(seed=seed)
+    for step in range(30):
+        if step == 5:
+            rows.set_target("steps", rows=1)
+            single[1].set_target("steps")
+            assert same(single[1].target_at([0.1 + 2.0 * k for k in range(6)]).tip_pose[0], single[1].episodes.target_pose[0])
+        observation = rows.step(np.full((2, 3), 0.1))[0]
+        for row, env in enumerate(single):
+            found = env.reset()[0] if step in (12, 25) else env.step(np.full(3, 0.1))[0]
+            assert same(observation[row], found)
+    for target in ({"type": "hold", "pose": POSE}, None):
+        single[0].set_target(target)
+        assert (single[0].episodes.target_pose[0] == POSE).all() == (target is not None)
+        single[0].reset(seed=3)
+        assert (single[0].episodes.target_pose[0] == POSE).all() == (target is not None)
+    assert same(single[0].reset(seed=3)[0], TipPoseEnv(**options).reset(seed=3)[0])
+
+
+@pytest.mark.cases("kind, target", [(TipPoseEnv, "hald"), (ShapeEnv, {"type": "circle"}), (TipPoseEnv, {"type": "hold", "tension": [1.0]})])
+def test_another_target_is_refused_as_one_of_the_start(kind, target, same):
+    env, twin, said = kind(**SMALL), kind(**SMALL), []
+    for each in (env, twin):
+        each.reset(seed=0)
+    for refuse in (lambda: env.set_target(target), lambda: kind(**SMALL, target=target)):
+        with pytest.raises(ConfigurationError) as caught:
+            refuse()
+        said.append(str(caught.value))
+    assert said[0] == said[1] and same(env.step(np.zeros(3)), twin.step(np.zeros(3))) and same(env.reset(), twin.reset())
 
 
 REFUSED = [

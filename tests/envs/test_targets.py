@@ -101,6 +101,30 @@ def test_a_target_is_one_function_of_time(target, arm):
         np.testing.assert_allclose(found, values[order], rtol=1e-11, atol=1e-12)
 
 
+DIFFICULT = [
+    (TipPoseEnv, "hard", None, {"fraction": 0.6, "knot_period": 0.3}),
+    (TipPoseEnv, "medium", {"type": "random", "knot_period": 2.0}, {"fraction": 0.4, "knot_period": 2.0}),
+    (ShapeEnv, "easy", {"type": "random"}, {"fraction": 0.25, "knot_period": 1.0}),
+    (ReachEnv, "hard", None, {"fraction": 0.6}),
+    (TipPoseEnv, "hard", "circle", "difficulty is 'hard', and the target 'circle' leaves neither fraction nor knot_period open"),
+    (TipPoseEnv, "hard", {"type": "hold", "tension": [1.0, 0.0, 0.0]}, "the target 'hold' leaves neither"),
+    (TipPoseEnv, "hard", {"type": "steps", "fraction": 0.1}, "the target 'steps' leaves neither"),
+    (TipPoseEnv, "hrad", None, "difficulty is 'hrad': it should be 'easy', 'medium' or 'hard'"),
+]
+
+
+@pytest.mark.cases("kind, difficulty, target, expected", DIFFICULT)
+def test_a_difficulty_sets_what_the_target_leaves_open(kind, difficulty, target, expected):
+    if isinstance(expected, str):
+        with pytest.raises(ConfigurationError, match=expected):
+            kind(**SMALL, difficulty=difficulty, target=target)
+        return
+    env = kind(**SMALL, difficulty=difficulty, target=target)
+    alike = kind(**SMALL, target={"type": env.task.target, **expected})
+    np.testing.assert_array_equal(*(each.target_at([0.0, 1.0, 7.0]).tip_pose for each in (env, alike) if each.reset(seed=4)))
+    env.set_target("circle" if kind is TipPoseEnv else "hold")  # of which it sets nothing, or what it sets of others
+
+
 @pytest.mark.cases("limits", [None, [-2.0, 4.0], [1.0, 4.0]])
 @pytest.mark.parametrize("target", ["random", "hold", "ramp"])
 def test_drawn_tensions_lie_within_their_fraction_of_the_limits(target, limits):

@@ -12,7 +12,7 @@ import pytest
 from soft_tendon_env.cli.arena import Arena
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.envs.episodes import episodes_of
-from soft_tendon_env.evaluation.benchmark import TARGET, Benchmark, misfit
+from soft_tendon_env.evaluation.benchmark import Benchmark, misfit
 from soft_tendon_env.evaluation.conditions import SEEDS, SETTINGS
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.regimes import REGIMES
@@ -55,7 +55,7 @@ def test_everybody_plays_all_settings_on_the_same_episodes():
     assert {(label.regime, label.setting) for label in found if label.policy == STILL} == {("tip", setting) for setting in SETTINGS}
     assert len({cell.key("code") for cell in found.values()}) == len(found)
     assert {cell.seeds for cell in found.values()} == {tuple(SEEDS["arena"][:2])}
-    assert {json.dumps(cell.options["target"]) for cell in found.values()} == {json.dumps(TARGET)}
+    assert {(cell.options["target"], cell.options["difficulty"]) for cell in found.values()} == {("random", "medium")}
 
 
 @pytest.mark.cases(

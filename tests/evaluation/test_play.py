@@ -29,7 +29,7 @@ class Constant:
 
 
 def test_a_constant_pull_is_scored_as_it_acts():
-    env = make()
+    env = make(action="tension")
     least, greatest = env.unwrapped.episodes.limits.T
     action = np.array([-0.5, 0.0, 0.5])
     wanted = least + 0.5 * (greatest - least) * (action + 1.0)
@@ -61,7 +61,7 @@ def test_rows_live_through_the_episodes_of_single_environments(task):
 
 
 def test_a_row_that_diverges_ends_alone():
-    env = make_rows(max_episode_steps=10, tension_limits=(-600.0, 0.0))
+    env = make_rows(max_episode_steps=10, action="tension", tension_limits=(-600.0, 0.0))
     action = np.full((3, 3), 1.0, dtype=np.float32)
     action[1] = -1.0  # a push that no strain withstands
 

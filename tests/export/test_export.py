@@ -23,7 +23,7 @@ from soft_tendon_env.policies.normalization import Moments, Normalization  # noq
 from soft_tendon_env.tools.configuration import ConfigurationError  # noqa: E402
 
 TRAINED = sorted(path.parent for path in (Path(__file__).parent.parent.parent / "agents" / "trained").glob("*/*/weights.pt"))
-MEASURABLE = {"observation": "measurable", "sensors": 2}
+MEASURABLE = {"observation": "measurable", "sensors": 2, "action": "tension"}
 INCREMENTS = {**MEASURABLE, "action": "increment", "history": 2, "randomize": {"noise": {"position": 1e-3, "rotation": 0.01}}}
 ELASTIC = {"scene": "three_tendon", "effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": [0.0, 0.02]}}
 CASES = [
@@ -79,7 +79,7 @@ def test_agents_that_ship(folder, tmp_path):
 
 
 def test_another_policy_is_told_apart(exported):
-    env, agent, path = exported()
+    env, agent, path = exported(action="tension")
     with torch.no_grad():
         agent.network.action_net.bias += 0.01
     _, difference, of_range = compare(path, agent, env, seeds=(0,), steps=3)

@@ -122,7 +122,7 @@ def test_files_of_an_estimate_lead_to_it_again_and_to_an_environment(arm, record
     table = json.loads((tmp_path / "estimate.json").read_text())["randomize"]
     drawn = {f"base.{name}.{axis}" for name in base for axis in range(3)}
     assert table.keys() == {E, RHO, *drawn} and table[E][0] < found.value[0] < table[E][1]
-    gym.make("TendonRod-Reach-v0", scene=scene, fidelity="fast", randomize=table).reset(seed=0)
+    gym.make("TendonRod-Reach-v1", scene=scene, fidelity="fast", randomize=table).reset(seed=0)
 
 
 def test_an_arm_that_is_driven_by_displacement_shows_its_stiffness_beside_that_of_its_tendons(arm, placed):

@@ -43,7 +43,7 @@ def test_damping_lag_delay_and_friction_are_found_from_steps(moving, steps, robo
     assert found.scene.effects.actuators.delay == pytest.approx(found.value[2])
     table = randomize(found)
     assert table["latency"] == [0.0, found.intervals.high[2] - found.value[2]]  # on top of the scene's delay
-    env = gym.make("TendonRod-Reach-v0", scene=found.scene, fidelity="fast", randomize=table)
+    env = gym.make("TendonRod-Reach-v1", scene=found.scene, fidelity="fast", randomize=table)
     env.reset(seed=0)
     assert 0.0 < env.unwrapped.episodes.actuation.delay(0) < 0.1 * DELAY
 

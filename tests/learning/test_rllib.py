@@ -42,7 +42,6 @@ def test_hyperparameters_keep_their_values_under_rllibs_names():
     "changes, said",
     [
         ({"algorithm": "SAC", "hyperparameters": {}}, "algorithm has no counterpart"),
-        ({"task": "Reach", "hindsight": 4}, "hindsight has no counterpart"),
         ({"normalise": {"observations": True}}, r"normalise\.observations has no counterpart"),
         ({"arms": 5}, "arms is 5: it should be a multiple of the 2 runners"),
         ({"hyperparameters": {"clip_range_vf": 0.2}}, r"hyperparameters\.clip_range_vf has no counterpart"),

@@ -30,7 +30,6 @@ RUNS = {
     "CrossQ": {"algorithm": "CrossQ", "hyperparameters": OFF_POLICY},
     "APG": {"algorithm": "APG", "hyperparameters": {"n_steps": 8}},
     "DAgger": {"algorithm": "DAgger", "hyperparameters": {"rounds": 4, "n_epochs": 2, "batch_size": 16}},
-    "hindsight": {"task": "Reach", "algorithm": "SAC", "hyperparameters": {**OFF_POLICY, "learning_starts": 100}, "hindsight": 4},
     "running": {"task": "Reach", "normalise": {"observations": True}, "learning_rate": (1e-3, 0.0)},
 }
 
@@ -81,9 +80,7 @@ def test_arms_of_trainings_have_seeds_of_their_own_and_scales_of_the_environment
     np.testing.assert_array_equal(model.rollout_buffer.observations[::16], plain.reset())  # row after row
 
 
-@pytest.mark.parametrize(
-    "run", ["PPO", *(pytest.param(run, marks=pytest.mark.slow) for run in ("SAC", "APG", "DAgger", "hindsight", "running"))]
-)
+@pytest.mark.parametrize("run", ["PPO", *(pytest.param(run, marks=pytest.mark.slow) for run in ("SAC", "APG", "DAgger", "running"))])
 def test_a_training_that_was_stopped_ends_as_one_that_was_not(training, tmp_path, run):
     """Stopped at an evaluation, it goes on from the checkpoint before: the same weights, bit for bit."""
     options = {**SMALL, "randomize": {"latency": [0.0, 0.03], "noise": {"position": 1e-3}}}
@@ -197,8 +194,6 @@ def test_mistakes_in_a_file_are_named(training, changes, said):
         (hyperparameters(n_steps=10**15), "PPO cannot be made of these hyperparameters: MemoryError, there is too little memory"),
         (hyperparameters(policy_kwargs={"activation_fn": "Tahn"}), "activation_fn is 'Tahn': it should be the name of an activation"),
         (hyperparameters(policy_kwargs={"squash_output": True}), "PPO cannot be made of these .*squash_output=True is only available"),
-        ({**SAC, "hindsight": 4}, "SAC cannot be made of these hyperparameters: "),
-        ({"hindsight": 4}, "PPO cannot be made of these hyperparameters: .*replay_buffer_class"),
         ({**RUNS["DAgger"], "normalise": {"observations": True}}, "normalise.observations is true: DAgger has a scale of its own"),
     ],
 )

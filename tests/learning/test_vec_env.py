@@ -16,6 +16,7 @@ FAST = {"scene": "three_tendon", "fidelity": "fast"}
 WILD = {  # diverges at random times
     "scene": {"scene": "three_tendon", "integrator.max_halvings": 0},
     "fidelity": "scene",
+    "action": "tension",
     "tension_limits": [-20.0, 20.0],
     "control_period": 0.05,
 }

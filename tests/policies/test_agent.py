@@ -25,7 +25,7 @@ SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 
 
 def make(task="TipPose", **options):
-    return gym.make(IDS[task], **{**SMALL, **options})
+    return gym.make(IDS[task], **{**SMALL, "action": "tension", **options})  # as agents have it whose files do not say it
 
 
 def write_agent(folder, network, normalization=None, **config):

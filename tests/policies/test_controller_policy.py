@@ -38,7 +38,7 @@ def probed(env):
 
 def short(kind, id, **options):
     """Episodes of six steps, in a "single" environment or three rows of Gymnasium ("vector") or "sb3"."""
-    options = {"max_episode_steps": 6, "scene": "three_tendon", "fidelity": "fast", "preview": PREVIEW, **options}
+    options = {"max_episode_steps": 6, "scene": "three_tendon", "fidelity": "fast", "action": "tension", "preview": PREVIEW, **options}
     if kind == "single":
         return gym.make(id, **options)
     return gym.make_vec(id, num_envs=3, **options) if kind == "vector" else make_sb3_vec_env(id, 3, **options)

@@ -111,7 +111,7 @@ STEPS = 6
 
 @pytest.fixture
 def env():
-    return gym.make("TendonRod-Shape-v0", fidelity="fast", max_episode_steps=STEPS)
+    return gym.make("TendonRod-Shape-v1", fidelity="fast", max_episode_steps=STEPS)
 
 
 def actions(seed=0):

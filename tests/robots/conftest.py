@@ -84,7 +84,8 @@ def drawing():
 
     def make(task="TipPose", **options):
         observed = ("tip_position", "tip_rotation", "tendon_lengths", "target_error", "preview", "last_action", "command")
-        env = gym.make(f"TendonRod-{task}-v0", **{"scene": "three_tendon", "fidelity": "fast", "observation": observed, **options})
+        usual = {"scene": "three_tendon", "fidelity": "fast", "action": "tension", "observation": observed}
+        env = gym.make(f"TendonRod-{task}-v1", **{**usual, **options})
         env.reset(seed=0)
         env.step(np.zeros(3))
         return env
