@@ -1,7 +1,7 @@
 """Parameters to estimate: numbers of a scene by dotted keys, and numbers of the measurement (mount, markers, commands).
 
 `segments.*.young_modulus` is one parameter, by which the numbers of all matches change together, see scene.parameters. Numbers other than
-zero are estimated as a factor (in logarithm), others as a difference. Of the measurement, where a wildcard is a parameter for each match:
+zero are estimated as a factor (in logarithm), others and angles of tendons as a difference. Of the measurement, where a wildcard is a parameter for each match:
 `mount.rotation` (rotation vector of the real base [deg]) and `mount.shift` [m] in the scene's frame, `markers.NAME.offset` [m],
 `commands.I.gain`, `commands.I.offset` and `commands.delay` [s]; all but the delay have a normal prior, which bounds take the place of.
 """
@@ -23,6 +23,7 @@ from soft_tendon_env.tools.types import Array
 
 MEASUREMENT = ("mount", "markers", "commands")
 FACTOR, WIDE = 30.0, 5.0  # how far a factor may go where no bounds are given, and a difference, in standard deviations of its prior
+TURN = 30.0  # how far angles of tendons may go where no bounds are given [deg]
 ROTATION, GAIN = 3.0, 0.1  # standard deviations of the priors of mount rotation [deg] and gains
 SHIFT, OFFSET = 0.0125, 0.025  # of those of the mount's shift and of marker offsets, as shares of the rod's length
 COMMAND_OFFSET = 0.05  # of that of a command's offset, as a share of the range of the tendon's commands
@@ -114,10 +115,11 @@ def _of_measurement(scene: Scene, markers: MarkerSet) -> dict[str, Parameter]:
 def _of_scene(key: str, scene: Scene, bounds: tuple[float, float] | None) -> Parameter:
     """Parameter of the scene that is asked for. Raises ValueError where bounds must be given, ConfigurationError."""
     (numbers,) = scene_parameters(scene, [key])
-    value, is_factor = numbers.value, all(numbers.values)
-    if not is_factor and bounds is None:
+    value, is_angle = numbers.value, key.endswith((".angle", ".phase")) and not numbers.is_factor
+    is_factor = all(numbers.values) and not is_angle
+    if not is_factor and not is_angle and bounds is None:
         raise ValueError(f"parameter {key!r} is {value:g}: zero has no usual range, give {key}=LOW..HIGH")
-    low, high = sorted((value / FACTOR, value * FACTOR))
+    low, high = (value - TURN, value + TURN) if is_angle else sorted((value / FACTOR, value * FACTOR))
     found = _with_bounds(Parameter(key, numbers, value, low, high, None, is_factor), bounds)
     return replace(found, low=_nearest_allowed(found.low, found, scene), high=_nearest_allowed(found.high, found, scene))
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.identification.markers import MarkerSet
 from soft_tendon_env.identification.parameters import DELAY, Parameter
-from soft_tendon_env.identification.recordings import Recording, same_commands
+from soft_tendon_env.identification.recordings import Recording, clusters
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, simulate
 from soft_tendon_env.model.statics import commanded_equilibrium, static_equilibrium
@@ -95,14 +95,14 @@ class Plants:
 
 class Readings:
     """Readings of recordings in one vector (N,): the coordinates of `measured` positions (samples of all recordings, m, 3) [m] that are
-    `seen`. cluster: index of each reading (N,) that those under the same commands share, whose errors are common."""
+    `seen`. cluster: index of each reading (N,) that those with common errors share, see `clusters`."""
 
     def __init__(self, plants: Plants, recordings: Sequence[Recording]) -> None:
         self.plants, self.recordings = plants, sorted(recordings, key=lambda one: bool(one.period))  # holds, then motions
         self._rests: list[Array | None] = [None] * len(recordings)
         self._difference = DIFFERENCES[any(one.period for one in recordings)]
         samples = [len(one.command) for one in self.recordings]
-        self.ends, group = np.cumsum(samples), same_commands(self.recordings)
+        self.ends, group = np.cumsum(samples), clusters(self.recordings)
         self.measured = np.concatenate([np.empty((0, len(plants.markers.markers), 3)), *(one.positions for one in self.recordings)])
         self.seen = np.isfinite(self.measured)
         self.cluster = np.broadcast_to(np.repeat(group, samples)[:, None, None], self.seen.shape)[self.seen]
