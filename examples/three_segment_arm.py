@@ -1,4 +1,4 @@
-"""A measured arm of three segments identified from its authors' file: `python examples/three_segment_arm.py FOLDER [--out out/three_segment]`
+"""A measured arm of three segments identified from its authors' file: `python examples/three_segment_arm.py FOLDER [--out OUT]`
 
 FOLDER has the CSV files of github.com/ContinuumRoboticsLab/opencr-mujoco, data/sysid/ftdcr_v4 (MIT licence, Copyright (c) its authors):
 nine servo displacements [mm] and the tip by motion capture, a row a hold. `soft-tendon identify` reads them as they are, by the table
@@ -65,10 +65,10 @@ SLACK = "effects.tendon_elasticity.slack"
 FEW = ["effects.tendon_elasticity.stiffness", "mount.rotation", "mount.shift.0", "markers.tip.offset.0"]
 STEPS = {  # parameters, and the greatest number of holds to fit to
     "8 parameters": ([*FEW, f"{SLACK}.3,4,5=-0.002..0.002", f"{SLACK}.6,7,8=-0.002..0.002"], 60),
-    "25 parameters": (
+    "26 parameters": (
         [*FEW, "mount.shift.1", "mount.shift.2", *(f"{SLACK}.{i}=-0.002..0.002" for i in range(9))]
         + [f"tendons.{i}.routing.angle" for i in range(9)],
-        200,
+        120,
     ),
 }
 

@@ -65,9 +65,10 @@ def identify(
     """Identifies parameters of an arm from recorded marker positions, by least squares with priors.
 
     data: CSV files, see identification.recordings. markers: TOML file, see identification.markers. parameters: as `KEY` or
-    `KEY=LOW..HIGH`, see identification.parameters. held_out: a share of the recordings, a column, see identification.recordings, or a
-    CSV file of others. fit_to: greatest number of recordings to fit to, evenly over the data; None: all. fidelity: of the fitted model,
-    whose errors go into the parameters. noise: standard deviation of a marker's coordinate [m]; None: it is estimated. Raises ValueError, ConfigurationError or FileNotFoundError for data that cannot be used, in one line that says where.
+    `KEY=LOW..HIGH`, see identification.parameters. held_out: a share of the recordings, a column, see identification.recordings, or a CSV
+    file of others. fit_to: greatest number of recordings to fit to, evenly over the data; None: all. fidelity: of the fitted model, whose
+    errors go into the parameters. noise: standard deviation of a marker's coordinate [m]; None: it is estimated. Raises ValueError,
+    ConfigurationError or FileNotFoundError for data that cannot be used, in one line that says where.
     """
     checked_type("scene", scene, Scene, "see load_scene")
     if noise is not None and not 0.0 < noise < np.inf:

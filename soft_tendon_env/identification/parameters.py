@@ -1,9 +1,10 @@
 """Parameters to estimate: numbers of a scene by dotted keys, and numbers of the measurement (mount, markers, commands).
 
 `segments.*.young_modulus` is one parameter, by which the numbers of all matches change together, see scene.parameters. Numbers other than
-zero are estimated as a factor (in logarithm), others and angles of tendons as a difference. Of the measurement, where a wildcard is a parameter for each match:
-`mount.rotation` (rotation vector of the real base [deg]) and `mount.shift` [m] in the scene's frame, `markers.NAME.offset` [m],
-`commands.I.gain`, `commands.I.offset` and `commands.delay` [s]; all but the delay have a normal prior, which bounds take the place of.
+zero are estimated as a factor (in logarithm), others and angles of tendons as a difference. Of the measurement, where a wildcard is a
+parameter for each match: `mount.rotation` (rotation vector of the real base [deg]) and `mount.shift` [m] in the scene's frame,
+`markers.NAME.offset` [m], `commands.I.gain`, `commands.I.offset` and `commands.delay` [s]; all but the delay have a normal prior, which
+bounds take the place of.
 """
 
 import contextlib

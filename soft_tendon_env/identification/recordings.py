@@ -57,7 +57,8 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
     unit = scene.effects.command_unit
     commands = {f"{COMMANDS[unit]}_{i}": unit for i in range(len(scene.tendons))}
     places = {f"{name}_{axis}": "m" for name in markers.markers for axis in "xyz"}
-    table, sources = _table(path, markers, {**commands, **places, "time": "s", "hold": "", **dict.fromkeys({"group"} & markers.columns.keys(), "")})
+    texts = dict.fromkeys(("hold", "group") if "group" in markers.columns else ("hold",), "")
+    table, sources = _table(path, markers, {**commands, **places, "time": "s", **texts})
     rows = [where for where, _ in table.rows]
     command, placed, times = (table.numbers(sources[name] for name in names) for names in (commands, places, {"time"} & sources.keys()))
     if np.isnan(command).any():
