@@ -3,7 +3,7 @@
     python benchmarks/identified_control.py [--robots 10] [--agents] [--workers 1] [--quick] [--write-docs] [--out out]
 
 Each robot is another hanging arm with three tendons: stiffness and damping within 25 and 50 % of the drawing's, friction of the tendons, a
-mount that is turned by about 3 degrees and shifted by about 5 mm, and commands that arrive 10 to 50 ms late, of which the drawing knows
+base that is turned by about 3 degrees and shifted by about 5 mm, and commands that arrive 10 to 50 ms late, of which the drawing knows
 nothing. It plays random steps under `RobotEnv`, whose logs `identify` reads, with 0.5 mm of noise in the tip's position. Then policies
 follow poses that the robot can hold. With `--agents` an agent learns on the drawing, randomised as its configuration says, and one for each
 robot on the identified scene, randomised by the intervals.
@@ -20,7 +20,6 @@ import gymnasium as gym
 import matplotlib.pyplot as plt
 import numpy as np
 from _results import machine, markdown_table, write_csv, write_picture
-from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from soft_tendon_env.envs.targets import PoseCourse, Target, pose_samples, register_target
@@ -40,7 +39,7 @@ DRAWING = load_scene("three_tendon").replace({"effects.gravity.acceleration": [9
 FRICTION, LATE = "effects.tendon_friction.coefficient", "effects.actuators.delay"
 BEGINS = DRAWING.replace({FRICTION: 0.1, LATE: 0.02})  # with usual numbers of what the drawing does not know
 TIP = MarkerSet(markers={"tip": Marker(arc_length=rod_length(DRAWING))})
-ASKED = ("segments.*.young_modulus", "segments.*.damping", FRICTION, "mount", DELAY)
+ASKED = ("segments.*.young_modulus", "segments.*.damping", FRICTION, "base", DELAY)
 TRUE, BELIEVED = "fine", "standard"  # fidelities of robots, and of the models that are fitted and controlled with
 NOISE = 5e-4  # [m]
 MOTIONS, STEPS, LARGEST = 2, 8, 0.6  # logs; steps of each, of 0.3 to 0.8 s; share of the tensions' range
@@ -53,49 +52,29 @@ MODELS = ("drawing", "identified", "own")
 HEADER = ("policy", "model", "position [mm], mean of the robots", "95 % interval", "worst", "of the drawing's", "95 % interval")
 
 
-class Robot(NamedTuple):
-    """A robot: the scene in the frame of its base, and the pose (4, 4) of that in the world."""
+class TipCourse(PoseCourse):
+    """The motion of a target's tip alone."""
 
-    scene: Scene
-    mount: np.ndarray
-
-
-class Seen(SimulatedRobot):
-    """A robot whose tip is measured in another frame. frame (4, 4): multiplies poses from the left."""
-
-    def __init__(self, frame: np.ndarray, **options: Any) -> None:
-        super().__init__(real_time=False, **options)
-        self._frame = frame
-
-    def read(self):
-        measured = super().read()
-        return measured._replace(tip_pose=self._frame @ measured.tip_pose)
-
-
-class SeenCourse(PoseCourse):
-    """The motion of a robot's tip, seen from another frame."""
-
-    def __init__(self, env: gym.Env, frame: np.ndarray) -> None:
-        self._env, self._frame = env, frame
+    def __init__(self, env: gym.Env) -> None:
+        self._env = env
 
     def sample(self, times):
         own = self._env.unwrapped.target_at(times)
-        return pose_samples(self._frame @ own.tip_pose, own.tip_twist)
+        return pose_samples(own.tip_pose, own.tip_twist)
 
 
 @register_target
 class Holdable(Target):
-    """Random poses that a robot can hold. scene: its own; frame: from which they are seen; seed: of the motion."""
+    """Random poses that a robot can hold. scene: its own; seed: of the motion."""
 
     type: Literal["holdable"] = "holdable"
     scene: dict[str, Any]
-    frame: tuple[tuple[float, ...], ...]
     seed: int
 
     def draw(self, generator, setting):
         env = gym.make(f"TendonRod-{TASK}-v0", scene=self.scene, fidelity=TRUE, target={"type": "random", "fraction": 0.4})
         env.reset(seed=self.seed)
-        return SeenCourse(env, np.array(self.frame))
+        return TipCourse(env)
 
 
 class Tried(NamedTuple):
@@ -146,40 +125,37 @@ def tried(seed: int, seconds: float, general: Path | None, steps: int) -> Tried:
     robot, started = robot_of(seed), time.process_time()
     estimate = identified(robot, seed)
     spent = time.process_time() - started
-    views = views_of(robot, estimate)
-    players = [(CONTROLLER, model, CONTROLLER, *view) for model, view in zip(MODELS, views, strict=True)]
+    players = [(CONTROLLER, model, CONTROLLER, scene) for model, scene in zip(MODELS, (DRAWING, estimate.scene, robot), strict=True)]
     if general is not None:
         scene, table = agent_arm(estimate)
         special = trained(scene, table, general.parents[1] / f"robot_{seed}", steps)
-        players += [("agent", "drawing", str(general), *views[0]), ("agent", "identified", str(special), scene, views[1][1])]
-    errors = {(policy, model): error_of(name, robot, *view, seed, seconds) for policy, model, name, *view in players}
+        players += [("agent", "drawing", str(general), DRAWING), ("agent", "identified", str(special), scene)]
+    errors = {(policy, model): error_of(name, robot, scene, seed, seconds) for policy, model, name, scene in players}
     told = f"{1e3 * estimate.errors[0]:.2f} mm of fit, identified in {spent:.0f} s of CPU; {' '.join(estimate.findings)}"
     return Tried(told, errors, estimate.value, estimate.intervals.low, estimate.intervals.high)
 
 
-def robot_of(seed: int) -> Robot:
-    """A robot that differs from its drawing."""
+def robot_of(seed: int) -> Scene:
+    """Scene of a robot, which differs from its drawing."""
     random, segment = np.random.default_rng(seed), DRAWING.segments[0]
-    mount = np.eye(4)
-    mount[:3, :3] = Rotation.from_rotvec(random.normal(scale=3.0 / np.sqrt(3.0), size=3), degrees=True).as_matrix()
-    mount[:3, 3] = random.normal(scale=5e-3 / np.sqrt(3.0), size=3)
     changes = {
+        "base.rotation": random.normal(scale=3.0 / np.sqrt(3.0), size=3).tolist(),
+        "base.position": random.normal(scale=5e-3 / np.sqrt(3.0), size=3).tolist(),
         "segments.0.young_modulus": segment.young_modulus * random.uniform(0.75, 1.25),
         "segments.0.damping": segment.damping * random.uniform(0.5, 1.5),
         FRICTION: random.uniform(0.05, 0.3),
         LATE: random.uniform(0.01, 0.05),
-        "effects.gravity.acceleration": (mount[:3, :3].T @ DRAWING.effects.gravity.acceleration).tolist(),
     }
-    return Robot(DRAWING.replace(changes), mount)
+    return DRAWING.replace(changes)
 
 
-def identified(robot: Robot, seed: int) -> Estimate:
+def identified(robot: Scene, seed: int) -> Estimate:
     """The arm as its logs show it."""
     random = np.random.default_rng([seed, 1])
     with tempfile.TemporaryDirectory() as folder:
         logs = [Path(folder) / f"steps{i}.csv" for i in range(MOTIONS)]
         for i, log in enumerate(logs):
-            arm = Seen(robot.mount, scene=robot.scene, fidelity=TRUE, randomize={"noise": {"position": NOISE}}, seed=i)
+            arm = SimulatedRobot(i, real_time=False, scene=robot, fidelity=TRUE, randomize={"noise": {"position": NOISE}})
             env = gym.make("TendonRod-Reach-v0", scene=DRAWING, fidelity=BELIEVED, observation=["tip_position"])
             real = RobotEnv(env, arm, settle=STILL, log=log)
             real.reset(seed=0)
@@ -190,21 +166,14 @@ def identified(robot: Robot, seed: int) -> Estimate:
         return identify(BEGINS, logs, TIP, ASKED, fidelity=BELIEVED, held_out=0, noise=NOISE)
 
 
-def views_of(robot: Robot, estimate: Estimate) -> list[tuple[Scene, np.ndarray]]:
-    """What is believed of a robot by each of MODELS: its scene, and the frame in which its tip and targets are seen."""
-    found, frame = np.eye(4), estimate.markers.frame
-    found[:3, :3], found[:3, 3] = frame.rotation, frame.translation
-    return [(DRAWING, robot.mount), (estimate.scene, found @ robot.mount), (robot.scene, np.eye(4))]
-
-
-def error_of(policy: str, robot: Robot, scene: Scene, frame: np.ndarray, seed: int, seconds: float) -> float:
-    """Root mean square error [m] of the tip's position."""
-    target = {"type": "holdable", "scene": scene_to_dict(robot.scene), "frame": tuple(map(tuple, frame.tolist())), "seed": seed}
+def error_of(policy: str, robot: Scene, scene: Scene, seed: int, seconds: float) -> float:
+    """Root mean square error [m] of the tip's position. scene: what is believed of the robot."""
+    target = {"type": "holdable", "scene": scene_to_dict(robot), "seed": seed}
     options = {**policy_options(policy, TASK, {"scene": scene, "fidelity": BELIEVED}), "target": target}
     env = gym.make(f"TendonRod-{TASK}-v0", **options)
     player = load_policy(policy, env)
     rehearse(player, env)
-    arm = Seen(frame, scene=robot.scene, fidelity=TRUE, sensors=options.get("sensors", 0))
+    arm = SimulatedRobot(real_time=False, scene=robot, fidelity=TRUE, sensors=options.get("sensors", 0))
     report = run_policy(player, RobotEnv(env, arm, settle=STILL), seconds)
     assert report.finished, report.stop.cause
     return root_mean_square(report.errors["position_error"][round(SKIP / env.unwrapped.episodes.period) :])
@@ -242,18 +211,16 @@ def recovery(found: list[Tried]) -> list[tuple[str, str, str]]:
     return rows
 
 
-def truth_of(robot: Robot, name: str) -> float:
+def truth_of(robot: Scene, name: str) -> float:
     """A robot's own number."""
     match name.split("."):
-        case ["mount", "rotation", axis]:
-            return float(Rotation.from_matrix(robot.mount[:3, :3]).as_rotvec(degrees=True)[int(axis)])
-        case ["mount", "shift", axis]:
-            return float(robot.mount[int(axis), 3])
+        case ["base", kind, axis]:
+            return getattr(robot.base, kind)[int(axis)]
         case ["commands", "delay"]:
-            return robot.scene.effects.actuators.delay
+            return robot.effects.actuators.delay
         case ["effects", *_]:
-            return robot.scene.effects.tendon_friction.coefficient
-    return getattr(robot.scene.segments[0], name.rsplit(".", 1)[1])
+            return robot.effects.tendon_friction.coefficient
+    return getattr(robot.segments[0], name.rsplit(".", 1)[1])
 
 
 def table_of(errors: dict[tuple[str, str], list[float]]) -> list[tuple[str, ...]]:

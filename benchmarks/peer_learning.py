@@ -39,7 +39,7 @@ THEIR_LOGS = (
 )
 THEIR_HEADER = ("their logs", "wall time to 0 [s]", "to 100 [s]", "at the end")
 THEIRS = "What their logs say, on a GPU that is not named (PyElastica: a CPU), of a rod with another damping of torsion, stretch and shear:"
-DOCS, BLOCK = Path(__file__).parents[1] / "docs" / "how_to" / "train_at_scale.md", "peer learning"
+DOCS, BLOCK = Path(__file__).parents[1] / "docs" / "appendix" / "peers.md", "peer learning"
 HEADER = ("way", "seed", "wall time to 0 [s]", "to 100 [s]", "CPU time to 0 [s]", "to 100 [s]", "steps to 0", "to 100", "at the end", "of")
 
 

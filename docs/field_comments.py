@@ -1,5 +1,6 @@
 """Fields of classes as one table in the API pages, with the comment behind each: shapes and units stand there, `q: Array  # (n,)`."""
 
+import ast
 import re
 from typing import Any
 
@@ -21,13 +22,15 @@ class FieldComments(griffe.Extension):
 
 
 def is_field(attribute: griffe.Attribute) -> bool:
-    """Whether it is annotated in the class itself: those of NamedTuples, dataclasses and configurations are, properties are not."""
-    return attribute.annotation is not None and attribute.docstring is None and "property" not in attribute.labels
+    """Whether it is annotated in the class itself: those of NamedTuples, dataclasses and configurations are, properties and class variables
+    are not."""
+    of_class = {"class-attribute", "instance-attribute"} & attribute.labels == {"class-attribute"}
+    return attribute.annotation is not None and attribute.docstring is None and "property" not in attribute.labels and not of_class
 
 
 def description(field: griffe.Attribute) -> str:
-    """The comment at the end of the field's line, and its default."""
-    comment = re.search(r"  # (.+)$", field.lines[-1]) if field.lines else None
-    texts = [comment[1]] if comment else []
+    """The description of a pydantic Field, or the comment at the end of the field's line, and its default."""
     value = str(field.value) if field.value is not None else ""
+    comment = re.search(r"  # (.+)$", field.lines[-1]) if field.lines else None
+    texts = [comment[1]] if comment else [ast.literal_eval(found[1]) for found in re.finditer(r"description=('[^']*'|\"[^\"]*\")", value)]
     return "; ".join(texts + [f"default `{value}`"] if value and "Field(" not in value else texts)

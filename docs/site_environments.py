@@ -9,6 +9,7 @@ from typing import Any
 import griffe
 import gymnasium as gym
 from mkdocs.structure.pages import Page
+from pydantic_core import PydanticUndefined
 
 from soft_tendon_env.accuracy.fidelity import PRESETS
 from soft_tendon_env.effects import EFFECTS
@@ -96,7 +97,7 @@ def targets() -> str:
     rows = [["type", "settings", "motion"], ["---"] * 3]
     for name, target in sorted(TARGETS.items()):
         defaults = {key: field.default for key, field in target.model_fields.items() if key != "type"}
-        settings = ", ".join(f"`{key}`" if value is None else f"`{key}` ({value})" for key, value in defaults.items())
+        settings = ", ".join(f"`{key}`" if value in (None, PydanticUndefined) else f"`{key}` ({value})" for key, value in defaults.items())
         rows.append([f"`{name}`", settings, " ".join((target.__doc__ or "").split())])
     return table(rows)
 

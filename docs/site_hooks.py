@@ -14,6 +14,8 @@ PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGEL
 SOURCES = {".py": "python", ".toml": "toml"}
 """Endings of source files that have a page each, and their language."""
 FOLDERS = ("examples", "benchmarks", "configs")
+BOOSTS = {"how_to/recipes.md": 4, "how_to/controllers.md": 2, "api/": 0.3}
+"""Weights in the search, by the beginnings of paths: answers before signatures."""
 NOT_SEARCHED = "---\nsearch: {exclude: true}\n---\n"
 SOURCE = re.compile(rf"(?:{'|'.join(FOLDERS)})/[\w/]+\.(?:py|toml)")
 FENCE_LINK_OR_CODE = re.compile(
@@ -33,6 +35,12 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         text = f"{NOT_SEARCHED}# {name}\n\n````{SOURCES[path.suffix]}\n{path.read_text(encoding='utf-8')}````\n"
         files.append(File.generated(config, source_page(name), content=text))
     return files
+
+
+def on_page_content(content: str, page: Page, **kwargs: Any) -> str:
+    """Lets long names, such as those of tests, break behind an underscore or a dot."""
+    broken = re.compile(r"(?<=\w[_.])(?=\w)")
+    return re.sub(r"<code>([\w.\[\]]{30,})</code>", lambda match: f"<code>{broken.sub('<wbr>', match[1])}</code>", content)
 
 
 def on_post_build(config: MkDocsConfig) -> None:
@@ -62,6 +70,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, **kwargs: 
 
     if uri.startswith("sources/"):
         return markdown
+    if boost := next((boost for start, boost in BOOSTS.items() if uri.startswith(start)), None):
+        page.meta["search"] = {"boost": boost}
     return FENCE_LINK_OR_CODE.sub(linked, re.sub(r"^<!-- file: (\S+) -->$", text, markdown, flags=re.MULTILINE))
 
 

@@ -113,7 +113,7 @@ def contact(axes: plt.Axes) -> None:
 
 
 def contact_friction(axes: plt.Axes) -> None:
-    axes.set_title("contact: pressed on a floor, pulled to and fro")
+    axes.set_title("contact: friction on a floor")
     floor, pull = {"type": "plane", "position": [0.0, 0.0, -0.01]}, {"type": "sine", "frequency": 0.02}
     sideways = [{"at": 0.3, "force": [0.0, 0.1, 0.0], "signal": pull}]
     for friction, colour in ((0.0, WITHOUT), (0.5, WITH)):

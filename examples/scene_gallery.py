@@ -23,11 +23,10 @@ PICTURES = DOCS / "pictures" / "scenes"
 FIDELITY = "standard"
 SHARE = 0.5  # of its limit, with which the first tendon pulls
 SIZE = 1280, 960  # [pixels]
-HEAD = """# Scenes
+HEAD = """# Scenes that ship
 
-A scene describes an arm and what acts on it: geometry, material, tendons, effects. These ship with the package. Give the name, as in
-`gym.make("TendonRod-TipPose-v0", scene="three_tendon")` or `load_scene("three_tendon")`. `soft-tendon scenes NAME` prints one as TOML, to
-begin a scene of your own with.
+A scene describes an arm: geometry, material, tendons, effects. Name one in `gym.make("TendonRod-TipPose-v0", scene="three_tendon")` or
+`load_scene("three_tendon")`. `soft-tendon scenes NAME` prints it as TOML, as a start for your own.
 """
 
 

@@ -3,7 +3,7 @@
 FOLDER has the CSV files of motion capture that the SoRoMoX authors published (github.com/tud-phi/soromox, paper_results/
 secVa_system_identification/data, MIT licence): one file a still hold, a line a frame, and behind number and time the positions of five
 markers in an order that differs from file to file. Writes holds.csv, tentacle.toml and markers.toml as `soft-tendon identify` takes them,
-fits Young's modulus and density, then mount and markers too, and prints the errors on held-out holds.
+fits Young's modulus and density, then base and markers too, and prints the errors on held-out holds.
 """
 
 import argparse
@@ -29,7 +29,7 @@ FIRST_FIT = ("m1_u01", "m1_u015", "m1_u02", "m1_u025", "m2_u01", "m2_u015", "m2_
 """Holds that the authors fitted to; the others judge."""
 BASE = (0.03, 0.0, -0.013)  # [m], the marker on the mount, in the frame of the data
 LINKS = (0.118, 0.092, 0.072, 0.085)  # [m], roughly from each marker to the next, from the mount on
-STEPS = {"E and density": (), "with mount and markers": ("mount", "markers.*.offset")}
+STEPS = {"E and density": (), "with base and markers": ("base", "markers.*.offset")}
 
 SEGMENT = """
 [[segments]]

@@ -62,11 +62,11 @@ group = {{ name = "pattern_label" }} # rows of one motion pattern have errors in
 {servos}
 """
 SLACK = "effects.tendon_elasticity.slack"
-FEW = ["effects.tendon_elasticity.stiffness", "mount.rotation.1", "mount.rotation.2", "mount.shift.0", "markers.tip.offset.0"]
+FEW = ["effects.tendon_elasticity.stiffness", "base.rotation.1", "base.rotation.2", "base.position.0", "markers.tip.offset.0"]
 FEW += [f"{SLACK}.3,4,5=-0.002..0.002", f"{SLACK}.6,7,8=-0.002..0.002"]
-MORE = ["mount.shift.1", "mount.shift.2", f"{SLACK}.0,1,2=-0.002..0.002", *(f"tendons.{i}.routing.angle" for i in range(9))]
+MORE = ["base.position.1", "base.position.2", f"{SLACK}.0,1,2=-0.002..0.002", *(f"tendons.{i}.routing.angle" for i in range(9))]
 STEPS = {  # parameters, and the greatest number of holds to fit to; where angles are free, a rotation about the arm is one of all of them
-    "8 parameters": ([*FEW, "mount.rotation.0"], 60),
+    "8 parameters": ([*FEW, "base.rotation.0"], 60),
     "19 parameters": ([*FEW, *MORE], 100),
 }
 

@@ -122,7 +122,7 @@ def calibrate(scene: Scene, inputs: Sequence[Array], fields: PassiveFields | Non
 
 def calibration_digest(scene: Scene, inputs: Sequence[Array], fields: PassiveFields | None) -> str:
     """16 hex digits of all that a calibration depends on: arm, limits, loads, fields, motions, and the code that simulates them."""
-    arm = scene.model_dump(mode="json", include={"segments", "tendons", "effects"})
+    arm = scene.model_dump(mode="json", include={"segments", "tendons", "base", "effects"})
     kept = scene.strain.model_dump(mode="json", exclude={"passive", "modes"}), scene.integrator.max_halvings, scene.strain.free
     code = [sources_digest(*SOURCES), *(digest(Path(inspect.getfile(type(effect)))) for effect in scene.effects.chosen().values())]
     made_of = [arm, kept, fields and fields.digest, code, [table.tolist() for table in inputs]]

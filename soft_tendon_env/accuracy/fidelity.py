@@ -45,11 +45,12 @@ PRESETS: Mapping[str, Preset] = {
 def build_model(scene: Scene, fidelity: str | None = UNSAID) -> Model:
     """Model of a scene at a fidelity: chooses its quadrature and prepares the arrays of its kernels.
 
-    fidelity: "scene", as the scene says of strain, quadrature and integrator, where it says nothing the coordinates of the tensions alone;
-    "fast", "standard" or "fine", a preset, see docs/appendix/speed.md; a length as "1mm", what a calibration finds for this error of the
-    tip; None, as in `gym.make`, "standard" for what the scene leaves open; left out, "scene", with a warning where that differs.
+    fidelity: "fast", "standard" or "fine" are presets. "scene" takes strain, quadrature and integrator from the scene; a strain that it
+    leaves open has one coordinate per tension and no others. A length such as "1mm" takes the result of a calibration for this tip error.
+    None is "standard" for all that the scene leaves open, as in `gym.make`. Without the argument it is "scene", with a FidelityWarning if
+    the scene leaves its strain open.
 
-    Raises TypeError, ValueError for another fidelity, and otherwise as model.build.build_model, which warns too.
+    Raises TypeError, ValueError for another fidelity, ConfigurationError for an arm that cannot be computed.
     """
     checked_type("scene", scene, Scene, "see load_scene")
     if fidelity is UNSAID:

@@ -7,6 +7,7 @@ import types
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from copy import deepcopy
+from difflib import get_close_matches
 from typing import Annotated, Any, Literal, Required, TypedDict, TypeVar, get_args, get_origin
 
 import docstring_parser
@@ -24,7 +25,7 @@ Given = Mapping[str, Any]
 SHORTCUTS = {  # options in place of a field `options`, the table of an environment's options
     "scene": "environment's scene: a shipped scene's name, or the path of a TOML file",
     "fidelity": "environment's fidelity: fast, standard, fine, scene or a length such as 1mm",
-    "target": "environment's target: random, hold, circle or ramp; by default the task's",
+    "target": "environment's target: random, hold, circle, ramp, steps or out_of_reach; by default the task's",
     "set": "environment's options by dotted keys, values as in TOML: randomize.stiffness=1.1 control_period=0.01",
 }
 POLICY = "a controller's name; an agent's folder; ppo, sac, dagger or apg, which ship for the task; agent, the best of these"
@@ -59,6 +60,7 @@ def read(command: str, kind: type[Kind], arguments: Sequence[str]) -> Kind:
     names = [word.partition("=")[0] for word in arguments if word.startswith("--")]
     if twice := next((name for name in names if names.count(name) > 1), None):  # of which tyro would take the last alone
         raise Mistake(f"{twice} is given twice: give it once, with all its values behind it")
+    _check_names(command, kind, arguments)
     about = " ".join((kind.__doc__ or "").partition("Attributes:")[0].split())
     given: Given = tyro.cli(_arguments(kind), prog=f"soft-tendon {command}", description=about, args=list(arguments))
     with mistakes():
@@ -78,6 +80,17 @@ def read(command: str, kind: type[Kind], arguments: Sequence[str]) -> Kind:
             return kind(**values)
         except ConfigurationError as error:
             raise ValueError("\n".join(f"{_as_given(kind, key, given)} {text}".strip() for key, text in error.problems)) from error
+
+
+def _check_names(command: str, kind: type[Configuration], arguments: Sequence[str]) -> None:
+    """Raises Mistake for an option that is none, nor nearly one, of a command whose --set may have it as a key."""
+    known = {"--help", "-h", *(flag(kind, name) for name in kind.model_fields)}
+    known |= {f"--{name}" for name in SHORTCUTS if "options" in kind.model_fields}
+    for word, value in zip(arguments, [*arguments[1:], "VALUE"], strict=False) if "--set" in known else ():
+        name, _, own = word.removeprefix("--").partition("=")
+        if word.startswith("--") and not get_close_matches(f"--{name.replace('_', '-')}", known, cutoff=0.75):
+            key = f"{name.replace('-', '_')}={own or value}"
+            raise Mistake(f"--{name} is no option of {command}: for a key of that name write --set {key}")
 
 
 def _arguments(kind: type[Configuration]) -> Any:

@@ -39,7 +39,7 @@ class Run(EpisodeSettings):
     robot_options: tuple[str, ...] = Field(default=(), description="keyword arguments of that class, KEY=VALUE with values as in TOML")
     task: TaskName = Field(default="TipPose", description="name of the task: TipPose, Reach, or one that was registered")
     seed: Seed = Field(default=0, description="of the target")
-    rate: Positive | None = Field(default=None, description="greatest change of a command in a second [N/s], or [m/s]; any by default")
+    rate: Positive | None = Field(default=None, description="largest rate of a command [N/s], of displacements [m/s]; unlimited by default")
     settle: NotNegative = Field(default=SETTLE, description="time [s] to bring the arm to the pretension; 0 where it is there")
     rest_speed: Positive = Field(default=REST_SPEED, description="greatest speed of the tip at rest, in lengths of the arm per second")
     patience: int = Field(default=PATIENCE, ge=1, description="periods without a reading, or late, after which the tendons go slack")

@@ -65,14 +65,14 @@ USUAL = Uncertainty()
 
 
 class Setting(NamedTuple):
-    """Sensors and actuators that an estimator works with, besides the model that it believes in."""
+    """Sensors and actuators of an estimator, besides its assumed model."""
 
     period: float  # [s] from one estimate to the next
     tension: ArrayLike  # (n_a,) [N] that hold the arm when an episode begins
     observed: tuple[str, ...]  # fields of Measurement that are there, besides the tip's pose
     sensors: ArrayLike = ()  # (s,) [m] arc lengths of the strain sensors, if strains or their rates are observed
     noise: SensorNoise = SensorNoise()
-    latency: float = 0.0  # [s] of commands, or what is believed of it at first
+    latency: float = 0.0  # [s] of commands, or the first estimate of it
     uncertainty: Uncertainty = USUAL
 
 

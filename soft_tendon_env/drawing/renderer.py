@@ -23,7 +23,6 @@ from soft_tendon_env.drawing.shapes import (
     view_box,
     viewpoint,
 )
-from soft_tendon_env.effects import Effects
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene, rod_length, rod_radius, tendon_ends
 from soft_tendon_env.tools.types import Array
@@ -48,7 +47,7 @@ class Picture(NamedTuple):
     target_backbone: Array | None  # (stations, 3) [m]
     title: str
     time: float = 0.0  # [s] since the episode began, for what moves by itself
-    effects: Effects | None = None  # of the arm, where they are not those of its scene
+    scene: Scene | None = None  # of the arm, where its numbers are not those of the renderer's model
 
 
 class Pieces(NamedTuple):
@@ -84,20 +83,20 @@ class ArmRenderer:
         self._canvas.draw()
         self._background = self._canvas.copy_from_bbox(figure.bbox)
 
-    def frame(self, scene: Picture) -> NDArray[np.uint8]:
+    def frame(self, picture: Picture) -> NDArray[np.uint8]:
         """The picture (height, width, 3), red, green, blue."""
-        base = base_poses(self._model, np.array([scene.time]), scene.effects)
-        backbone = backbones(self._model, scene.strain[None], self._arc_length, base)
-        pieces = [*self._arm(backbone[0], base[0]), *self._tendons(backbone, scene.tension), *trail(scene.trail, self.turn)]
-        obstacles = obstacles_of(scene.effects or self._model.scene.effects)
-        pieces += [solid(surface(obstacle, scene.time, self._box), OBSTACLE, self.turn) for obstacle in obstacles]
-        self._show(pieces, scene)
+        base = base_poses(self._model, np.array([picture.time]), picture.scene)
+        backbone = backbones(self._model, picture.strain[None], self._arc_length, base)
+        pieces = [*self._arm(backbone[0], base[0]), *self._tendons(backbone, picture.tension), *trail(picture.trail, self.turn)]
+        obstacles = obstacles_of((picture.scene or self._model.scene).effects)
+        pieces += [solid(surface(obstacle, picture.time, self._box), OBSTACLE, self.turn) for obstacle in obstacles]
+        self._show(pieces, picture)
         self._canvas.restore_region(self._background)
         for artist in self.artists:
             artist.draw(self._canvas.get_renderer())
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
 
-    def _show(self, pieces: list[Pieces], scene: Picture) -> None:
+    def _show(self, pieces: list[Pieces], picture: Picture) -> None:
         """Let the artists take over what a frame shows."""
         areas, target, pose, place, title = self.artists
         corners, colour, width, depth = (np.concatenate(values) for values in zip(*pieces, strict=True))
@@ -105,13 +104,13 @@ class ArmRenderer:
         areas.set_verts(corners[order] @ across)
         areas.set_facecolor(colour[order])
         areas.set_linewidth(width[order])
-        target.set_data(*(np.empty((0, 2)) if scene.target_backbone is None else scene.target_backbone @ across).T)
-        poses = np.empty((0, 4, 4)) if scene.target_pose is None else scene.target_pose[None]
+        target.set_data(*(np.empty((0, 2)) if picture.target_backbone is None else picture.target_backbone @ across).T)
+        poses = np.empty((0, 4, 4)) if picture.target_pose is None else picture.target_pose[None]
         place.set_data(*(poses[:, :3, 3] @ across).T)
         size = AXES * self._model.length
         ends = [np.stack([frame[:3, 3], frame[:3, 3] + size * frame[:3, k]]) @ across for frame in poses for k in range(3)]
         pose.set_segments([*ends, *ends])
-        title.set_text(scene.title)
+        title.set_text(picture.title)
 
     def _arm(self, backbone: Array, base: Array) -> list[Pieces]:
         """Mount and tube, both closed by rings without radius; backbone (m, 4, 4), base (4, 4)."""

@@ -11,8 +11,7 @@ from soft_tendon_env.effects.contact.obstacles import Obstacle, read_distances
 from soft_tendon_env.mechanics.motion.batch import read_backbones
 from soft_tendon_env.mechanics.terms.external_forces import place_base
 from soft_tendon_env.mechanics.workspace import make_workspace
-from soft_tendon_env.model.coordinates import effects_outside
-from soft_tendon_env.model.grid import at_points
+from soft_tendon_env.model.coordinates import make_arm
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene, rod_length, rod_radius, tendon_ends, tendon_offset
 from soft_tendon_env.tools.types import Array
@@ -37,15 +36,14 @@ def drawing_stations(model: Model, count: int) -> Array:
     return np.concatenate([*inner, borders[-1:]])
 
 
-def base_poses(model: Model, times: Array, effects: Effects | None = None) -> Array:
-    """Poses (m, 4, 4) of the arm's base at times (m,) [s], as the scene's effects move it, or others in their place."""
-    poses, table = np.tile(np.eye(4), (times.size, 1, 1)), model.arm.effects
-    if not table.base.any():
+def base_poses(model: Model, times: Array, scene: Scene | None = None) -> Array:
+    """Poses (m, 4, 4) of the arm's base in the world at times (m,) [s], as its scene's effects move it; scene: with other numbers."""
+    scene = scene or model.scene
+    poses = np.tile(scene.base.pose, (times.size, 1, 1))
+    if not model.arm.effects.base.any():
         return poses
-    if effects is not None:
-        scene = model.scene.model_copy(update={"effects": effects})
-        table = effects_outside(scene).table(at_points(scene, model.grid).rod)
-    arm, work = model.arm.replaced(effects=table), make_workspace(model.arm)
+    arm = model.arm if scene == model.scene else make_arm(scene, model.grid, model.arm.strain)
+    work = make_workspace(arm)
     for pose, time in zip(poses, times, strict=True):
         work.clock[0] = time
         place_base(arm, work)
@@ -56,7 +54,7 @@ def base_poses(model: Model, times: Array, effects: Effects | None = None) -> Ar
 def backbones(model: Model, strain: Array, arc_length: Array, base: Array | None = None) -> Array:
     """Poses (samples, m, 4, 4) of the sections at arc lengths (m,) [m], of strains (samples, points, 6) as of Model.strain.
 
-    base (samples, 4, 4): poses of the base, see `base_poses`; by default it stands at the world's origin.
+    base (samples, 4, 4): poses of the base, see `base_poses`; by default sections are seen from the base.
     """
     places = model.grid.places(arc_length, np.empty(0))
     out = np.tile(np.eye(4), (len(strain), arc_length.size, 1, 1))
@@ -114,16 +112,23 @@ def _surface_at_origin(kind: float, sizes: tuple[float, ...]) -> Array:
 def view_box(scene: Scene) -> tuple[Array, Array, int, bool]:
     """Lower and upper corner (3,) [m], the vertical axis, and whether its values grow upwards.
 
-    Up is against gravity, or along the straight rod. The box holds what most motions need: a rod of constant curvature goes 0.59
-    lengths aside when bent by 80 degrees, and 0.72 at most. What leaves the box is drawn as well.
+    Up is the world axis nearest to against gravity, or to the straight rod. The box holds what most motions need: a rod of constant
+    curvature goes 0.59 lengths aside when bent by 80 degrees, and 0.72 at most. What leaves the box is drawn as well.
     """
     gravity = np.zeros(3) if scene.effects.gravity is None else np.array(scene.effects.gravity.acceleration)
-    length, pull = rod_length(scene), float(np.linalg.norm(gravity))
-    hanging = np.array([0.0, 1.05, 1.05]) * length * gravity / pull if pull > 0.0 else np.zeros(3)
+    length, pull, base = rod_length(scene), float(np.linalg.norm(gravity)), scene.base.pose
+    hanging = np.array([0.0, 1.05, 1.05]) * length * (gravity @ base[:3, :3]) / pull if pull > 0.0 else np.zeros(3)
     lower = np.minimum(np.array([-BEHIND, -0.60, -0.60]) * length, hanging)
     upper = np.maximum(np.array([1.05, 0.60, 0.60]) * length, hanging)
-    axis = int(np.argmax(np.abs(gravity)))
-    return lower, upper, axis, bool(gravity[axis] <= 0.0)
+    corners = _corners(lower, upper) @ base[:3, :3].T + base[:3, 3]
+    down = gravity if pull > 0.0 else -base[:3, 0]
+    axis = int(np.argmax(np.abs(down)))
+    return corners.min(axis=0), corners.max(axis=0), axis, bool(down[axis] <= 0.0)
+
+
+def _corners(lower: Array, upper: Array) -> Array:
+    """Corners (8, 3) of a box along the axes."""
+    return np.array([*itertools.product(*zip(lower, upper, strict=True))])
 
 
 def viewpoint(vertical: int, upright: bool, elevation: float = FROM) -> Array:
@@ -169,8 +174,9 @@ def side_by_side(model: Model, number: int) -> tuple[float, float, float]:
 
 
 def label_place(model: Model) -> Array:
-    """Place (3,) [m] of the name of an arm at the origin: behind its mount."""
-    return np.array([-LABEL * mount_size(model.scene)[0], 0.0, 0.0])
+    """Place (3,) [m] of the name of an arm: behind its mount."""
+    base = model.scene.base.pose
+    return np.asarray(base[:3, 3] - LABEL * mount_size(model.scene)[0] * base[:3, 0])
 
 
 def camera(model: Model, places: Array, aspect: float) -> tuple[Array, Array, Array]:
@@ -180,8 +186,9 @@ def camera(model: Model, places: Array, aspect: float) -> tuple[Array, Array, Ar
     """
     lower, upper, vertical, upright = view_box(model.scene)
     turn = viewpoint(vertical, upright, ELEVATION)
-    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower) * [1.0, VISITED, VISITED]
-    corners = [middle + half * signs for signs in itertools.product((-1.0, 1.0), repeat=3)]
+    share = np.minimum(np.abs(model.scene.base.pose[:3, :3]) @ [1.0, VISITED, VISITED], 1.0)
+    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower) * share
+    corners = _corners(middle - half, middle + half)
     seen = np.concatenate([place + [*corners, label_place(model)] for place in places]) @ turn.T
     middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
     slope = math.tan(0.5 * FIELD_OF_VIEW) * np.array([aspect, 1.0])

@@ -51,6 +51,7 @@ class Configured(NamedTuple):
     weight: Array  # (points,) [m]
     stiffness: Array  # (points, 6) diag(Sigma), 0 for rigid strains
     rod: Discretisation
+    base: Array  # (12,) pose of the base, R rows and r, world frame
     state: Array  # (m,) internal state of the effect
 
 
@@ -71,12 +72,11 @@ class Effect(Configuration):
             tensions is without it.
         command_unit: unit of the commands that it takes; "N": the tension that comes of them at rest.
         strengths: keys, of numbers or vectors, whose size says how strong it is: passive fields made under it hold under weaker ones.
-        world_vectors: keys of vectors in the world frame, unless a key `frame` is not "world". They turn against the base where its
-            mount is identified. (): the effect knows no world frame; None: it stands in the world otherwise, and no mount may turn.
+        is_uniform: whether it is the same everywhere in the world, so that the place of the base changes nothing.
     """
 
     strengths: ClassVar[tuple[str, ...]] = ()
-    world_vectors: ClassVar[tuple[str, ...] | None] = None
+    is_uniform: ClassVar[bool] = False
     is_contact: ClassVar[bool] = False
     is_actuation: ClassVar[bool] = False
     command_unit: ClassVar[str] = "N"

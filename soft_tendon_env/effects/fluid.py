@@ -36,7 +36,7 @@ class Fluid(Effect):
     """`[effects.fluid]`: drag coefficients are those of a cylinder across a stream at Reynolds numbers of 1e3 to 1e5, and of friction."""
 
     strengths: ClassVar[tuple[str, ...]] = ("density", "current")
-    world_vectors: ClassVar[tuple[str, ...] | None] = ("current",)
+    is_uniform: ClassVar[bool] = True
 
     density: Positive = Field(description="density of the fluid [kg/m^3], 1000 for water")
     current: Triple = Field((0.0, 0.0, 0.0), description="its velocity (x, y, z) [m/s], world frame, everywhere and always the same")

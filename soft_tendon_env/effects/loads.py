@@ -1,7 +1,7 @@
-"""Loads: gravity, a wrench at the tip and a payload; and in time disturbances, which are wrenches at points of the rod, and a moving base.
+"""Loads: gravity, a wrench and a payload at the tip, disturbances (wrenches at points of the rod that change in time), and a moving base.
 
-The place of a disturbance is a cubic through the nodes nearest to it, none beyond the end of a tendon. It is shared among them with its
-weights there, by virtual work: force and moment are exact, the error is of fourth order in the distance of the nodes.
+A disturbance between nodes is shared among the nearest ones, none beyond the end of a tendon. By virtual work and the weights of a cubic,
+force and moment are exact, and the error is of fourth order in the distance of the nodes.
 """
 
 import math
@@ -13,11 +13,11 @@ from pydantic import Field, model_validator
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, DeadLoads, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
-from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, exp_se3, minus, plus, rotate_back, times, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, exp_se3, matmul, minus, plus, rotate_back, times, twist_sum
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store3, store6
 from soft_tendon_env.mechanics.effects import Base, adds_wrench, allow_turning, limits_step, moves_base
-from soft_tendon_env.mechanics.terms.kinematics import load_pose, tip_pose_of
+from soft_tendon_env.mechanics.terms.kinematics import load_pose, pose_of_base, tip_pose_of
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
 from soft_tendon_env.tools.types import Direction, Frequency, NotNegative, Number, Positive, Triple, Turning
@@ -30,10 +30,10 @@ ALWAYS = 0.0, 0.0, 0.0
 
 @register_effect("gravity")
 class Gravity(Effect):
-    """`[effects.gravity]`: weight of the rod and its payload, in the world frame, in which the straight rod lies along x."""
+    """`[effects.gravity]`: weight of the rod and its payload, in the world frame."""
 
     strengths: ClassVar[tuple[str, ...]] = ("acceleration",)
-    world_vectors: ClassVar[tuple[str, ...] | None] = ("acceleration",)
+    is_uniform: ClassVar[bool] = True
 
     acceleration: Triple = Field(description="acceleration (x, y, z) [m/s^2]")
 
@@ -67,7 +67,7 @@ class TipLoad(Effect):
     """`[effects.tip_load]`: a wrench at the tip, and a payload fixed to it."""
 
     strengths: ClassVar[tuple[str, ...]] = ("force", "moment", "mass")
-    world_vectors: ClassVar[tuple[str, ...] | None] = ("force", "moment")
+    is_uniform: ClassVar[bool] = True
 
     force: Triple = Field((0.0, 0.0, 0.0), description="force (x, y, z) at the tip [N]")
     moment: Triple = Field((0.0, 0.0, 0.0), description="moment (x, y, z) at the tip [N m]")
@@ -154,6 +154,8 @@ class Load(Configuration):
 class Disturbance(Effect):
     """`[effects.disturbance]` with `[[effects.disturbance.loads]]`. Equilibria and resets are those under the loads at time 0."""
 
+    is_uniform: ClassVar[bool] = True
+
     loads: tuple[Load, ...] = Field(min_length=1, description="the loads")
 
     def parameters(self, rod: Discretisation) -> "DisturbanceParameters":
@@ -223,17 +225,18 @@ def limit_disturbance_step(disturbance, nodes, longest):
 
 @register_effect("moving_base")
 class MovingBase(Effect):
-    """`[effects.moving_base]`: the base's frame moves along with the world's axes and turns about a fixed axis through its origin.
+    """`[effects.moving_base]`: the base moves on from the scene's along the world's axes, and turns about a fixed axis through itself.
 
-    r(t) = `velocity` t + `acceleration` t^2 / 2 + `amplitude` sin(2 pi f t), theta(t) = `angular_velocity` t + `angular_amplitude`
-    sin(2 pi f t), with t the time of the simulation or of the episode. Base twist and acceleration enter the recursions (17)-(18) where
-    they begin, from which inertia forces follow. Statics are those of the base at rest in its pose at t = 0.
+    r(t) = r(0) + `velocity` t + `acceleration` t^2 / 2 + `amplitude` sin(2 pi f t) and R(t) = exp(theta `axis`) R(0), theta(t) =
+    `angular_velocity` t + `angular_amplitude` sin(2 pi f t), with t the time of the simulation or of the episode. Base twist and
+    acceleration enter the recursions (17)-(18) where they begin, from which inertia forces follow. Statics are those of the base at rest
+    in its pose at t = 0.
     """
 
     velocity: Triple = Field((0.0, 0.0, 0.0), description="velocity (x, y, z) at time 0 [m/s], world frame")
     acceleration: Triple = Field((0.0, 0.0, 0.0), description="constant acceleration (x, y, z) [m/s^2]")
     amplitude: Triple = Field((0.0, 0.0, 0.0), description="amplitude (x, y, z) of the swing [m]")
-    axis: Direction = Field((0.0, 0.0, 1.0), description="axis about which it turns [-], of any length but zero")
+    axis: Direction = Field((0.0, 0.0, 1.0), description="axis about which it turns [-], world frame, of any length but zero")
     angular_velocity: Turning = Field(0.0, description="constant angular velocity [rad/s]")
     angular_amplitude: Number = Field(0.0, description="amplitude of the turning swing [rad]")
     frequency: Frequency = Field(0.0, description="frequency f of both swings [Hz]")
@@ -271,12 +274,14 @@ def move(motion, base: Base):
     angle = motion.angular_velocity * t + motion.angular_amplitude * sine
     rate = motion.angular_velocity + motion.angular_amplitude * motion.omega * cosine
     rate_dot = -motion.angular_amplitude * motion.omega * motion.omega * sine
+    R_rest, r_rest = pose_of_base(base.pose)
     r = plus(plus(times(t, motion.velocity), times(0.5 * t * t, motion.acceleration)), times(sine, motion.amplitude))
+    r = plus(r_rest, r)
     r_dot = plus(plus(motion.velocity, times(t, motion.acceleration)), times(motion.omega * cosine, motion.amplitude))
     r_ddot = minus(motion.acceleration, times(motion.omega * motion.omega * sine, motion.amplitude))
     w, w_dot = times(rate, motion.axis), times(rate_dot, motion.axis)
     v, v_dot = minus(r_dot, cross(w, r)), minus(minus(r_ddot, cross(w_dot, r)), cross(w, r_dot))
-    R, _ = exp_se3((times(angle, motion.axis), (0.0, 0.0, 0.0)), coefficients(angle * angle))
+    R = matmul(exp_se3((times(angle, motion.axis), (0.0, 0.0, 0.0)), coefficients(angle * angle))[0], R_rest)
     for i in range(9):
         base.pose[i] = R[i]
     for i in range(3):

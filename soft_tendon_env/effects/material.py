@@ -26,7 +26,7 @@ class NonlinearElasticity(Effect):
     rubber stiffen. Its energy per length is 1/2 Sigma_i e_i^2 (1 + (e_i / e0_i)^2 / 2). A strain without an e0_i stays linear.
     """
 
-    world_vectors: ClassVar[tuple[str, ...] | None] = ()
+    is_uniform: ClassVar[bool] = True
 
     torsion: Positive | None = Field(None, description="e0 of torsion [1/m]")
     bending: Positive | None = Field(None, description="e0 of both curvatures [1/m]; the surface of a rod of radius r is strained by r e0")
@@ -83,7 +83,7 @@ class ViscoelasticMemory(Effect):
     step, and may be as stiff and fast as it likes.
     """
 
-    world_vectors: ClassVar[tuple[str, ...] | None] = ()
+    is_uniform: ClassVar[bool] = True
 
     branches: tuple[Branch, ...] = Field(min_length=1, description="one or more tables, see `Branch`")
 

@@ -23,6 +23,7 @@ from soft_tendon_env.envs.options import (
     ResetOptions,
     check_fit,
     check_target,
+    farthest_base,
     groups_of,
     resolved_scene,
     sensor_places,
@@ -71,7 +72,7 @@ class Episodes:
         check_fit(options, task, scene)
         self.task, self.options, self.size, self.period = task, options, rows, options.control_period
         self.model = model = build_model(scene)
-        self.goal_bound, self.sensors = GOAL_BOUND * model.length, sensor_places(options, scene)
+        self.goal_bound, self.sensors = GOAL_BOUND * model.length + farthest_base(options, scene), sensor_places(options, scene)
         stations = np.linspace(0.0, model.length, STATIONS + 1)[1:] if task.shapes else np.empty(0)
         self.arms = Arms(model, rows, self.period, stations, self.sensors, threads)
         starts = self._make_draws(options, task)
@@ -122,7 +123,7 @@ class Episodes:
     @cached_property
     def layout(self) -> Layout:
         """The layout of observations."""
-        units = Units(self.model.length, self.model.coordinate_scale(), self._strongest)
+        units = Units(self.model.length, self.model.coordinate_scale(), self._strongest, farthest_base(self.options, self.model.scene))
         return Layout(groups_of(self.options, self.task), units, self.observed, self.options.history)
 
     def __getstate__(self) -> dict[str, Any]:

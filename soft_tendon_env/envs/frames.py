@@ -73,5 +73,5 @@ class RowRenderer:
             target_backbone=episodes.target_backbone[row] if episodes.task.shapes else None,
             title=f"t = {episodes.step_count[row] * episodes.period:.2f} s   {errors}",
             time=float(episodes.arms.rows.clock[row, 0]),
-            effects=episodes.arms.model_of(row).scene.effects,
+            scene=episodes.arms.model_of(row).scene,
         )

@@ -60,6 +60,7 @@ class Units(NamedTuple):
     length: float  # [m], the rod's
     q: Array  # (n,) the coordinates that bend the arm by about a radian each
     tension: Array  # (n_a,) [N] the largest allowed
+    away: float = 0.0  # [m], largest coordinate of the base in the world
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,8 @@ class Group:
     """An observation group: what it is, its values (rows, size), and the units that they are divided by, as many or a part that repeats.
 
     of_shape: it is of targets that are shapes; of_target: of a target that goal-conditioned tasks give as a goal instead; of_arm: measured
-    of the arm, or asked of it, which is what a history keeps.
+    of the arm, or asked of it, which is what a history keeps; of_world: places in the world in lengths of the rod, whose bound is so much
+    larger as the base is away from the origin.
     """
 
     description: str
@@ -77,6 +79,7 @@ class Group:
     of_shape: bool = False
     of_target: bool = False
     of_arm: bool = False
+    of_world: bool = False
 
 
 def _flat(values: Array) -> Array:
@@ -98,7 +101,7 @@ _twist_unit, _error_unit = _pairs(5.0, 5.0), _pairs(0.5, 0.1)
 GROUPS: dict[str, Group] = {
     "coordinates": Group("generalised coordinates q", lambda o: o.q, lambda u: u.q, of_arm=True),
     "rates": Group("their rates", lambda o: o.q_dot, lambda u: 10.0 * u.q, of_arm=True),
-    "tip_position": Group("tip position, world frame", lambda o: o.tip_pose[:, :3, 3], lambda u: u.length, of_arm=True),
+    "tip_position": Group("tip position, world frame", lambda o: o.tip_pose[:, :3, 3], lambda u: u.length, of_arm=True, of_world=True),
     "tip_rotation": Group(  # continuous, unlike angles and quaternions
         "first two columns of the tip's rotation matrix", lambda o: _flat(o.tip_pose[:, :3, :2].swapaxes(1, 2)), of_arm=True
     ),
@@ -150,7 +153,8 @@ class Layout:
         ends = np.cumsum(size).tolist()
         self.slices = {name: slice(end - width, end) for name, end, width in zip(groups, ends, size, strict=True)}
         unit = np.concatenate([np.resize(group.unit(units), width) for group, width in zip(groups.values(), size, strict=True)])
-        self.scale, self.bound = 1.0 / unit, np.repeat([group.bound for group in groups.values()], size)
+        bounds = [group.bound + group.of_world * units.away / units.length for group in groups.values()]
+        self.scale, self.bound = 1.0 / unit, np.repeat(bounds, size)
         self.kept = np.flatnonzero(np.repeat([group.of_arm for group in groups.values()], size))
         if history:
             self.slices[HISTORY] = slice(ends[-1], ends[-1] + history * self.kept.size)

@@ -21,7 +21,7 @@ from soft_tendon_env.tools.configuration import Configuration, ConfigurationErro
 from soft_tendon_env.tools.types import Array, NotNegative, Positive
 
 MOST_AHEAD = 10_000  # control periods by which a preview looks ahead: every row keeps its target for that long
-GOAL_BOUND = 2.0  # largest coordinate of goals in the world frame, in lengths of the rod
+GOAL_BOUND = 2.0  # largest distance of goals from the base along the world's axes, in lengths of the rod
 MASK = "reset_mask"  # key of the rows that a vector environment resets, (rows,) bool; the others go on
 
 
@@ -51,8 +51,8 @@ class Options(Configuration):
         action: "tension" maps [-1, 1] to the tension limits; "increment" maps it to changes of at most `tension_rate` times the control
             period.
         tension_rate: largest rate of change [N/s] of actions that are increments.
-        target: name of a target ("random", "hold", "circle", "ramp", "steps" or a registered one), a table with that `type` and its
-            settings, or a target object. None takes the task's default.
+        target: name of a target ("random", "hold", "circle", "ramp", "steps", "out_of_reach" or a registered one), a table with that
+            `type` and its settings, or a target object. None takes the task's default.
         observation: "full", "measurable" (tip pose, tendon lengths, strain sensors), or a list of observation groups.
         preview: times ahead [s] at which the target is observed too, rounded to whole control periods (1 to 10,000). The default is 0.1 and
             0.2 s, or one and two control periods where a period is longer than that.
@@ -169,6 +169,13 @@ def given_scene(scene: Any) -> Scene:
     return given_scene(changes.pop("scene", "paper")).replace(changes)
 
 
+def farthest_base(options: Options, scene: Scene) -> float:
+    """Largest coordinate [m] that the base has in the world, also where its position is drawn."""
+    drawn = [one for one in options.randomize.ranges(scene) if one.name.startswith("base.position")]
+    ends = [number for one in drawn for end in (one.least, one.greatest) for number in one.changes(end).values()]
+    return max(map(abs, (*scene.base.position, *ends)))
+
+
 def sensor_places(options: Options, scene: Scene) -> Array:
     """Arc lengths (s,) [m] of the strain sensors."""
     sensors = options.sensors
@@ -212,11 +219,13 @@ def check_target(target: Target, task: Task, scene: Scene) -> None:
         _fail("target", f"is {kind!r}, which is a pose alone: {task.name} needs one that is made of tensions, such as random or ramp")
     if isinstance(target, Hold) and target.given is not None:
         place, bound = target.given[:3, 3], GOAL_BOUND * rod_length(scene)
+        home = f", around the base at {shown(scene.base.position)} m" if any(scene.base.position) else ""
         if task.goal is None and target.position is not None:
             _fail("target.position", f"is a position alone: {task.name} needs a pose, 4 x 4")
-        if task.goal is not None and np.abs(place).max() > bound:
+        if task.goal is not None and np.abs(place - scene.base.position).max() > bound:
             key = "target.pose" if target.position is None else "target.position"
-            _fail(key, f"is at {shown(place.tolist())} m: goals should lie within ±{bound:g} m, {GOAL_BOUND:g} lengths of the rod")
+            allowed = f"within ±{bound:g} m, {GOAL_BOUND:g} lengths of the rod{home}"
+            _fail(key, f"is at {shown(place.tolist())} m: goals should lie {allowed}")
     target.check(scene)
 
 

@@ -55,11 +55,12 @@ def _pushes(scene: Scene) -> dict[str, Any]:
 
 
 def _obstacles(scene: Scene) -> dict[str, Any]:
-    """Two balls that swing through the middle of the arm's space, one along y, one along z, and begin beside it."""
-    length, balls = rod_length(scene), list[dict[str, Any]]()
+    """Two balls that swing through the middle of the arm's space, one along the base's y axis, one along z, and begin beside it."""
+    length, base, balls = rod_length(scene), scene.base.pose, list[dict[str, Any]]()
     for place, amplitude, often in ((0.4, [0.0, 0.25 * length, 0.0], 0.3), (0.6, [0.0, 0.0, 0.25 * length], 0.4)):
-        swing = {"amplitude": amplitude, "frequency": often, "phase": 90.0}
-        balls.append({"type": "sphere", "radius": 0.05 * length, "position": [place * length, 0.0, 0.0], **swing})
+        swing = {"amplitude": (base[:3, :3] @ amplitude).tolist(), "frequency": often, "phase": 90.0}
+        middle = base[:3, 3] + place * length * base[:3, 0]
+        balls.append({"type": "sphere", "radius": 0.05 * length, "position": middle.tolist(), **swing})
     return {"effects.contact": {"obstacles": balls}}
 
 

@@ -43,7 +43,7 @@ def summary_cells(summary: Summary) -> dict[str, str]:
         cells[f"{unit.heading} RMS"] = number(unit.factor * error.rms) + flag
     if summary.reached is not None:
         cells["reached"] = f"{100 * summary.reached:.0f} %"
-    cells["settled"] = f"{summary.settled}/{summary.episodes}"
+    cells["settled"] = f"{summary.settled} of {summary.episodes}"
     cells |= {METRICS[name].heading: number(METRICS[name].factor * value) + flag for name, value in summary.metrics.items()}
     return {**cells, "time [ms]": number(1e3 * summary.action_time)}
 

@@ -32,7 +32,7 @@ EXPERIMENTS = {
     "gain": "a known weight hung from the tip or a load cell shows it",
     "density": "holds in another direction of gravity, or weighing the arm, show it",
     "young_modulus": "a known weight hung from the tip shows it",
-    "mount": "measure the mount's frame, or record the arm at rest",
+    **dict.fromkeys(("base.position", "base.rotation"), "measure the base's pose, or record the arm at rest"),
 }
 """Experiments that show a parameter, by a part of its name; the first that fits."""
 

@@ -36,8 +36,8 @@ class Estimate:
     parameters: tuple[Parameter, ...]
     value: Array  # (k,)
     intervals: Intervals
-    scene: Scene  # with the estimated numbers, in the frame of the arm's base
-    markers: MarkerSet  # with the estimated offsets, and with the frame that leads from the data to that base
+    scene: Scene  # with the estimated numbers
+    markers: MarkerSet  # with the estimated offsets
     error_fit: dict[str, float]  # mean distance [m] of the markers in the recordings of the fit, by their names
     error_held_out: dict[str, float]
     before: tuple[float, float]  # mean of either [m] at the numbers of the scene that was given
@@ -94,7 +94,7 @@ def identify(
         value=np.array([one.at(x) for one, x in zip(chosen, found.x, strict=True)]),
         intervals=spread,
         scene=plants.scene_at(found.x, scene),
-        markers=placed.with_offsets(measurement.offsets, placed.frame.to_base(measurement.base, measurement.shift)),
+        markers=placed.with_offsets(measurement.offsets),
         error_fit=error_fit,
         error_held_out=error_held_out,
         before=(mean_of_finite(before[0].values()), mean_of_finite(before[1].values())),

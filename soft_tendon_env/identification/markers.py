@@ -5,12 +5,12 @@ from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, read_toml
-from soft_tendon_env.tools.types import Array, NotNegative, Number, Triple
+from soft_tendon_env.tools.types import Array, NotNegative, Quaternion, Triple
 
 UNITS: Mapping[str, Mapping[str, float]] = {
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
@@ -30,15 +30,8 @@ class Marker(Configuration):
 class Frame(Configuration):
     """Rigid motion from the frame of the data to the scene's world frame, `[frame]`: R p + translation."""
 
-    quaternion: tuple[Number, Number, Number, Number] = (1.0, 0.0, 0.0, 0.0)  # of the rotation R, (w, x, y, z)
+    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)  # of the rotation R, (w, x, y, z)
     translation: Triple = (0.0, 0.0, 0.0)  # [m]
-
-    @field_validator("quaternion")
-    @classmethod
-    def _is_a_rotation(cls, quaternion: tuple[float, ...]) -> tuple[float, ...]:
-        if abs(float(np.linalg.norm(quaternion)) - 1.0) > 1e-3:
-            raise ValueError(f"should have length 1, not {np.linalg.norm(quaternion):.4g}")
-        return quaternion
 
     @property
     def rotation(self) -> Array:
@@ -48,11 +41,6 @@ class Frame(Configuration):
     def to_scene(self, positions: Array) -> Array:
         """Positions (..., 3) of the data's frame in the scene's, [m]."""
         return np.asarray(positions @ self.rotation.T + self.translation)
-
-    def to_base(self, rotation: Array, shift: Array) -> "Frame":
-        """Frame that leads to a base which is turned (3, 3) and then shifted (3,) [m] in the scene's world frame."""
-        turned = Rotation.from_matrix(rotation.T @ self.rotation).as_quat(canonical=True, scalar_first=True)
-        return Frame(quaternion=tuple(turned.tolist()), translation=tuple((rotation.T @ (self.translation - shift)).tolist()))
 
 
 class Column(Configuration):
@@ -80,11 +68,11 @@ class MarkerSet(Configuration):
         """Offsets in the sections' frames (m, 3) [m]."""
         return np.array([marker.offset for marker in self.markers.values()])
 
-    def with_offsets(self, offsets: Array, frame: Frame) -> "MarkerSet":
-        """The markers with other offsets (m, 3) [m], in another frame."""
+    def with_offsets(self, offsets: Array) -> "MarkerSet":
+        """The markers with other offsets (m, 3) [m]."""
         pairs = zip(self.markers.items(), offsets.tolist(), strict=True)
         moved = {name: marker.model_copy(update={"offset": tuple(offset)}) for (name, marker), offset in pairs}
-        return MarkerSet(markers=moved, frame=frame, columns=self.columns)
+        return MarkerSet(markers=moved, frame=self.frame, columns=self.columns)
 
 
 def load_markers(path: str | os.PathLike[str], scene: Scene) -> MarkerSet:

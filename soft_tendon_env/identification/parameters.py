@@ -1,8 +1,8 @@
-"""Parameters to estimate: numbers of a scene by dotted keys, and numbers of the measurement (mount, markers, commands).
+"""Parameters to estimate: numbers of a scene by dotted keys, and numbers of the measurement (markers, commands).
 
 `segments.*.young_modulus` is one parameter, by which the numbers of all matches change together, see scene.parameters. Numbers other than
-zero are estimated as a factor (in logarithm), others and angles of tendons as a difference. Of the measurement, where a wildcard is a
-parameter for each match: `mount.rotation` (rotation vector of the real base [deg]) and `mount.shift` [m] in the scene's frame,
+zero are estimated as a factor (in logarithm), others and angles of tendons as a difference. Where the arm stands and how it is measured
+are others, of which a wildcard is a parameter for each match: `base.rotation` [deg] and `base.position` [m] of the scene,
 `markers.NAME.offset` [m], `commands.I.gain`, `commands.I.offset` and `commands.delay` [s]; all but the delay have a normal prior, which
 bounds take the place of.
 """
@@ -22,11 +22,11 @@ from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import ConfigurationError, not_among
 from soft_tendon_env.tools.types import Array
 
-MEASUREMENT = ("mount", "markers", "commands")
+MEASUREMENT = ("base", "markers", "commands")
 FACTOR, WIDE = 30.0, 5.0  # how far a factor may go where no bounds are given, and a difference, in standard deviations of its prior
 TURN = 30.0  # how far angles of tendons may go where no bounds are given [deg]
-ROTATION, GAIN = 3.0, 0.1  # standard deviations of the priors of mount rotation [deg] and gains
-SHIFT, OFFSET = 0.0125, 0.025  # of those of the mount's shift and of marker offsets, as shares of the rod's length
+ROTATION, GAIN = 3.0, 0.1  # standard deviations of the priors of the base's rotation [deg] and gains
+SHIFT, OFFSET = 0.0125, 0.025  # of those of the base's position and of marker offsets, as shares of the rod's length
 COMMAND_OFFSET = 0.05  # of that of a command's offset, as a share of the range of the tendon's commands
 DELAY, LONGEST_DELAY = "commands.delay", 0.5  # name of the delay, which the scene has as effects.actuators.delay, and its upper bound [s]
 
@@ -75,7 +75,7 @@ def read_parameters(asked: Sequence[str], scene: Scene, markers: MarkerSet) -> t
         if key.split(".")[0] not in MEASUREMENT:
             found.append(_of_scene(key, scene, bounds))
         elif matches := [one for name, one in measured.items() if re.match(rf"{re.escape(key)}(\.|$)".replace(r"\*", r"[^.]+"), name)]:
-            found += [_with_bounds(one, bounds) for one in matches]
+            found += [_with_bounds(one, bounds, scene) for one in matches]
         else:
             raise ValueError(f"parameter {key!r} is none of the measurement: {not_among(key, measured)}")
     keys = [key for one in found for key in (one.of_scene.keys if one.of_scene else (one.name,))]
@@ -99,14 +99,15 @@ def _parse(text: str) -> tuple[str, tuple[float, float] | None]:
 
 
 def _of_measurement(scene: Scene, markers: MarkerSet) -> dict[str, Parameter]:
-    """Every parameter of the measurement, with its usual prior, by its key."""
-    length, commands = rod_length(scene), np.ptp(command_limits(scene), axis=1)
-    usual = {f"mount.rotation.{axis}": (0.0, ROTATION) for axis in range(3)}
-    usual |= {f"mount.shift.{axis}": (0.0, SHIFT * length) for axis in range(3)}
+    """Every parameter of the base and of the measurement, with its usual prior, by its key."""
+    length, commands, usual = rod_length(scene), np.ptp(command_limits(scene), axis=1), dict[str, tuple[float, float]]()
+    base = {f"base.{name}.{axis}": prior for name, prior in (("rotation", ROTATION), ("position", SHIFT * length)) for axis in range(3)}
     for name, marker in markers.markers.items():
         usual |= {f"markers.{name}.offset.{axis}": (at, OFFSET * length) for axis, at in enumerate(marker.offset)}
     usual |= {f"commands.{i}.offset": (0.0, COMMAND_OFFSET * float(span)) for i, span in enumerate(commands)}
-    found = [Parameter(key, None, at, at - WIDE * prior, at + WIDE * prior, prior, False) for key, (at, prior) in usual.items()]
+    stands = [(numbers.name, numbers, numbers.value, base[numbers.name]) for numbers in scene_parameters(scene, base)]
+    placed = [*stands, *((key, None, *numbers) for key, numbers in usual.items())]
+    found = [Parameter(key, of, at, at - WIDE * prior, at + WIDE * prior, prior, False) for key, of, at, prior in placed]
     found += [Parameter(f"commands.{i}.gain", None, 1.0, 1.0 / FACTOR, FACTOR, GAIN, True) for i in range(len(commands))]
     delay = getattr(scene.effects.chosen().get("actuators"), "delay", 0.0)
     found.append(Parameter(DELAY, None, delay, 0.0, LONGEST_DELAY, None, False))
@@ -121,19 +122,19 @@ def _of_scene(key: str, scene: Scene, bounds: tuple[float, float] | None) -> Par
     if not is_factor and not is_angle and bounds is None:
         raise ValueError(f"parameter {key!r} is {value:g}: zero has no usual range, give {key}=LOW..HIGH")
     low, high = (value - TURN, value + TURN) if is_angle else sorted((value / FACTOR, value * FACTOR))
-    found = _with_bounds(Parameter(key, numbers, value, low, high, None, is_factor), bounds)
-    return replace(found, low=_nearest_allowed(found.low, found, scene), high=_nearest_allowed(found.high, found, scene))
+    return _with_bounds(Parameter(key, numbers, value, low, high, None, is_factor), bounds, scene)
 
 
-def _with_bounds(usual: Parameter, bounds: tuple[float, float] | None) -> Parameter:
-    """A parameter with the bounds that are given, without its prior. Raises ValueError for bounds that leave out the scene's own number."""
-    if bounds is None:
-        return usual
-    low, high = bounds
+def _with_bounds(usual: Parameter, bounds: tuple[float, float] | None, scene: Scene) -> Parameter:
+    """A parameter with the bounds that are given in place of its own and its prior, and that the scene allows. Raises ValueError for bounds
+    that leave out the scene's own number."""
+    low, high = bounds or (usual.low, usual.high)
     if not low <= usual.value <= high or (usual.is_factor and low * high <= 0.0):
         what = "of one sign around" if usual.is_factor else "around"
         raise ValueError(f"parameter {usual.name!r} is bounded to {low:g}..{high:g}: bounds should be {what} its number, {usual.value:g}")
-    return replace(usual, low=low, high=high, prior=None)
+    if usual.of_scene is not None:
+        low, high = _nearest_allowed(low, usual, scene), _nearest_allowed(high, usual, scene)
+    return replace(usual, low=low, high=high, prior=None if bounds else usual.prior)
 
 
 def _nearest_allowed(bound: float, parameter: Parameter, scene: Scene) -> float:

@@ -9,7 +9,6 @@ from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.identification.markers import MarkerSet
 from soft_tendon_env.identification.parameters import DELAY, Parameter
@@ -32,23 +31,17 @@ class NoHoldError(ValueError):
 
 
 class Measurement(NamedTuple):
-    """How an arm is mounted, marked and commanded."""
+    """How an arm is placed, marked and commanded."""
 
-    rotation: Array  # (3,) rotation vector of the base in the scene's world frame [deg]
-    shift: Array  # (3,) [m]
+    position: Array  # (3,) of the base [m]
     offsets: Array  # (m, 3) of the markers [m]
     gain: Array  # (n_a,) of the commands
     offset: Array  # (n_a,) of the commands, after the gain
 
-    @property
-    def base(self) -> Array:
-        """Rotation (3, 3) of the real base."""
-        return np.asarray(Rotation.from_rotvec(self.rotation, degrees=True).as_matrix())
-
     def positions(self, poses: Array) -> Array:
-        """Positions (..., m, 3) [m] of markers in the scene's world frame, of section poses (..., m, 4, 4) from the base."""
-        inside = poses[..., :3, 3] + np.einsum("...ij,...j->...i", poses[..., :3, :3], self.offsets)
-        return np.asarray(inside @ self.base.T + self.shift)
+        """Positions (..., m, 3) [m] of markers in the world, of section poses (..., m, 4, 4) along its axes, but beginning at the base."""
+        away = poses[..., :3, 3] + np.einsum("...ij,...j->...i", poses[..., :3, :3], self.offsets)
+        return np.asarray(away + self.position)
 
 
 class Near(NamedTuple):
@@ -63,39 +56,29 @@ class Plants:
     """Arms by coordinates of the parameters; the grid is that of the nominal scene, so that what is simulated is smooth in them."""
 
     def __init__(self, scene: Scene, model: Model, markers: MarkerSet, parameters: Sequence[Parameter]) -> None:
-        """Raises ValueError where the mount is to turn and effects are in the world frame that cannot turn with it."""
         self.scene, self.model, self.markers, self.parameters = scene, model, markers, tuple(parameters)
-        names = [one.name for one in self.parameters]
-        self.moves_arm = [not name.startswith(("markers.", "mount.shift")) for name in names]
-        turns = any(name.startswith("mount.rotation") for name in names)
-        if turns and (odd := [name for name, effect in scene.effects.on_arm().chosen().items() if effect.world_vectors is None]):
-            text = "which stands in the world and not on the arm: its class names no world_vectors"
-            raise ValueError(f"mount.rotation cannot be estimated with effects.{odd[0]}, {text}")
+        is_uniform = all(effect.is_uniform for effect in scene.effects.on_arm().chosen().values())
+        still = ("markers.", "base.position") if is_uniform else ("markers.",)
+        self.moves_arm = [not one.name.startswith(still) for one in self.parameters]  # beside its base
 
     def scene_at(self, x: Array, scene: Scene) -> Scene:
-        """A scene with the numbers at coordinates (k,) of the parameters, in the frame of its real base: its world vectors turn the other
-        way. Raises ConfigurationError."""
-        changes, measurement = dict[str, Any](), self.measurement(x)
+        """A scene with the numbers at coordinates (k,) of the parameters. Raises ConfigurationError."""
+        changes = dict[str, Any]()
         for parameter, coordinate in zip(self.parameters, x, strict=True):
             if parameter.name == DELAY:
                 changes["effects.actuators.delay"] = parameter.at(coordinate)
             elif parameter.of_scene is not None:
                 changes |= parameter.of_scene.changes(parameter.at(coordinate))
-        found, turns = scene_with_numbers(scene, changes), dict[str, Any]()
-        for name, effect in found.effects.chosen().items() if measurement.rotation.any() else ():
-            for vector in effect.world_vectors or ():
-                if getattr(effect, "frame", "world") == "world":
-                    turns[f"effects.{name}.{vector}"] = (measurement.base.T @ np.array(getattr(effect, vector))).tolist()
-        return found.replace(turns) if turns else found
+        return scene_with_numbers(scene, changes)
 
     def measurement(self, x: Array) -> Measurement:
-        """Mount, markers and commands at coordinates (k,)."""
+        """Base, markers and commands at coordinates (k,)."""
         n_a, names = len(self.scene.tendons), [*self.markers.markers]
-        found = Measurement(np.zeros(3), np.zeros(3), self.markers.offsets, np.ones(n_a), np.zeros(n_a))
+        found = Measurement(np.array(self.scene.base.position), self.markers.offsets, np.ones(n_a), np.zeros(n_a))
         for parameter, coordinate in zip(self.parameters, x, strict=True):
             match parameter.name.split("."):
-                case ["mount", kind, axis]:
-                    getattr(found, kind)[int(axis)] = parameter.at(coordinate)
+                case ["base", "position", axis]:
+                    found.position[int(axis)] = parameter.at(coordinate)
                 case ["markers", name, "offset", axis]:
                     found.offsets[names.index(name), int(axis)] = parameter.at(coordinate)
                 case ["commands", tendon, kind]:
@@ -151,15 +134,17 @@ class Readings:
         return [(model, measurement.gain * one.command + measurement.offset) for one in self.recordings]
 
     def _poses(self, x: Array, near: Sequence[Near | None] = ()) -> Array:
-        """Simulated poses (samples, m, 4, 4) of the markers' sections from the base, of holds that are `near` others to first order. Raises
-        NoHoldError."""
+        """Simulated poses (samples, m, 4, 4) of the markers' sections, from the place of the base; of holds that are `near` others to
+        first order. Raises NoHoldError."""
         arms, simulated, places = self._arms(x), list[Array](), self.plants.markers.arc_lengths
         with erring_actuators():  # by the gains and offsets that are looked for
             for i, (model, command) in enumerate(arms):
                 moved = _moved(model, command[0], near[i]) if near else None
                 simulated += self._simulate(model, command, i) if moved is None else [moved]
         model = arms[0][0] if arms else self.plants.model
-        return np.array([model.backbone_at(q, places) for q in simulated]).reshape(-1, places.size, 4, 4)
+        poses = np.array([model.backbone_at(q, places) for q in simulated]).reshape(-1, places.size, 4, 4)
+        poses[..., :3, 3] -= self.plants.measurement(x).position
+        return poses
 
     def _simulate(self, model: Model, command: Array, i: int) -> list[Array]:
         """Coordinates (n,) at every sample of a recording under commands (samples, n_a). Raises NoHoldError."""

@@ -67,7 +67,7 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
     placed = placed.reshape(len(rows), -1, 3)
     placed[(placed == 0.0).all(axis=2) & (markers.arc_lengths > 0.0)] = np.nan  # as some trackers write what was not seen
     positions = markers.frame.to_scene(placed)
-    _check_reach(positions, rod_length(scene), path, next(iter(markers.markers)))
+    _check_reach(positions - scene.base.position, rod_length(scene), path, next(iter(markers.markers)))
     names = [cells[table.header.index(sources["hold"][0])] if "hold" in sources else path.stem for _, cells in table.rows]
     found = list[Recording]()
     for name, group in itertools.groupby(range(len(rows)), key=names.__getitem__):
@@ -151,14 +151,16 @@ def check_commands(recording: Recording, scene: Scene) -> None:
 
 
 def _check_reach(positions: Array, length: float, path: Path, marker: str) -> None:
-    """Raises ValueError where markers (rows, m, 3) lie further from the base than the rod reaches, or all of them lie at it."""
+    """Raises ValueError where markers (rows, m, 3), seen from the base, lie further than the rod reaches, or all of them lie at it."""
     distances = np.linalg.norm(positions, axis=-1)
     if np.isnan(distances).all():
         raise ValueError(f"{path}: no marker was seen")
     distance, reach = float(np.nanmax(distances)), REACH * length
     text = f"{path}: markers are up to {distance:.4g} m from the base of a rod of {length:g} m"
     if distance > reach:
-        raise ValueError(text + (_unit_guess(f'"{marker}_*"', distance, reach, "m") or "; is the [frame] of --markers right?"))
+        raise ValueError(
+            text + (_unit_guess(f'"{marker}_*"', distance, reach, "m") or "; are the [frame] of --markers and the scene's [base] right?")
+        )
     if distance < 0.01 * length:
         raise ValueError(f"{text}: is the arm's length or the unit wrong? Positions are in m")
 

@@ -23,7 +23,7 @@ Share = Annotated[float, Field(ge=0, le=1)]
 
 class Normalisation(Configuration):
     """Running normalisation by VecNormalize of Stable-Baselines3. By default observations keep the scales of the environment: under
-    running statistics arms that whirl change what all others see."""
+    running statistics an oscillating arm changes the observations of all others."""
 
     observations: bool = False
     rewards: bool = True
@@ -39,7 +39,7 @@ class Evaluation(Configuration):
 
 
 class Training(Configuration):
-    """Training of one agent, by reinforcement learning, by imitation of a teacher, or by gradients of the simulation.
+    """Training of one agent, by reinforcement learning, by imitation of an expert, or by gradients of the simulation.
 
     Attributes:
         task, algorithm: names of what is to be learned, and of the algorithm.

@@ -78,7 +78,7 @@ class Base(NamedTuple):
     """The base of the arm, which an effect moves."""
 
     time: float  # [s]
-    pose: np.ndarray  # (12) R rows, r; that of the arm at rest to begin with
+    pose: np.ndarray  # (12) R rows, r, world frame; to begin with as the scene has it
     twist: np.ndarray  # (6) world frame: angular velocity, and velocity of the point of the base that is at the world's origin
     acceleration: np.ndarray  # (6) its rate
 

@@ -130,6 +130,7 @@ class Explicit(Strain):
 class Arm(Struct):
     """Arrays of a whole arm, as the kernels read it. The type of `strain` selects code when a kernel is compiled."""
 
+    base: FloatVector  # (12) pose of the base, before effects move it: R rows and r, world frame
     rod: Rod
     tendons: Tendons
     strain: StaticsBased | Loaded | Explicit

@@ -59,8 +59,8 @@ class LoadMemory(Struct):
 
 class Workspace(Struct):
     """Arrays that one evaluation fills. Kernels read what the same evaluation has written, and besides xi, the guess of Newton's method,
-    clock, state, before and since; and what nothing writes: ones, the base of an arm that stands still, Phi of explicit strains, and
-    zeros."""
+    clock, state, before and since; and what nothing writes: ones, twist and acceleration of a base that stands still, Phi of explicit
+    strains, and zeros."""
 
     tau: Annotated[np.ndarray, "n_a"]  # tensions of the strain law [N]; of explicit strains those that pull
     tau_dot: Annotated[np.ndarray, "n_a"]

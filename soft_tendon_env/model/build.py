@@ -191,7 +191,7 @@ def _unloaded_share(coarse: Model, fine: Model, responses: list[Array], tension:
             tips = [model.tip_pose(by @ tension)[:3, 3] for model, by in zip((coarse, fine), responses, strict=True)]
         except StrainLimitError:
             tips = [np.full(3, np.inf)]
-        if np.linalg.norm(tips, axis=1).max() <= FARTHEST * coarse.length:
+        if np.linalg.norm(np.array(tips) - coarse.arm.base[9:], axis=1).max() <= FARTHEST * coarse.length:
             return float(np.linalg.norm(tips[1] - tips[0])) / coarse.length
         tension = 0.5 * tension
     return 0.0

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from soft_tendon_env.effects.base import Effects
+from soft_tendon_env.mechanics.algebra.lanes import aligned_copy
 from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded, StaticsBased, point_field
 from soft_tendon_env.model.grid import STRAIGHT, AtPoints, Grid, at_points, chords, make_grid, make_rod, pack_ranges
 from soft_tendon_env.scene.passive_fields import fields_of
@@ -23,7 +24,8 @@ def make_arm(scene: Scene, grid: Grid, strain: StaticsBased | Loaded | Explicit 
         raise ConfigurationError([Problem(("strain", "include_loads"), text)])
     law = None if strain is None or isinstance(strain, Explicit) else strain.law
     rod, strain = make_rod(scene, grid, scene.strain.free, here), make_strain(scene, grid, here, law)
-    return Arm(rod=rod, tendons=here.tendons, strain=strain, effects=effects)
+    base = aligned_copy(np.append(scene.base.pose[:3, :3], scene.base.pose[:3, 3]))
+    return Arm(base=base, rod=rod, tendons=here.tendons, strain=strain, effects=effects)
 
 
 def effects_inside(scene: Scene) -> bool:

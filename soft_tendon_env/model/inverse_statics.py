@@ -38,9 +38,9 @@ class InverseEquilibrium(NamedTuple):
 
 
 def tension_for_tip_pose(model: Model, pose: ArrayLike, *, start: ArrayLike | None = None) -> InverseEquilibrium:
-    """Inverse statics for a tip pose (4, 4): tensions within the scene's limits, of least effort |u| (locally) where there are many.
+    """Inverse statics for a tip pose (4, 4): tensions within the scene's limits, locally of least effort |u| if there are many.
 
-    What cannot be reached within 1e-4 of the rod's length is approached as nearly as possible, with a `reason`. A radian counts as half
+    If the pose cannot be reached within 1e-4 of the rod's length, the result is the nearest pose, with a `reason`. A radian counts as half
     the rod's length.
 
     start: tensions (n_a,) near the solution, when following a path: one local search from there instead of several from afar.

@@ -35,9 +35,9 @@ TOLERANCE = 1e-12  # relative size of the last Newton correction at which a stra
 class Model:
     """Reduced-order Cosserat-rod model of a tendon-driven arm, made by `build_model` from a scene; it never changes.
 
-    Coordinates q (n,): with the statics-based strain the tensions [N] that the strain answers to (combinations of them where tendons are
-    redundant), then the passive coordinates; with an explicit basis the amplitudes of its fields. Methods raise ValueError or TypeError for
-    bad arrays, `StrainLimitError` where no strain balances the coordinates, and OverflowError for absurd rates.
+    Coordinates q (n,) of the statics-based strain are the tensions [N] that determine the strain (combinations of them if tendons are
+    redundant), then the passive coordinates. With an explicit basis they are the amplitudes of its fields. Methods raise ValueError or
+    TypeError for bad arrays, `StrainLimitError` if no strain balances the coordinates, and OverflowError for absurd rates.
     """
 
     scene: Scene
@@ -184,7 +184,7 @@ class Model:
             by_node = work.pose.reshape(-1, 12, LANES).swapaxes(1, 2).reshape(-1, 12)
         state = state if effects is None else checked_array("effects", effects, state.shape)
         stiffness, weight = grid.at_points(rod.root_stiffness, 6).reshape(-1, 6) ** 2, grid.weights.ravel()
-        configured = Configured(rod.node_mass, _poses(by_node), strain, weight, stiffness, self.discretisation, state)
+        configured = Configured(rod.node_mass, _poses(by_node), strain, weight, stiffness, self.discretisation, self.arm.base, state)
         elastic = 0.5 * float(weight @ (stiffness * strain**2).sum(axis=1))
         return Energy(0.5 * float(rate @ mass @ rate), elastic, self.scene.effects.potential_energy(configured))
 

@@ -245,12 +245,12 @@ class Simulation:
 def simulate(model: Model, command: Command, duration: float, sample_period: float, initial: State | None = None) -> Trajectory:
     """Simulates `duration` [s] and samples the motion every `sample_period` [s].
 
-    command, see `Model.command_unit`: an array (n_a,) held throughout, a table (duration / sample_period, n_a) of which each row is held
-    over one sample period, or a function of time [s] that is sampled at the middle of each integrator step and held over it (second
-    order, and jumps at the borders of steps stay exact). Beyond `tension_limits` it is taken as it is, with a TensionLimitWarning.
-    initial: the state to start from, by default at rest without tension; `Simulation(model).state` is the stress-free shape.
+    command, in the unit `Model.command_unit`: an array (n_a,) is constant. A table (duration / sample_period, n_a) has a row per sample
+    period. A function of time [s] is sampled at the middle of each integrator step and held over it: second order, exact for jumps at the
+    borders of steps. Commands beyond `tension_limits` are used as given, with a TensionLimitWarning. initial: first state, by default at
+    rest without tension; `Simulation(model).state` is the stress-free shape.
 
-    Raises ValueError or TypeError before anything is computed, NoEquilibriumError where the arm rests nowhere, `SimulationDiverged`.
+    Raises ValueError or TypeError before anything is computed, NoEquilibriumError if the arm has no equilibrium, `SimulationDiverged`.
     """
     simulation = Simulation(model, initial)
     period = checked_number("sample_period", sample_period, SHORTEST, "a positive number of seconds")

@@ -50,14 +50,14 @@ class Equilibrium(NamedTuple):
 def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None = None, *, settle: bool = False) -> Equilibrium:
     """Static equilibrium of the arm under constant tensions (n_a,) [N] and the scene's effects, as a slowly loaded arm reaches it.
 
-    Tensions and effects grow together from nothing, and the branch of stable equilibria that begins at the unloaded arm is followed
-    to its end; loads inside of the strain are there from its beginning. Where it ends before the full load (at a limit point, a
-    bifurcation, at flutter, at the strain limit) the result is not `converged`, and tells the load reached and the reason.
+    Tensions and effects grow together from zero (continuation), along the branch of stable equilibria that begins at the unloaded arm.
+    Loads inside the strain act from the beginning. If the branch ends before the full load (at a limit point, a bifurcation, flutter, the
+    strain limit), the result is not `converged`. It then has the load reached and the reason.
 
-    guess: coordinates (n,) to start Newton's method from at the full load: the equilibrium next to them, stable or not, if there is one.
-    settle: where the branch ends let the arm go, with damping and without inertia, to where it comes to rest, and load it further.
+    guess: coordinates (n,), from which Newton's method starts at the full load. The result is the equilibrium next to them, stable or not,
+    if there is one. settle: if the branch ends, let the arm move, with damping and without inertia, until it rests, and load it further.
 
-    Beyond `tension_limits` tensions are taken as they are, with a TensionLimitWarning. Raises ValueError or TypeError for bad arrays.
+    Tensions beyond `tension_limits` are used as given, with a TensionLimitWarning. Raises ValueError or TypeError for bad arrays.
     """
     checked_type("model", model, Model, "see build_model")
     u = checked_array("tension", tension, (model.tendon_count,))

@@ -6,11 +6,11 @@ from soft_tendon_env.tools.types import Array
 
 
 class Terms(NamedTuple):
-    """Terms of the equation of motion M q_ddot + C q_dot + D q_dot + K = B u + F (23), n coordinates, n_a tendons; angular before linear.
+    """Terms of the equation of motion M q_ddot + C q_dot + D q_dot + K = B u + F (23): n coordinates, n_a tendons, angular before linear.
 
-    `stiffness` is the Jacobian of the drive K - B u to first order, exact at rest q = [u; 0]: G = int Phi_w^T (Sigma - Psi_a)^-1 Phi_w dX
-    with Phi_w = [Phi_a Phi_p], K = G q; with loads inside of the strain G = int Phi^T Phi_w dX, and `elastic_force` is K less their force,
-    again G q; of explicit bases int Phi^T (Sigma - Psi(u)) Phi dX, its negative pivots clipped to zero.
+    `stiffness` is the Jacobian of K - B u to first order, exact at rest q = [u; 0]: G = int Phi_w^T (Sigma - Psi_a)^-1 Phi_w dX with
+    Phi_w = [Phi_a Phi_p], K = G q. With loads inside the strain it is G = int Phi^T Phi_w dX, and `elastic_force` is K minus the force of
+    these loads, again G q. Of explicit bases it is int Phi^T (Sigma - Psi(u)) Phi dX, with negative pivots set to zero.
     """
 
     mass: Array  # M (n, n)

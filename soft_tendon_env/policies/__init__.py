@@ -1,4 +1,4 @@
-"""Policies: what turns observations into actions, model-based controllers and trained agents alike, with Stable-Baselines3's `predict`."""
+"""Policies turn observations into actions: model-based controllers and trained agents, with Stable-Baselines3's `predict`."""
 
 from soft_tendon_env.policies.agent import TrainingWarning, load_agent, save_agent
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, make_policy, observation_options

@@ -39,7 +39,7 @@ OF_TRAINING = (
 
 EnvironmentOptions = Annotated[dict[str, Any], AfterValidator(lambda options: Options.parse(options, "options") and options)]
 """Options of an environment as plain tables."""
-PHYSICS = ("segments", "tendons", "effects")  # tables of a scene that define the physical arm, as opposed to how it is computed
+PHYSICS = ("segments", "tendons", "base", "effects")  # tables of a scene that define the physical arm, as opposed to how it is computed
 
 
 class AgentConfig(Configuration):

@@ -45,8 +45,8 @@ def observation_options(
 ) -> dict[str, Any]:
     """Options of an environment of this task ("TipPose", ...) under which a controller sees what it needs. Raises ValueError.
 
-    estimator: of ESTIMATORS, which finds the coordinates; None: they are observed. regime: of REGIMES, what a Kalman filter is told, by
-    default "sensors". latency: delay of commands [s] that the controller is to make up for, see `make_policy`.
+    estimator: of ESTIMATORS, which finds the coordinates; None: they are observed. regime: of REGIMES, what a Kalman filter observes, by
+    default "sensors". latency: known input delay [s] that the controller compensates, see `make_policy`.
     """
     finds, reference = _among("estimator", estimator, ESTIMATORS), _among("task", task, TASKS).measured_reference
     ahead = _periods_ahead(_among("controller", controller, CONTROLLERS.get(task, {})), latency, period, finds)
@@ -67,10 +67,10 @@ def make_policy(
 ) -> "ControllerPolicy":
     """Controller of `soft_tendon_env.control.CONTROLLERS` as a policy, for an environment made with `observation_options`.
 
-    model: what the controller believes, the environment's own before randomisation by default. Where coordinates are observed, it should
-    have the same. estimator: of ESTIMATORS, finds the coordinates from what else is observed, knowing the noise of the sensors; None: they
-    are observed. uncertainty: of what it believes, for a Kalman filter. latency: delay of commands [s] that it knows of and makes up for
-    (Smith predictor), by default that of the actuators in its model; with estimator="adaptive" what it believes at first.
+    model: the assumed model, by default the environment's own before randomisation. Where coordinates are observed, it should have the
+    same. estimator: of ESTIMATORS, finds the coordinates from the other observations and the known noise of the sensors; None: they are
+    observed. uncertainty: process noise and first uncertainty of a Kalman filter. latency: known input delay [s], which the controller
+    compensates (Smith predictor), by default that of the actuators in its model; with estimator="adaptive" the first estimate of it.
     Raises TypeError, ValueError; ConfigurationError where the environment does not show what the controller needs.
     """
     finds = _among("estimator", estimator, ESTIMATORS)

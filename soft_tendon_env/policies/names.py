@@ -31,6 +31,14 @@ BEST = "best"  # name of the folder of a training's best agent, within that of t
 ALL = "all"  # name of all controllers of the catalogue together
 ESTIMATOR = "estimator."  # prefix of parameters of the state estimator among those of a controller
 
+USUAL_NAMES = {
+    "mpc": ("predictive", "model-predictive control"),
+    "nmpc": ("predictive", "model-predictive control"),
+    "osc": ("tracking", "operational-space control"),
+    "ik": ("feedforward", "inverse statics"),
+}
+"""Usual names of methods: the controller of this package, and the method."""
+
 ZIP = """a file of Stable-Baselines3 does not say what its agent observes. Write a module mine.py and name the policy mine:agent:
     from stable_baselines3 import PPO  # or what trained it; the statistics of a VecNormalize are not in the file
     def agent(env): return PPO.load({path!r})
@@ -66,6 +74,8 @@ class PolicyName:
         module, colon, name = text.partition(":")
         if colon and not prefix:
             return UserPolicy(text, task, module, name)
+        if known := USUAL_NAMES.get(controller.lower()):
+            raise ValueError(f"policy is {text!r}: it should be {prefix + known[0]!r}, this package's {known[1]}")
         wanted = f"a controller of {task}; {not_registered(controller, controllers)}"
         if prefix:
             raise ValueError(f"policy is {text!r}: what stands behind {prefix!r} should be {wanted}")
@@ -81,7 +91,7 @@ class PolicyName:
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
         """The policy for an environment with its options. Raises ValueError, OSError, ModuleNotFoundError.
 
-        scene: of the arm that a controller believes in, by default the environment's, at the fidelity that the name says, if it says one.
+        scene: of a controller's assumed model, by default the environment's, at the fidelity that the name says, if it says one.
         other_effects: whether the arm may have effects that an agent was not trained with.
         """
         raise NotImplementedError
@@ -101,7 +111,7 @@ class TunedController(Configuration):
 @dataclass(frozen=True)
 class Controller(PolicyName):
     """A controller of the catalogue: NAME, where its coordinates are observed; filtered:NAME, where an extended Kalman filter finds them;
-    adaptive:NAME, where it finds the latency of commands too. NAME@FIDELITY believes in a model of another fidelity than the arm's."""
+    adaptive:NAME, where it finds the latency of commands too. NAME@FIDELITY assumes a model of another fidelity than the arm's."""
 
     name: str
     estimator: str | None
@@ -230,7 +240,7 @@ def policy_options(name: str, task: str, given: Mapping[str, Any]) -> dict[str, 
 def load_policy(name: str, env: Any) -> Policy:
     """The policy for an environment with the options that it needs, see `policy_options`.
 
-    name: a controller's, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where it believes in another model; an agent's folder;
+    name: a controller's, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where its model has another fidelity; an agent's folder;
     "agent", "ppo", "sac", "dagger" or "apg", of those that ship for the environment's task; module:name of what makes one.
     Raises TypeError for environments of other packages, ValueError, OSError, ModuleNotFoundError.
     """

@@ -8,10 +8,10 @@ STATELESS_CALLS = 10
 
 
 class Policy(Protocol):
-    """Stable-Baselines3's interface: what was remembered goes in with the observation, and comes out with the action."""
+    """Stable-Baselines3's interface: observation and state go in, action and the next state come out."""
 
     def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False) -> tuple[Any, Any]:
-        """The action for an observation, and what to give back as `state` with the next one."""
+        """Action for an observation, and the `state` to pass with the next one."""
 
 
 class LostState:

@@ -1,4 +1,4 @@
-"""Information regimes: what policies, and state estimators, are told of the arm. To add one, add an entry to REGIMES."""
+"""Information regimes: sensor sets of policies and state estimators. To add one, add an entry to REGIMES."""
 
 import math
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ TARGET_GROUPS = ("target_error", "target_twist", "preview", "last_action", "comm
 
 
 class Regime(NamedTuple):
-    """Information regime: what policies, and a Kalman filter, are told of the arm."""
+    """Information regime: sensor set of policies and of a Kalman filter."""
 
     description: str
     measured: tuple[str, ...]  # observation groups, none of which depends on a discretisation

@@ -171,7 +171,7 @@ class RerunStream:
         self._send_static(f"scene/{part(arm)}", rr.TextDocument(json.dumps(scene_to_dict(scene), indent=2)))
 
     def _send_arm(self, root: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
-        base = base_poses(rollout.model, _moments(known, rollout), rollout.effects)
+        base = base_poses(rollout.model, _moments(known, rollout), rollout.scene)
         if (base != np.eye(4)).any():
             self._send(f"{root}/mount", times, _poses(base))
         frames = backbones(rollout.model, rollout.strain, known.station, base)
@@ -203,7 +203,7 @@ class RerunStream:
 
     def _send_solids(self, root: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
         """The obstacles where others than before are to be seen, and how they move: their surfaces are where they are at time 0."""
-        effects = rollout.effects or rollout.model.scene.effects
+        effects = (rollout.scene or rollout.model.scene).effects
         obstacles, moments = obstacles_of(effects), _moments(known, rollout)
         if not obstacles:
             return

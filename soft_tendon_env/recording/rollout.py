@@ -8,9 +8,9 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.effects import Effects
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.model.model import Model
+from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.types import Array
 
 
@@ -20,7 +20,7 @@ class Rollout:
 
     period [s] between samples; strain (samples, points, 6) as of `Model.strain`; tension (samples, n_a) [N] as applied;
     tip_pose, target_pose (samples, 4, 4); target_backbone (samples, m, 3) [m], m = 0 being as good as None; action (samples, k), the one
-    that led to the sample; scalars (samples,) each, NaN where there is none; effects of the arm, None: those of its scene.
+    that led to the sample; scalars (samples,) each, NaN where there is none; scene of the arm, None: the model's.
     """
 
     model: Model
@@ -33,7 +33,7 @@ class Rollout:
     action: Array | None = None
     scalars: Mapping[str, Array] = field(default_factory=dict)
     title: str = ""
-    effects: Effects | None = None
+    scene: Scene | None = None
 
     @property
     def samples(self) -> int:
@@ -60,7 +60,7 @@ class RolloutBuffer:
         self._scalars.append(
             {name: float(values[row]) for name, values in now.info().items()} | {"reward": float(now.reward[row]) if steps else np.nan}
         )
-        self._effects = now.arms.model_of(row).scene.effects
+        self._scene = now.arms.model_of(row).scene
 
     def clear(self) -> None:
         """Forget the samples."""
@@ -74,7 +74,7 @@ class RolloutBuffer:
         scalars = {name: np.array([record[name] for record in records]) for name in records[0]}
         sampled: dict[str, Any] = dict(zip(("tension", "tip_pose", "target_pose", "target_backbone", "action"), columns, strict=True))
         strain = model.grid.unpacked(strain)
-        return Rollout(model, self._episodes.period, strain, scalars=scalars, title=title, effects=self._effects, **sampled)
+        return Rollout(model, self._episodes.period, strain, scalars=scalars, title=title, scene=self._scene, **sampled)
 
 
 def collect(env: gym.Env[Any, Any], policy: Callable[[Any], ArrayLike], seed: int | None = None) -> Rollout:

@@ -33,8 +33,8 @@ EVERYBODY = 254  # id of all motors, which do not answer to it: one that is lost
 
 @dataclass(eq=False)
 class DynamixelRobot:
-    """One motor for each tendon, which takes its tension [N]. It senses tensions, from the currents, and the tendons' lengths, as if they
-    did not stretch, from its positions at the beginning, where they should be just taut; the tip's pose where that is given.
+    """Dynamixel motors, one for each tendon, which take tensions [N]. Currents give the measured tensions. Positions give the lengths of
+    the tendons, as if these did not stretch; at the beginning the tendons should be just taut. `tip_pose` gives the pose of the tip.
 
     Raises ValueError for bad arguments, OSError where the port cannot be opened, ConnectionError where a motor does not answer.
     """

@@ -43,14 +43,15 @@ STANDS_OUT = 33.0  # power of a mode over the median of all that is motion: one 
 class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
     """A robot in place of the simulated arm of an environment with one arm, made by `gym.make`.
 
-    `reset` brings the robot from slack tendons to the first command, the pretension, waits until it is at rest, and makes what it then
-    measures the zero of tendon lengths and strains. Commands stay within the environment's limits. A robot that is stopped, see safety.py,
-    truncates the episode, and `info["stopped"]` says why; `reset` begins again. `close` lets the tendons go and closes the robot.
+    `reset` brings the robot from slack tendons to the first command, the pretension, and waits until it is at rest. The measurement at rest
+    is the zero of tendon lengths and strains. Commands stay within the environment's limits. If the robot is stopped, see safety.py, the
+    episode is truncated, and `info["stopped"]` says why; `reset` begins again. `close` makes the tendons slack and closes the robot.
 
-    rate: greatest change of commands [N/s, or m/s]; None: any. settle: time [s] to the first command; 0 for a robot that rests there when
-    the first episode begins, with sensors that have zeros. rest_speed: greatest speed of the tip at rest, root mean square, in lengths of
-    the arm per second. patience: periods without a new reading, or behind the deadlines, after which the robot is stopped. log: new CSV
-    file of the periods, see log.py. Raises ConfigurationError where the robot does not fit the environment, TypeError, ValueError, OSError.
+    rate: largest rate of commands [N/s, or m/s]; None: unlimited. settle: time [s] to the first command; 0 for a robot that rests there
+    when the first episode begins, with sensors that have zeros. rest_speed: greatest speed of the tip at rest, root mean square, in
+    lengths of the arm per second. patience: periods without a new reading, or behind the deadlines, after which the robot is stopped. log:
+    new CSV file of the periods, see log.py. Raises ConfigurationError where the robot does not fit the environment, TypeError, ValueError,
+    OSError.
     """
 
     def __init__(
@@ -73,8 +74,9 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         settle = checked_number("settle", settle, 0.0, "a number of seconds, at least 0")
         still = checked_number("rest_speed", rest_speed, 1e-9, "a positive number of lengths per second") * episodes.model.length
         limits = np.stack([episodes.actuation.actions.least, episodes.actuation.actions.greatest], axis=1)
-        reach, sensors = np.inf if episodes.model.scene.effects.moving_base else episodes.model.length, episodes.sensors.size
-        self._safe = SafeRobot(robot, limits, sensors, reach, episodes.period, fastest, checked_count("patience", patience, 1))
+        scene, sensors = episodes.model.scene, episodes.sensors.size
+        place = scene.base.position, np.inf if scene.effects.moving_base else episodes.model.length
+        self._safe = SafeRobot(robot, limits, sensors, place, episodes.period, fastest, checked_count("patience", patience, 1))
         self._log = None if log is None else RobotLog(Path(log), robot.command_unit, self._safe.senses, len(limits), sensors)
         arm = MeasuredArm(episodes, self._safe, settle, still, self._log)
         self._last: Any = None

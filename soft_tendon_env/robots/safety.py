@@ -18,7 +18,7 @@ import numpy as np
 from soft_tendon_env.robots.protocol import Measurement, Robot, check_measurement
 from soft_tendon_env.tools.checks import checked_array
 from soft_tendon_env.tools.messages import UserError, first_line
-from soft_tendon_env.tools.types import Array
+from soft_tendon_env.tools.types import Array, Triple
 
 SPIN = 5e-4  # [s] before a deadline at which sleeping ends: the scheduler wakes a process late by less, where it is idle
 RAMP, RAMP_STEPS = 0.03, 6  # [s] in which tendons go slack, sudden enough to be safe and not a blow, and the commands on the way
@@ -101,11 +101,15 @@ class Stop:
 
 
 class SafeRobot:
-    """Robot behind limits (n_a, 2) of commands and a watchdog. length: of the arm [m], infinite where its base moves; rate: greatest change
-    of a command in a second; patience: periods without a new reading, or behind the deadlines, after which the arm is let go."""
+    """Robot behind limits (n_a, 2) of commands and a watchdog. arm: position (3,) of its base and its length [m], infinite where the base
+    moves; rate: greatest change of a command in a second; patience: periods without a new reading, or behind the deadlines, after which the
+    arm is let go."""
 
-    def __init__(self, robot: Robot, limits: Array, sensors: int, length: float, period: float, rate: float, patience: int) -> None:
-        self.robot, self._limits, self._sensors, self._reach, self.rate = robot, limits, sensors, STRETCH * length, rate
+    def __init__(
+        self, robot: Robot, limits: Array, sensors: int, arm: tuple[Triple, float], period: float, rate: float, patience: int
+    ) -> None:
+        self.robot, self._limits, self._sensors, self.rate = robot, limits, sensors, rate
+        self._base, self._reach = arm[0], STRETCH * arm[1]
         self.slack = np.zeros(len(limits)) if robot.command_unit == "N" else limits[:, 0].copy()  # no tension, or all that can be let out
         self.senses = tuple(name for name in robot.senses if sensors or not name.startswith("strain"))
         self.clock: Clock = getattr(robot, "clock", None) or Clock()
@@ -136,7 +140,7 @@ class SafeRobot:
         try:
             found = check_measurement(self._alone(self.robot.read, TRYING), self.senses, self.slack.size, self._sensors)
             if self._newest is None or found.time > self._newest.time:
-                if found.tip_pose is not None and (far := float(np.linalg.norm(found.tip_pose[:3, 3]))) > self._reach:
+                if found.tip_pose is not None and (far := float(np.linalg.norm(found.tip_pose[:3, 3] - self._base))) > self._reach:
                     text = f"the tip {far:.3g} m from the base, and the arm reaches {self._reach:.3g} m"
                     raise ValueError(f"measurement.tip_pose puts {text}: is it in m, in the scene's world frame?")
                 self._newest, self._fresh = found, self.clock.now()

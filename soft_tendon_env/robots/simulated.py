@@ -24,12 +24,12 @@ EARLY = 1e-9  # [s] by which a command may arrive before its time: clocks are su
 
 
 class SimulatedRobot:
-    """Simulated arm, at rest under the tensions nearest to zero until it is first read or commanded, and simulated up to the present
-    whenever it is. Every field of Measurement is sensed but tensions.
+    """Simulated arm as a robot. It rests under the tensions nearest to zero until the first call, and each call simulates it up to the
+    present. It measures every field of Measurement except tensions.
 
-    seed: of what is drawn, once, and of noise. real_time: whether time goes on by itself; else it stands still but while a loop waits.
-    options: of environments, those in OF_ARM, under which it differs from its drawing as an environment's arm does. Rate limits and lag
-    are those of the scene's [effects.actuators]. Raises ConfigurationError, ValueError, TypeError.
+    seed: of the arm, drawn once, and of noise. real_time: whether time passes by itself; else it passes only while a loop waits. options:
+    those of environments in OF_ARM, `randomize` for model errors among them. Rate limits and lag are those of the scene's
+    [effects.actuators]. Raises ConfigurationError, ValueError, TypeError.
     """
 
     senses = ("tip_pose", "tip_twist", "tendon_length", "strain", "strain_rate")

@@ -12,9 +12,10 @@ from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.scene.scene import Scene, scene_to_dict
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, shown
 
-TABLES = ("segments", "tendons", "effects")  # with the numbers of the arm; the others say how it is computed
+TABLES = ("segments", "tendons", "base", "effects")  # with the numbers of the arm; the others say how it is computed
 FIXED = {  # patterns of keys whose numbers are no parameters, and why
     r"segments\.\d+\.length|tendons\.\d+\.(start|end)": "it decides where the quadrature points lie; build a model for each value",
+    r"base\.quaternion\.\d": "its four numbers are one rotation: base.rotation, of three numbers [deg], turns the base on top of it",
     r"tendons\.\d+\.tension_limits\.\d": "it bounds the commands, and nothing changes with it in between",
 }
 KINDS = ("factor", "offset")  # of ranges, relative to the scene's number
@@ -64,9 +65,9 @@ def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...
     """Parameters of a scene by dotted keys, in which `*` stands for every entry, as `"segments.*.young_modulus"`, and
     `0,2` for those that it lists.
 
-    Any number of `[[segments]]`, `[[tendons]]` and `[effects]` can be one, but for lengths of segments and ends and limits of
-    tendons. An effect that does nothing unless it is told to, as a tip load, need not be in the scene. Raises ConfigurationError for keys
-    of anything else, with those that there are.
+    Any number of `[[segments]]`, `[[tendons]]`, `[base]` and `[effects]` can be one, but for lengths of segments, ends and limits of
+    tendons, and the quaternion. An effect that does nothing unless it is told to, as a tip load, need not be in the scene. Raises
+    ConfigurationError for keys of anything else, with those that there are.
     """
     entries = _entries(scene)
     return tuple(_parameter(name, entries) for name in names)
@@ -160,8 +161,9 @@ def _parameter(name: str, entries: Mapping[str, Any]) -> Parameter:
 
 def _refusal(name: str, entries: Mapping[str, Any]) -> str:
     """Reason why a name stands for no parameter, for a message."""
-    if name in entries:
-        return f"is no parameter: {_misfit(name, entries[name])}"
+    for key in (name, f"{name}.0".replace(".*", "")):
+        if key in entries and (misfit := _misfit(key, entries[key])):
+            return f"is no parameter: {misfit}"
     effect = name.removeprefix("effects.").partition(".")[0] if name.startswith("effects.") else ""
     if effect in EFFECTS and not any(f"{key}.".startswith(f"effects.{effect}.") for key in entries):
         return f"is no number yet: the scene has no [effects.{effect}]: add it"

@@ -3,6 +3,7 @@
 SI units throughout. Every class raises `ConfigurationError` for unknown keys, wrong types and wrong ranges.
 """
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Self
@@ -15,8 +16,8 @@ from pydantic_core.core_schema import ValidationInfo
 from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.scene.routing import Ends, Radius, RadiusProfile, Routing
 from soft_tendon_env.scene.strain import ExplicitStrain, StaticsBased
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, override
-from soft_tendon_env.tools.types import Array, Length, NotNegative, Positive, TimeStep, Triple
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, override, shown
+from soft_tendon_env.tools.types import Array, Length, NotNegative, Positive, Quaternion, TimeStep, Triple
 
 GREATEST_TENSION = 1e9  # [N], of limits
 
@@ -33,7 +34,35 @@ SAME_PLACE = 1e-9  # share of the rod's length: arc lengths closer than this are
 SHORTEST = 4 * SAME_PLACE  # share of the rod's length that a tendon covers at least
 MOST_INTERVALS = 512  # quadrature intervals per piece of the rod
 MOST_COLUMNS = 6  # of extrapolation: 16 evaluations a step
+FARTHEST_BASE = 1e3  # lengths of the rod, largest coordinate of the base: beyond it float32 rounds observed positions by more than 1e-4
 TIP_TOLERANCE = 2.5e-3  # share of the rod's length, displacement of the tip by quadrature that counts as small
+
+
+Angle = Annotated[float, Field(ge=-360, le=360)]
+
+
+class Base(Configuration):
+    """Pose of the arm's base in the world, by default at its origin; the straight rod runs along the base's x axis."""
+
+    position: Triple = (0.0, 0.0, 0.0)  # [m]
+    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)  # from the base's axes to the world's, (w, x, y, z)
+    rotation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)  # further turn about the world's axes, a rotation vector [deg]
+
+    @property
+    def pose(self) -> Array:
+        """Pose (4, 4) of the base: [[R, position], [0, 0, 0, 1]]."""
+        turn, angle = np.radians(self.rotation), math.radians(math.hypot(*self.rotation))
+        a, (b, c, d) = math.cos(0.5 * angle), 0.5 * np.sinc(0.5 * angle / np.pi) * turn
+        product = np.array([[a, -b, -c, -d], [b, a, -d, c], [c, d, a, -b], [d, -c, b, a]]) @ self.quaternion
+        w, x, y, z = (product / math.hypot(*product)).tolist()
+        pose = np.eye(4)
+        pose[:3, 3] = self.position
+        pose[:3, :3] = [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+        return pose
 
 
 class Segment(Configuration):
@@ -82,11 +111,11 @@ class Quadrature(Configuration):
 class Integrator(Configuration):
     """Time integration: linearly implicit Euler, extrapolated, with steps of `step` [s].
 
-    `columns` of extrapolation are its order (None: see `extrapolation_columns`), and k of them cost 1 + k (k - 1) / 2 evaluations. A step
-    that fails is halved up to `max_halvings` times.
+    The order is the number of `columns` of the extrapolation (None: see `extrapolation_columns`); k columns cost 1 + k (k - 1) / 2
+    evaluations. A step that fails is halved up to `max_halvings` times.
 
-    With a `tolerance` [m] the order follows the error, and then the step: each step of up to `step` takes 2 columns, or as many more, up
-    to `columns`, as bring its estimated error, as root mean square displacement of the rod, below the tolerance, or a shorter step.
+    With a `tolerance` [m] the order adapts, and then the step. Each step begins with 2 columns and adds one at a time, up to `columns`,
+    until its estimated error is below the tolerance: the root mean square displacement of the rod. If that fails, the step is shortened.
     """
 
     step: TimeStep = 0.02
@@ -110,6 +139,7 @@ class Scene(Configuration):
     description: str = ""
     segments: tuple[Segment, ...] = Field(min_length=1)
     tendons: tuple[Tendon, ...] = Field(min_length=1)
+    base: Base = Base()
     strain: Annotated[StaticsBased | ExplicitStrain, Field(discriminator="type")] = StaticsBased()
     quadrature: Quadrature = Quadrature()
     integrator: Integrator = Integrator()
@@ -218,6 +248,9 @@ def _misfits(scene: Scene) -> Iterator[Problem]:
             yield Problem(("tendons", i), text)
         elif misfit := tendon.routing.misfit((start, end)):
             yield Problem(("tendons", i, "routing"), misfit)
+    if (away := max(map(abs, scene.base.position))) > (most := FARTHEST_BASE * length):
+        text = f"is {shown(scene.base.position)}: coordinates should be within ±{most:g} m, {FARTHEST_BASE:g} lengths of the rod"
+        yield Problem(("base", "position"), f"{text}{'; is it in mm?' if away < 1e3 * most else ''}")
     if (scene.integrator.tolerance or least) < least:
         text = f"is {scene.integrator.tolerance:g}: it should be at least {least:g} m, {LEAST_TOLERANCE:g} of the rod's length"
         yield Problem(("integrator", "tolerance"), text)

@@ -13,6 +13,7 @@ DENSITIES, MODULI = {"g/cm^3": 1e3, "t/mm^3": 1e12}, {"kPa": 1e3, "MPa": 1e6, "G
 LENGTH, MODULUS, DENSITY = (1e-3, 20.0), (1e3, 1e12), (10.0, 25e3)
 """Ranges of rods [m], endoscopes to hoses; of Young's moduli [Pa], gels to diamond; of densities [kg/m^3], foams to osmium."""
 SLENDER, FAR_OFF = 0.03, 0.2  # shares of the rod's length: a usual radius or offset, and an offset outside of the rod that no arm has
+FAR_BASE = 100.0  # lengths of the rod from the world's origin at which no base is usually
 METAL, IN_MPA = 5e3, 5e5  # density [kg/m^3] of metals and rubbers full of them; modulus that metals have not in MPa, and such rubbers in Pa
 SOFT, STRAINED, STIFF_STRAINED = 1e7, 10.0, 2.0  # modulus [Pa] of rubbers; strains at the limits that these and stiffer ones cannot take
 CRUSHED, LEAST_BENT, PLACES = 30.0, 1.5e-3, 9
@@ -41,6 +42,8 @@ def _unlikely(scene: Scene) -> Iterator[str]:
     length, usual = rod_length(scene), Tendon.model_fields["tension_limits"].default
     if not LENGTH[0] <= length <= LENGTH[1]:
         yield f"the rod is {length:g} m long{_ask(length, 0.3, UNITS)}"
+    if (away := max(map(abs, scene.base.position))) > FAR_BASE * length:
+        yield f"base.position is up to {away:g} m from the origin of an arm of {length:g} m{_ask(away, length, UNITS)}"
     for i, segment in enumerate(scene.segments):
         E, density = segment.young_modulus, segment.density
         if not MODULUS[0] <= E <= MODULUS[1] or (density > METAL and E < IN_MPA):

@@ -4,6 +4,7 @@ Lengths with a unit, such as "1mm", are read and written here too.
 """
 
 import contextlib
+import math
 import re
 from typing import Annotated
 
@@ -38,6 +39,18 @@ Frequency = Annotated[float, Field(ge=0, le=FASTEST)]
 Turning = Annotated[float, Field(ge=-FASTEST, le=FASTEST)]
 Length = Annotated[float, Field(gt=0), _between(SHORTEST, LONGEST, " m")]
 Triple = tuple[Number, Number, Number]
+UNIT = 1e-3  # by which the length of a unit quaternion may be off: numbers with four digits have it
+
+
+def _is_unit(quaternion: tuple[float, ...]) -> tuple[float, ...]:
+    size = math.hypot(*quaternion)
+    if len(quaternion) != 4 or abs(size - 1.0) > UNIT:
+        what = f"length 1, not {size:.4g}" if len(quaternion) == 4 else f"four numbers, not {len(quaternion)}"
+        raise ValueError(f"should have {what}: (w, x, y, z) of a rotation within {UNIT:g}, (1, 0, 0, 0) for none")
+    return quaternion
+
+
+Quaternion = Annotated[tuple[Number, ...], AfterValidator(_is_unit)]  # its length is for its user to make 1
 
 
 def _is_direction(vector: Triple) -> Triple:

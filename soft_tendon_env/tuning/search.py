@@ -9,6 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,10 @@ from optuna.trial import Trial
 from pydantic import Field, model_validator
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.evaluation.conditions import SEEDS
+from soft_tendon_env.evaluation.conditions import NOMINAL, SEEDS, SETTINGS
+from soft_tendon_env.evaluation.experiment import believed_scene
 from soft_tendon_env.evaluation.play import evaluate_rows
-from soft_tendon_env.evaluation.settings import RegimeNames, TaskName, episode_steps
+from soft_tendon_env.evaluation.settings import RegimeNames, SettingNames, TaskName, episode_steps
 from soft_tendon_env.evaluation.summaries import tracking_cost
 from soft_tendon_env.learning.config import Training, find_config
 from soft_tendon_env.policies import load_policy
@@ -81,7 +83,7 @@ class Search(Configuration, ABC):
 
 
 class ControllerSearch(Search):
-    """Search for parameters of a controller: costs are means over information regimes.
+    """Search for parameters of a controller: its cost is the geometric mean over all settings in all information regimes.
 
     Parameters are the keyword arguments of its class, and those of control.kalman.Uncertainty with "estimator." before them.
     """
@@ -89,9 +91,10 @@ class ControllerSearch(Search):
     policy: str  # name of the controller, such as adaptive:predictive@fast
     task: TaskName = "TipPose"
     regimes: RegimeNames = ()  # what is observed, with noise; none: what the controller needs, exactly
+    settings: SettingNames = (NOMINAL,)  # of the benchmark, in which it is played; the model of the controller knows nothing of them
     seconds: Positive = 3.0  # length of an episode
     skip: NotNegative = 1.0  # [s] from which on errors count
-    options: EnvironmentOptions = Field(default={})  # of the environment; `randomize` says how arms differ from what is believed
+    options: EnvironmentOptions = Field(default={})  # of the environment; `randomize` says how arms differ from the controller's model
 
     @model_validator(mode="after")
     def _fits(self) -> "ControllerSearch":
@@ -107,13 +110,14 @@ class ControllerSearch(Search):
         return name.with_parameters({**name.parameters, **values})
 
     def cost(self, values: Mapping[str, Any], folder: Path, report: Report) -> float:
-        name, costs = self._controller(values), list[float]()
-        for regime in self.regimes or (None,):
+        name, costs, scene = self._controller(values), list[float](), self.options.get("scene", "paper")
+        make = partial(name.load, scene=believed_scene(name, scene if isinstance(scene, Mapping) else {"scene": scene}))
+        for setting, regime in product(self.settings, self.regimes or (None,)):
             noise = {"noise": dict(REGIMES[regime].noise)} if regime else {}
-            options = {**name.options(self.options, regime), "randomize": {**noise, **self.options.get("randomize", {})}}
-            costs.append(self.play(name.load, self.task, options, self.seconds, self.skip))
-            report(float(np.mean(costs)))
-        return float(np.mean(costs))
+            given = {**name.options(self.options, regime), "randomize": {**noise, **self.options.get("randomize", {})}}
+            costs.append(self.play(make, self.task, SETTINGS[setting].options(given), self.seconds, self.skip))
+            report(float(np.exp(np.mean(np.log(costs)))))
+        return float(np.exp(np.mean(np.log(costs))))
 
     def file(self, values: Mapping[str, Any]) -> dict[str, Any]:
         return {"policy": self.policy, "parameters": dict(self._controller(values).parameters)}

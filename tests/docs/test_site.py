@@ -21,7 +21,7 @@ CONFIG = SimpleNamespace(config_file_path=str(ROOT / "mkdocs.yml"))
 
 
 def page(uri):
-    return SimpleNamespace(file=SimpleNamespace(src_uri=uri, src_path=uri))
+    return SimpleNamespace(file=SimpleNamespace(src_uri=uri, src_path=uri), meta={})
 
 
 def test_equations_become_mathml():

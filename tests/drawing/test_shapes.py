@@ -43,17 +43,17 @@ def test_tendons_run_where_the_routing_says(model, random_state):
 
 
 def test_a_base_that_moves_takes_the_arm_along(build):
-    """And one that was drawn for an episode takes it elsewhere."""
+    """From where it is in the world; and one that was drawn for an episode takes it elsewhere."""
     motion = {"velocity": [0.1, 0.2, 0.3], "angular_velocity": 2.0, "axis": [1.0, 1.0, 0.0]}
-    model = build("three_tendon", {"quadrature.intervals": 4, "effects.moving_base": motion})
+    model = build("three_tendon", {"quadrature.intervals": 4, "effects.moving_base": motion, "base.position": [0.0, 0.0, 0.4]})
     simulation = Simulation(model)
     simulation.step([2.0, 0.0, 1.0], 0.3)
     base = base_poses(model, np.array([0.3]))
     (tip,) = backbones(model, simulation.state.strain[None], np.array([model.length]), base)[0]
     np.testing.assert_allclose(tip, simulation.tip_pose, atol=1e-9)
-    resting = model.scene.replace({"effects.moving_base.velocity": [0.0, 0.0, 0.0]}).effects
-    np.testing.assert_allclose(base_poses(model, np.array([0.3]), resting)[0, :3, 3], 0.0, atol=1e-15)
-    np.testing.assert_allclose(base[0, :3, 3], 0.3 * np.array(motion["velocity"]), atol=1e-15)
+    resting = model.scene.replace({"effects.moving_base.velocity": [0.0, 0.0, 0.0], "base.position": [1.0, 2.0, 3.0]})
+    np.testing.assert_allclose(base_poses(model, np.array([0.3]), resting)[0, :3, 3], [1.0, 2.0, 3.0], atol=1e-15)
+    np.testing.assert_allclose(base[0, :3, 3], [0.03, 0.06, 0.49], atol=1e-15)
 
 
 @pytest.mark.parametrize(("obstacle", "volume"), VOLUMES, ids=lambda value: value["type"] if isinstance(value, dict) else "")

@@ -221,3 +221,35 @@ def test_motions_under_loads_come_from_a_bank_whatever_was_drawn_before(same):
     assert len({key for key, _ in env.episodes._draws._bank}) == 2
     again = pickle.loads(pickle.dumps(env))
     assert same(again.reset()[0], env.reset()[0])
+
+
+PATH = ["time,x,y,z,qw,qx,qy,qz", "0.5,0.28,0,0.05,1,0,0,0", "1,0.25,0.1,0.05,0.8,0,0.6,0", "2,0.2,0.1,0,0,0.6,0,0.8"]
+
+
+def test_a_file_of_poses_is_followed_and_held_at_its_ends(tmp_path):
+    (tmp_path / "path.csv").write_text("\n".join(PATH))
+    env = TipPoseEnv(**SMALL, target={"type": "file", "path": str(tmp_path / "path.csv")})
+    course = course_of(env, 0)[0]
+    times = np.array([0.0, 0.5, 1.0, 2.0, 3.0])
+    found, between = course.sample(times), course.sample(np.array([0.6, 1.3, 1.9]))
+    np.testing.assert_allclose(found.tip_pose[[0, 1, 4], :3, 3], [[0.28, 0.0, 0.05], [0.28, 0.0, 0.05], [0.2, 0.1, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(found.tip_pose[2, :3, :3], [[0.28, 0, 0.96], [0, 1, 0], [-0.96, 0, 0.28]], atol=1e-12)
+    assert not found.tip_twist[[0, 4]].any()
+    beside = [course.sample(np.array([0.6, 1.3, 1.9]) + h).tip_pose for h in (-H, H)]
+    np.testing.assert_allclose(between.tip_twist, twist_by_differences(np.stack(beside, axis=1), H), atol=1e-6)
+
+
+@pytest.mark.cases(
+    "row, said",
+    [
+        ("1,250,100,50,1,0,0,0", "a pose at 250 m: it should lie within ±0.6 m"),
+        ("0.5,0,0,0,1,0,0,0", "times that grow"),
+        ("1,0,0,,1,0,0,0", "rows of numbers"),
+        ("1,0,0,0,1,1,0,0", "has a quaternion of length 1 ± 0.41 in row 2"),
+        (None, "has no column 'time'"),
+    ],
+)
+def test_files_without_poses_are_refused(tmp_path, row, said):
+    (tmp_path / "path.csv").write_text("\n".join([*PATH[:2], row] if row else PATH[1:]))
+    with pytest.raises(ConfigurationError, match=said.replace("(", r"\(")):
+        TipPoseEnv(**SMALL, target={"type": "file", "path": str(tmp_path / "path.csv")})

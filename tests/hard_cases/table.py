@@ -19,9 +19,10 @@ HEAD = """\
 
 {stamp}
 
-Inputs and arms that are known to break simulators of soft arms, and what was measured. Each is a test in `tests/hard_cases`, whose
-docstring says why the case is hard and what is expected. A test with several parameters has the least and the greatest number; at most
-{numbers} quantities are listed. `python tests/hard_cases/table.py` runs the tests and writes this page.
+Inputs and arms that are known to break simulators of soft arms, with measured errors. Each line is a test in `tests/hard_cases`. Its
+docstring says why the case is hard and what is expected. A test with several parameters has the smallest and the largest number. At most
+{numbers} quantities are listed; "holds" means that the test passes without a number. `python tests/hard_cases/table.py` runs the tests and
+writes this page.
 """
 NUMBERS = 3
 """Quantities of a case that are listed."""
@@ -90,7 +91,9 @@ def page(summaries: dict[str, str], stamp: str) -> str:
 def main() -> int:
     measurements = Measurements()
     status = pytest.main(["-q", str(HERE), f"--ignore={HERE / 'test_table.py'}"], plugins=[measurements])
-    TABLE.write_text(page({case: measurements.summary(case) for case in cases()}, stamp()), encoding="utf-8")
+    summaries = {case: measurements.summary(case) for case in cases()}
+    TABLE.write_text(page(summaries, stamp()), encoding="utf-8")
+    print(f"{len(summaries)} tests, written: {TABLE}")
     return int(status)
 
 

@@ -63,7 +63,9 @@ def record_of(folder, placed):
             q = simulate(model, tensions[:-1], period * (len(tensions) - 1), period, start).q
         else:
             q = [static_equilibrium(model, u).q for u in tensions]
-        positions = measured(measurement.positions(np.array([model.backbone_at(sample, placed.arc_lengths) for sample in q])), noise, seed)
+        poses = np.array([model.backbone_at(sample, placed.arc_lengths) for sample in q])
+        poses[..., :3, 3] -= scene.base.position
+        positions = measured(measurement.positions(poses), noise, seed)
         times = [[i * period if period else f"{name}{i}"] for i in range(len(q))]
         columns = [*(f"tension_{i}" for i in range(3)), *(f"{marker}_{axis}" for marker in MARKERS for axis in "xyz")]
         header = ["time" if period else "hold", *columns]

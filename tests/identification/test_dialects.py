@@ -4,7 +4,7 @@ change."""
 import numpy as np
 import pytest
 
-from soft_tendon_env.identification import Frame, Marker, MarkerSet
+from soft_tendon_env.identification import Marker, MarkerSet
 from soft_tendon_env.identification.recordings import clusters, read_recordings, split
 from soft_tendon_env.scene.file import load_scene
 
@@ -67,7 +67,7 @@ def test_columns_have_names_units_and_signs(tmp_path, columns, factors, header):
     markers = MarkerSet(markers=MARKERS.markers, columns=columns)
     found = read(tmp_path, table(header=header, numbers=NUMBERS * factors), markers)
     np.testing.assert_allclose([[*recording.command[0], *recording.positions[0, 0]] for recording in found], NUMBERS, rtol=1e-11)
-    again = markers.with_offsets(markers.offsets, Frame())
+    again = markers.with_offsets(markers.offsets)
     assert again.columns == markers.columns
 
 

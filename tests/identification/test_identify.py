@@ -9,7 +9,6 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.identification import MarkerSet, identify
@@ -39,7 +38,7 @@ def test_the_truth_is_within_the_intervals_and_held_out_data_are_met_as_well(fou
 
 
 def test_derivatives_are_those_of_smaller_differences(arm, holds, placed):
-    parameters = read_parameters([E, RHO, "mount", "markers.tip.offset", "commands.0.gain"], arm, placed)
+    parameters = read_parameters([E, RHO, "base", "markers.tip.offset", "commands.0.gain"], arm, placed)
     readings = Readings(Plants(arm, build_model(arm), placed, parameters), read_recordings([holds], arm, placed)[:3])
     x = np.full(len(parameters), 0.02)
     J = readings.jacobian(x)
@@ -144,18 +143,18 @@ def test_the_command_writes_a_scene_numbers_and_a_page(arm, holds, folder, tmp_p
 
 @pytest.mark.slow
 def test_files_of_an_estimate_lead_to_it_again_and_to_an_environment(arm, record, placed, truth, tensions, tmp_path):
-    R, shift = Rotation.from_rotvec([0.0, 0.0, 3.0], degrees=True).as_matrix(), np.array([0.004, 0.0, -0.003])
-    turned = record("turned", {**truth, "effects.gravity.acceleration": (R.T @ [9.81, 0.0, 0.0]).tolist()}, tensions)
-    world = MarkerSet(markers=placed.markers, frame=placed.frame.to_base(R.T, -R.T @ shift))
-    found = identify(arm, turned, world, [E, RHO, "segments.*.damping", "mount"], fidelity="scene", held_out=0)
-    assert found.errors[0] < 5e-4 and np.abs(found.value[3:6] - [0.0, 0.0, 3.0]).max() < 0.5
-    assert np.abs(found.value[6:] - shift).max() < 1e-3
+    base = {"rotation": [0.0, 0.0, 3.0], "position": [0.004, 0.0, -0.003]}
+    turned = record("turned", {**truth, "base": base}, tensions)
+    found = identify(arm, turned, placed, [E, RHO, "segments.*.damping", "base"], fidelity="scene", held_out=0)
+    assert found.errors[0] < 5e-4 and np.abs(np.subtract(found.scene.base.rotation, base["rotation"])).max() < 0.5
+    assert np.abs(np.subtract(found.scene.base.position, base["position"])).max() < 1e-3 and found.markers.frame == placed.frame
     save_estimate(found, tmp_path)
     scene = load_scene(tmp_path / "scene.toml")
     again = identify(scene, turned, tmp_path / "markers.toml", [E], fidelity="scene", held_out=0)
     assert again.before[0] == pytest.approx(found.errors[0], rel=1e-6)
     table = json.loads((tmp_path / "estimate.json").read_text())["randomize"]
-    assert table.keys() == {E, RHO} and table[E][0] < found.value[0] < table[E][1]
+    drawn = {f"base.{name}.{axis}" for name in base for axis in range(3)}
+    assert table.keys() == {E, RHO, *drawn} and table[E][0] < found.value[0] < table[E][1]
     gym.make("TendonRod-Reach-v0", scene=scene, fidelity="fast", randomize=table).reset(seed=0)
 
 

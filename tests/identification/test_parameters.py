@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from soft_tendon_env.effects import Effect, register_effect
 from soft_tendon_env.identification.fit import Intervals
 from soft_tendon_env.identification.identify import randomize
 from soft_tendon_env.identification.markers import Marker, MarkerSet
@@ -47,6 +46,7 @@ def test_bounds_stop_where_the_scene_does(arm, placed):
         ("segments.*.density=5..1", "should be KEY or KEY=LOW..HIGH with LOW < HIGH"),
         ("segments.*.density=1..2", "bounds should be of one sign around its number"),
         ("effects.gravity.acceleration.1", "zero has no usual range, give effects.gravity.acceleration.1=LOW..HIGH"),
+        ("base.quaternion.1", "none of the measurement: did you mean 'base.rotation.1'?"),
     ],
 )
 def test_bad_parameters_are_told(arm, placed, asked, message):
@@ -55,38 +55,31 @@ def test_bad_parameters_are_told(arm, placed, asked, message):
     assert message in str(raised.value)
 
 
-def test_a_mount_that_turns_turns_gravity_against_the_arm_and_its_markers_with_it(arm, placed):
-    parameters = read_parameters(["mount", "commands.*.gain", "commands.delay"], arm, placed)
+def test_a_base_that_is_elsewhere_takes_the_markers_along(arm, placed):
+    parameters = read_parameters(["base", "commands.*.gain", "commands.delay"], arm, placed)
     plants = Plants(arm, build_model(arm), placed, parameters)
     x = np.zeros(len(parameters))
     x[:6] = [0.0, 0.0, 2.0, parameters[3].coordinate(5e-3), 0.0, 0.0]  # 6 degrees about z, 5 mm along x
     x[6], x[-1] = np.log(1.1), 0.0
-    measurement, R = plants.measurement(x), Rotation.from_rotvec([0.0, 0.0, 6.0], degrees=True).as_matrix()
-    assert np.allclose(R @ plants.scene_at(x, arm).effects.gravity.acceleration, [9.81, 0.0, 0.0])
-    straight = plants.model.with_scene(plants.scene_at(x, arm)).backbone_at(np.zeros(plants.model.coordinate_count), placed.arc_lengths)
-    inside = straight[:, :3, 3] + placed.offsets
+    measurement, scene, R = plants.measurement(x), plants.scene_at(x, arm), Rotation.from_rotvec([0.0, 0.0, 6.0], degrees=True).as_matrix()
+    straight = plants.model.with_scene(scene).backbone_at(np.zeros(plants.model.coordinate_count), placed.arc_lengths)
+    straight[:, :3, 3] -= scene.base.position
+    inside = placed.arc_lengths[:, None] * [1.0, 0.0, 0.0] + placed.offsets
     assert np.allclose(measurement.positions(straight), inside @ R.T + [5e-3, 0.0, 0.0])
     assert np.allclose(measurement.gain, [1.1, 1.0, 1.0])
 
 
-def test_vectors_of_effects_of_a_users_own_turn_with_the_mount_if_their_class_names_them(forgotten, arm, placed):
-    @register_effect("magnet")
-    class Magnet(Effect):
-        field: tuple[float, float, float]
-
-    scene, model = arm.replace({"effects.magnet.field": [0.0, 0.0, 1.0]}), build_model(arm)
-    parameters = read_parameters(["mount.rotation"], scene, placed)
-    with pytest.raises(ValueError, match="mount.rotation cannot be estimated with effects.magnet, .*: its class names no world_vectors"):
-        Plants(scene, model, placed, parameters)
-    Magnet.world_vectors = ("field",)
-    turned = Plants(scene, model, placed, parameters).scene_at(np.array([10.0, 0.0, 0.0]), scene)
-    assert np.allclose(turned.effects.magnet.field, [0.0, 0.5, np.sqrt(0.75)]), "by 30 degrees about x, against the arm"
+@pytest.mark.cases("changes, moves", [({}, False), ({"effects.contact.obstacles": [{"type": "plane", "position": [0, 0, -0.1]}]}, True)])
+def test_the_place_of_the_base_changes_what_an_arm_does_among_obstacles_alone(arm, placed, changes, moves):
+    scene = arm.replace(changes)
+    plants = Plants(scene, build_model(arm), placed, read_parameters(["base.position", "base.rotation", "markers.tip"], scene, placed))
+    assert plants.moves_arm == [moves] * 3 + [True] * 3 + [False] * 3
 
 
 def test_priors_are_shares_of_the_arms_length_and_of_its_actuators_ranges():
     elastic = {"effects.tendon_elasticity": {"stiffness": 3e3, "displacement_limits": [-0.01, 0.03]}}
     placed = MarkerSet(markers={"tip": Marker(arc_length=0.2)})
-    for changes, key, prior in ((elastic, "commands.1.offset", 2e-3), ({}, "commands.1.offset", 0.25), ({}, "mount.shift.2", 3.75e-3)):
+    for changes, key, prior in ((elastic, "commands.1.offset", 2e-3), ({}, "commands.1.offset", 0.25), ({}, "base.position.2", 3.75e-3)):
         (parameter,) = read_parameters([key], load_scene("three_tendon").replace(changes), placed)
         assert parameter.prior == pytest.approx(prior) and parameter.high - parameter.value == pytest.approx(5.0 * prior)
 

@@ -121,11 +121,11 @@ def test_a_recording_shows_a_moving_base_and_the_obstacles_of_each_episode(path,
     changes = {"effects.contact.obstacles": [BALL], "effects.moving_base.velocity": [0.0, 0.5, 0.0]}
     model = build("three_tendon", {"quadrature.intervals": 4, **changes})
     strain = np.tile(model.grid.unpacked(model.arm.rod.reference_strain), (3, 1, 1))
-    larger = model.scene.replace({"effects.contact.obstacles.0.radius": 0.05}).effects
+    larger = model.scene.replace({"effects.contact.obstacles.0.radius": 0.05})
     tip = np.tile(np.eye(4), (3, 1, 1))
     with RerunFile(path) as file:
-        for effects in (None, None, larger):
-            file.write(Rollout(model, 0.1, strain, np.zeros((3, 3)), tip, effects=effects))
+        for scene in (None, None, larger):
+            file.write(Rollout(model, 0.1, strain, np.zeros((3, 3)), tip, scene=scene))
     read, moved = Read(path), np.tile([[0.0, 0.0, 0.0], [0.0, 0.05, 0.0], [0.0, 0.1, 0.0]], (3, 1))
     np.testing.assert_allclose(np.squeeze(read.array("/world/arm/mount", "Transform3D:translation")), moved, atol=1e-6)
     first = np.array([lines[0][0] for lines in read["/world/arm/backbone", "LineStrips3D:strips"]])

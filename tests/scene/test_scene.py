@@ -43,8 +43,15 @@ REFUSED = [
         {"strain.strains": ["bend_y"], "strain.passive": [{"strains": ["stretch"], "order": 0, "span": "rod"}]},
         "should name strains that the rod has, bend_y; not stretch",
     ),
-    ({"quadratur.intervals": 6}, "quadratur is an unknown key (given {'intervals': 6}): did you mean 'quadrature'? valid: description"),
+    (
+        {"quadratur.intervals": 6},
+        "quadratur is an unknown key (given {'intervals': 6}): did you mean 'quadrature'? valid: base, description",
+    ),
     ({"integrator": {"columns": 1, "tolerance": 1e-4}}, "integrator.tolerance is 0.0001: it needs the error estimate of at least 2"),
+    ({"base.quaternion": [0.0, 0.0, 0.0, 0.0]}, "base.quaternion is [0.0, 0.0, 0.0, 0.0]: it should have length 1, not 0: (w, x, y, z)"),
+    ({"base.quaternion": [1.0, 0.0, 0.0]}, "base.quaternion is [1.0, 0.0, 0.0]: it should have four numbers, not 3: (w, x, y, z)"),
+    ({"base.quaternion": [1.0, 0.0, 0.0, float("nan")]}, "base.quaternion[3] is nan: it should be a finite number"),
+    ({"base.position": [0.0, 0.0, 800.0]}, "coordinates should be within ±500 m, 1000 lengths of the rod; is it in mm?"),
     ({"segments.2.length": 1.0}, "segments.2.length cannot be set: '2' is no position in segments; valid: 0 to 1"),
 ]
 

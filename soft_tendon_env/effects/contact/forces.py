@@ -68,7 +68,7 @@ class Contact(Effect):
         if any(obstacle.moves for obstacle in self.obstacles):
             raise ValueError("contact with obstacles that move has no potential energy")
         pose = node_field(np.concatenate([arm.pose[:, :3, :3].reshape(-1, 9), arm.pose[:, :3, 3]], axis=1))
-        base, parameters = np.concatenate([np.eye(3).ravel(), np.zeros(15)]), self.parameters(arm.rod)
+        base, parameters = np.append(arm.base, np.zeros(12)), self.parameters(arm.rod)
         nodes, gap = nodes_with(pose, np.zeros(pose.size // 2), base, 0.0), np.empty((len(self.obstacles), len(parameters.samples)))
         return float(read_contacts(parameters, nodes, gap, np.empty((gap.shape[1], 3)), np.empty((*gap.shape, 3))))
 

@@ -13,7 +13,7 @@ from soft_tendon_env.effects.base import Array, Discretisation
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import cross, plus, rotate, times
 from soft_tendon_env.mechanics.effects import BeforeStep, ContactFlags, Nodes
-from soft_tendon_env.mechanics.terms.kinematics import pose_at, twist_at
+from soft_tendon_env.mechanics.terms.kinematics import pose_at, pose_of_base, twist_at
 from soft_tendon_env.tools.types import Triple
 
 MOST_SAMPLES = 10_000
@@ -24,10 +24,7 @@ WALL_SPEED, WALL_MASS = 30.0, 8.0  # [m/s] of so many times the mass of its shar
 @kernel(inline=True)
 def pose_of(nodes, node):
     """Pose (R, r) of a node; node -1 is the base."""
-    if node < 0:
-        base = nodes.base
-        return (base[0], base[1], base[2], base[3], base[4], base[5], base[6], base[7], base[8]), (base[9], base[10], base[11])
-    return pose_at(nodes.pose, node)
+    return pose_of_base(nodes.base) if node < 0 else pose_at(nodes.pose, node)
 
 
 @kernel(inline=True)

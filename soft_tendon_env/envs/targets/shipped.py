@@ -1,10 +1,12 @@
-"""The targets that ship: poses or shapes to hold, one or several, a circle and a ramp of tensions as in the paper's Section IV, and smooth
-random motions."""
+"""The targets that ship: poses or shapes to hold, one or several, a circle and a ramp of tensions as in the paper's Section IV, smooth
+random motions, and paths from a file."""
 
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, RotationSpline
 
 from soft_tendon_env.envs.targets import (
     FARTHEST,
@@ -21,10 +23,14 @@ from soft_tendon_env.envs.targets import (
     register_target,
 )
 from soft_tendon_env.envs.targets.statics import Tensions, shape_course
+from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.types import Array, Positive
 
 MOST_KNOTS = 10_000  # points that a random motion can be drawn with
+COLUMNS = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")  # of a file of poses
+ROUNDED = 1e-3  # by which the length of a quaternion in a file may be off
+FARTHEST_POSE = 2.0  # largest coordinate of a file's poses, in lengths of the rod: more is not in metres
 
 
 @register_target
@@ -57,7 +63,7 @@ class Hold(GivenShapes):
 
     @property
     def given(self) -> Array | None:
-        """The given pose (4, 4), of a position alone with the base's axes; None where it is made of tensions."""
+        """The given pose (4, 4), of a position alone with the world's axes; None where it is made of tensions."""
         if self.position is None:
             return None if self.pose is None else np.array(self.pose)
         pose = np.eye(4)
@@ -99,7 +105,9 @@ class OutOfReach(DrawnShapes):
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         pose = setting.model.tip_pose(shape_course(self, generator, setting).coordinates(np.zeros(1))[0][0])
-        pose[:3, 3] *= self.beyond * setting.model.length / np.linalg.norm(pose[:3, 3])
+        base = np.array(setting.model.scene.base.position)
+        away = pose[:3, 3] - base
+        pose[:3, 3] = base + away * (self.beyond * setting.model.length / np.linalg.norm(away))
         return FixedPose(pose)
 
 
@@ -130,10 +138,10 @@ class Stepped(ShapeCourse):
 
 @register_target
 class Circle(Target):
-    """The tip runs along a circle parallel to the y-z plane, its x axis leaning outward: the task of the paper's Section IV-B.
+    """The tip runs along a circle across the base's x axis, its own x axis leaning outward: the task of the paper's Section IV-B.
 
-    `radius` [m], by default a quarter of the rod's length; `centre` [m], by default 0.95 of it away along x; `tilt` [degrees]; `period` [s]
-    of one turn, which the paper does not give.
+    `radius` [m], by default a quarter of the rod's length; `centre` [m] in the world, by default 0.95 of it away along the base's x axis;
+    `tilt` [degrees]; `period` [s] of one turn, which the paper does not give.
     """
 
     type: Literal["circle"] = "circle"
@@ -143,17 +151,19 @@ class Circle(Target):
     period: Positive = 4.0
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        return CircleCourse(self, setting.arms.model.length)
+        return CircleCourse(self, setting.arms.model.length, setting.model.scene.base.pose)
 
 
 class CircleCourse(PoseCourse):
     """The circle; its body twist follows from R(a) = Rx(a) R(0) Rx(-a), with a the angle and Rx turns about x."""
 
-    def __init__(self, circle: Circle, length: float = 1.0) -> None:
-        """length: [m] of the rod, by default of the paper's."""
+    def __init__(self, circle: Circle, length: float = 1.0, base: Array | None = None) -> None:
+        """length: [m] of the rod, by default of the paper's; base: its pose (4, 4), by default the world's origin."""
         self.circle = circle
+        base = np.eye(4) if base is None else base
+        self._axes = base[:3, :3]
         self.radius = 0.25 * length if circle.radius is None else circle.radius
-        self.centre = np.array((0.95 * length, 0.0, 0.0) if circle.centre is None else circle.centre)
+        self.centre = base[:3, 3] + 0.95 * length * base[:3, 0] if circle.centre is None else np.array(circle.centre)
 
     def sample(self, times: Array) -> TargetSamples:
         rate = 2.0 * np.pi / self.circle.period
@@ -165,10 +175,64 @@ class CircleCourse(PoseCourse):
         pose[:, :3, 0] = np.cos(lean) * ahead + np.sin(lean) * outward
         pose[:, :3, 1] = c[:, None] * radial - s[:, None] * across  # no roll: the axes of the base, carried by the shortest turn
         pose[:, :3, 2] = s[:, None] * radial + c[:, None] * across
-        pose[:, :3, 3] = self.centre + self.radius * outward
         angular = rate * (pose[:, 0, :3] - ahead)
         linear = (pose[:, :3, :3] * (rate * self.radius * across)[:, :, None]).sum(axis=1)
+        pose[:, :3, :3] = self._axes @ pose[:, :3, :3]
+        pose[:, :3, 3] = self.centre + self.radius * outward @ self._axes.T
         return pose_samples(pose, np.concatenate([angular, linear], axis=1))
+
+
+@register_target
+class File(Target):
+    """The tip follows poses of a CSV file, joined by cubic splines, the first held before and the last after them. `path`: a file with the
+    columns time [s], x, y, z [m], qw, qx, qy, qz in the world frame; Reach ignores the orientation."""
+
+    type: Literal["file"] = "file"
+    path: str
+
+    @field_validator("path")
+    @classmethod
+    def _has_poses(cls, path: str) -> str:
+        FileCourse(path)
+        return path
+
+    def check(self, scene: Scene) -> None:
+        course, bound = FileCourse(self.path), FARTHEST_POSE * rod_length(scene)
+        farthest = np.abs(course.place(course.times)).max()
+        if farthest > bound:
+            allowed = f"within ±{bound:g} m, {FARTHEST_POSE:g} lengths of the rod"
+            raise ConfigurationError([Problem(("target", "path"), f"has a pose at {farthest:g} m: it should lie {allowed}")], "environment")
+
+    def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
+        return FileCourse(self.path)
+
+
+class FileCourse(PoseCourse):
+    """Poses of a file as splines of time. Raises OSError, and ValueError for a table without poses or times that grow."""
+
+    def __init__(self, path: str) -> None:
+        try:
+            table = np.genfromtxt(path, delimiter=",", names=True, ndmin=1, encoding="utf-8-sig")
+        except ValueError as error:
+            raise ValueError(f"should be a table with commas between the columns {', '.join(COLUMNS)}") from error
+        if missing := [name for name in COLUMNS if name not in (table.dtype.names or ())]:
+            raise ValueError(f"has no column {missing[0]!r}: it should have {', '.join(COLUMNS)}")
+        rows = np.stack([table[name] for name in COLUMNS], axis=1)
+        if len(rows) < 2 or not np.isfinite(rows).all() or np.diff(rows[:, 0]).min() <= 0.0:
+            raise ValueError("should have at least two rows of numbers, with times that grow")
+        if (off := np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1.0)).max() > ROUNDED:
+            raise ValueError(f"has a quaternion of length 1 ± {off.max():.2g} in row {off.argmax() + 1}: it should be 1 ± {ROUNDED:g}")
+        self.times = rows[:, 0]
+        self.place = CubicSpline(self.times, rows[:, 1:4], bc_type="clamped")
+        self._turn = RotationSpline(self.times, Rotation.from_quat(rows[:, 4:], scalar_first=True))
+
+    def sample(self, times: Array) -> TargetSamples:
+        held = np.clip(times, self.times[0], self.times[-1])
+        R = self._turn(held).as_matrix()
+        pose = np.tile(np.eye(4), (times.size, 1, 1))
+        pose[:, :3, :3], pose[:, :3, 3] = R, self.place(held)
+        linear = (R * self.place(held, 1)[:, :, None]).sum(axis=1)
+        return pose_samples(pose, (held == times)[:, None] * np.concatenate([self._turn(held, 1), linear], axis=1))
 
 
 @register_target

@@ -187,7 +187,7 @@ def are_firm(arm, q, members, work, firm):
 
 @kernel
 def read_backbones(arm, places, xi, work, out):
-    """Poses out (samples, stations, 4, 4) of strain fields xi (samples, points x 6); out holds identities to begin with."""
+    """Poses out (samples, stations, 4, 4) of strain fields xi (samples, points x 6) from work.base; out holds identities to begin with."""
     for i in range(xi.shape[0]):
         copy(xi[i], work.xi)
         poses(arm.rod, work)

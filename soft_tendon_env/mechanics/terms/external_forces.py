@@ -39,8 +39,9 @@ def points_of(arm, work, i):
 
 @phase
 def place_base(arm, work):
-    """Pose, twist and acceleration of the base at the time of work.clock, as effects move it."""
+    """Pose, twist and acceleration of the base at the time of work.clock: the scene's, as effects move it."""
     effects, base = arm.effects, work.base
+    copy(arm.base, base[:12])
     for i in range(effects.count):
         if effects.base[i] != 0:
             call(effects.base[i], effects.parameters[i], (Base(work.clock[0], base[:12], base[12:18], base[18:24]),))

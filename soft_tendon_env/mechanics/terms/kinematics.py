@@ -99,11 +99,16 @@ def _scatter(field, at, R, r):
         field[at + (9 + i) * LANES] = r[i]
 
 
+@kernel(inline=True)
+def pose_of_base(b):
+    """Pose (R, r) of the base as numbers, of 12 and more in a row."""
+    return (b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7], b[8]), (b[9], b[10], b[11])
+
+
 @kernel
 def chain(packs, work):
     """Products of the interval poses, one after the other from the base."""
-    b = work.base
-    R, r = (b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7], b[8]), (b[9], b[10], b[11])
+    R, r = pose_of_base(work.base)
     for pack in range(packs):
         for i in range(LANES):
             at = pack * 12 * LANES + i

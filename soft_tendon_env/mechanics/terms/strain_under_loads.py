@@ -97,6 +97,7 @@ def solve_loaded(arm, strain, q, part, tolerance, contraction, work):
     """Newton iteration for the strain under `part` of the loads, from the guess in work.xi; leaves xi, tangents and factors. It stays on
     its branch, see CONTRACTION, whatever `contraction` is. Returns -1, or the block that stopped it, see linearise_loaded()."""
     rod, memory, xi = arm.rod, work.under_loads, work.xi
+    copy(arm.base, work.base[:12])  # which no effect moves, and another arm may have left
     for block in range(2 * rod.packs):
         at = block * 6 * LANES
         strained = twist_sum(load6(xi, at), scale_twist(-1.0, load6(rod.reference_strain, at)))
