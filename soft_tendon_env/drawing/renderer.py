@@ -24,10 +24,11 @@ from soft_tendon_env.drawing.shapes import (
     viewpoint,
 )
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import Scene, rod_length, rod_radius, tendon_ends
+from soft_tendon_env.scene.scene import Scene, Segment, along_rod, disc_rows, rod_length, rod_radius, tendon_ends
 from soft_tendon_env.tools.types import Array
 
-SECTIONS, AROUND = 40, 32  # sections along the rod (more where it has many borders), and corners around each
+SECTIONS, AROUND = 40, 32  # sections along the rod (more where it has many borders), and corners around each: eighths for rectangles
+CIRCLE = np.stack([np.cos(angle := 2.0 * np.pi / AROUND * np.arange(AROUND)), np.sin(angle)])
 
 TUBE, MOUNT, TRAIL, OBSTACLE = np.array([[0.62, 0.71, 0.82], [0.40, 0.42, 0.46], [0.42, 0.24, 0.66], [0.80, 0.72, 0.58]])
 PAPER, FLOOR, TEXT, TARGET = (1.0, 1.0, 1.0), (0.86, 0.87, 0.89), (0.30, 0.30, 0.33), (0.05, 0.58, 0.30)
@@ -72,6 +73,8 @@ class ArmRenderer:
         scene = model.scene
         self._model, self._arc_length = model, drawing_stations(model, SECTIONS + 1)
         self._radius, _ = rod_radius(scene, self._arc_length)
+        self._outline = along_rod(scene, self._arc_length, outline).T.reshape(-1, *CIRCLE.shape)
+        self._discs = disc_rows(scene)
         ends = [tendon_ends(scene, tendon) for tendon in scene.tendons]
         self._inside = [(self._arc_length >= start) & (self._arc_length <= end) for start, end in ends]
         self._box, self.turn = view_box(scene)[:2], viewpoint(*view_box(scene)[2:])
@@ -87,7 +90,8 @@ class ArmRenderer:
         """The picture (height, width, 3), red, green, blue."""
         base = base_poses(self._model, np.array([picture.time]), picture.scene)
         backbone = backbones(self._model, picture.strain[None], self._arc_length, base)
-        pieces = [*self._arm(backbone[0], base[0]), *self._tendons(backbone, picture.tension), *trail(picture.trail, self.turn)]
+        discs = backbones(self._model, picture.strain[None], self._discs[:, 0], base)[0]
+        pieces = [*self._arm(backbone[0], base[0], discs), *self._tendons(backbone, picture.tension), *trail(picture.trail, self.turn)]
         obstacles = obstacles_of((picture.scene or self._model.scene).effects)
         pieces += [solid(surface(obstacle, picture.time, self._box), OBSTACLE, self.turn) for obstacle in obstacles]
         self._show(pieces, picture)
@@ -112,14 +116,14 @@ class ArmRenderer:
         pose.set_segments([*ends, *ends])
         title.set_text(picture.title)
 
-    def _arm(self, backbone: Array, base: Array) -> list[Pieces]:
-        """Mount and tube, both closed by rings without radius; backbone (m, 4, 4), base (4, 4)."""
-        rod = tube(np.concatenate([backbone, backbone[-1:]]), np.append(self._radius, 0.0))
-        ends = np.tile(np.eye(4), (4, 1, 1))
+    def _arm(self, backbone: Array, base: Array, discs: Array) -> list[Pieces]:
+        """Mount, rod and spacer discs, closed by rings without radius; backbone (m, 4, 4), base (4, 4), poses of discs (d, 4, 4)."""
+        rod = tube(np.concatenate([backbone, backbone[-1:]]), np.append(self._outline, np.zeros((1, *CIRCLE.shape)), axis=0))
         depth, radius = mount_size(self._model.scene)
-        ends[:2, 0, 3] = -depth
-        mount = tube(base @ ends, np.array([0.0, 1.0, 1.0, 0.0]) * radius)
-        return [solid(mount, MOUNT, self.turn), solid(rod, TUBE, self.turn)]
+        mount = cylinder(base, -depth, 0.0, radius)
+        sizes = self._discs[:, 2:].tolist()
+        spacers = [cylinder(pose, -0.5 * thick, 0.5 * thick, wide) for pose, (wide, thick) in zip(discs, sizes, strict=True)]
+        return [solid(mount, MOUNT, self.turn), solid(rod, TUBE, self.turn), *(solid(disc, TUBE, self.turn) for disc in spacers)]
 
     def _tendons(self, backbone: Array, tension: Array) -> list[Pieces]:
         """Lines coloured by tension (n_a,), all on the near surface of the tube; those of the far side are faded."""
@@ -154,11 +158,22 @@ def moving_artists(figure: Any, axes: Any) -> list[Any]:
     return [*artists, title]
 
 
-def tube(poses: Array, radius: Array) -> Array:
-    """Quadrilaterals ((m - 1) * AROUND, 4, 3), seen counterclockwise from outside, around poses (m, 4, 4) with radius (m,) [m]."""
-    angle = 2.0 * np.pi / AROUND * np.arange(AROUND)
-    circle = np.stack([np.cos(angle), np.sin(angle)])
-    rings = poses[:, None, :3, 3] + radius[:, None, None] * (poses[:, :3, 1:3] @ circle).swapaxes(1, 2)
+def outline(segment: Segment, places: Array) -> Array:
+    """Corners y, z [m] around the sections at arc lengths (m,) [m] of a segment: (2 * AROUND, m)."""
+    half = 0.5 * segment.shape.hull(places, segment.length)[:2]
+    return (half[:, None] * segment.shape.outline(CIRCLE)[..., None]).reshape(CIRCLE.size, -1)
+
+
+def cylinder(pose: Array, start: float, end: float, radius: float) -> Array:
+    """Quadrilaterals (3 * AROUND, 4, 3) of a cylinder with its ends, about the x axis of a pose (4, 4) from start to end [m]."""
+    ends = np.tile(np.eye(4), (4, 1, 1))
+    ends[:, 0, 3] = start, start, end, end
+    return tube(pose @ ends, radius * np.array([0.0, 1.0, 1.0, 0.0])[:, None, None] * CIRCLE)
+
+
+def tube(poses: Array, outline: Array) -> Array:
+    """Quadrilaterals ((m - 1) * AROUND, 4, 3), seen counterclockwise from outside, on outlines (m, 2, AROUND) [m] at poses (m, 4, 4)."""
+    rings = poses[:, None, :3, 3] + (poses[:, :3, 1:3] @ outline).swapaxes(1, 2)
     turned = np.roll(rings, -1, axis=1)
     return np.stack([rings[:-1], turned[:-1], turned[1:], rings[1:]], axis=2).reshape(-1, 4, 3)
 

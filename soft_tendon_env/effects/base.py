@@ -31,7 +31,9 @@ class Discretisation:
     borders: Array  # arc lengths [m] of base, tip and ends of tendons and segments, between which all fields are smooth
     node: Array  # (nodes,) arc lengths [m]
     point: Array  # (nodes, 2) arc lengths [m]
-    radius: Callable[[Array], Array]  # [m] of the rod at arc lengths (m,) [m], (m,)
+    radius: Callable[[Array], Array]  # [m] of the circle around the rod at arc lengths (m,) [m], (m,)
+    hull: Callable[[Array], Array]  # widths along y and z [m], perimeter [m] and area [m^2] of the rod's outline there, (4, m)
+    discs: Array  # (d, 4) arc length [m], mass [kg], radius and thickness [m] of the spacer discs
     elasticity: Callable[[Array], Array]  # screw elasticity diag(Sigma) [N m^2, N] of the section there, (m, 6)
     line_mass: Callable[[Array], Array]  # mass per length [kg/m] there, (m,)
     over_nodes: Callable[[Callable[[Array], Array]], Array]  # integral of a line density, (m,) to (m, k), over each slice, (nodes, k)

@@ -8,6 +8,7 @@ import math
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from soft_tendon_env.compiler.compilation import kernel
@@ -164,21 +165,24 @@ class Disturbance(Effect):
                 problem = Problem(("effects", "disturbance", "loads", i, "at"), f"is {push.at:g} m: the rod has {rod.length:g} m")
                 raise ConfigurationError([problem])
         rows = [[*(push.signal.numbers if push.signal else ALWAYS), *push.moment, *push.force] for push in self.loads]
-        return DisturbanceParameters(np.array(rows), np.array([node_field(weights(rod, push.at)[:, None]) for push in self.loads]))
+        shares = weights(rod, [push.at for push in self.loads])
+        return DisturbanceParameters(np.array(rows), np.array([node_field(share[:, None]) for share in shares]))
 
 
-def weights(rod: Discretisation, at: float) -> Array:
-    """Weights (nodes,) with which values at the nodes, 0 at the base, add up to that at an arc length [m]: exact for functions that are
-    cubic between the borders, where there are four nodes."""
-    places, found, same = np.append(0.0, rod.node), np.zeros(rod.node.size + 1), SAME * rod.length
-    border = min(int(np.searchsorted(rod.borders, at + same, side="right")), rod.borders.size - 1)
-    inside = np.flatnonzero((places > rod.borders[border - 1] - same) & (places < rod.borders[border] + same))
-    piece = inside[np.append(True, np.diff(places[inside]) > same)]  # without the empty intervals at the tip
-    nearest = piece[np.argsort(np.abs(places[piece] - at), kind="stable")[:4]]
-    away = (places[nearest] - min(at, places[piece[-1]])) / (places[piece[1]] - places[piece[0]])
-    powers = np.arange(nearest.size)
-    found[nearest] = np.linalg.solve(away ** powers[:, None], powers == 0)
-    return found[1:]
+def weights(rod: Discretisation, arc_length: ArrayLike, most: int = 4) -> Array:
+    """Weights (m, nodes) with which values at the nodes, 0 at the base, add up to those at arc lengths (m,) [m], of the `most` nodes that
+    are nearest: exact for functions that are cubic between the borders, or linear with 2."""
+    places, same = np.append(0.0, rod.node), SAME * rod.length
+    found = np.zeros((np.size(arc_length), places.size))
+    for row, at in zip(found, np.ravel(arc_length), strict=True):
+        border = min(int(np.searchsorted(rod.borders, at + same, side="right")), rod.borders.size - 1)
+        inside = np.flatnonzero((places > rod.borders[border - 1] - same) & (places < rod.borders[border] + same))
+        piece = inside[np.append(True, np.diff(places[inside]) > same)]  # without the empty intervals at the tip
+        nearest = piece[np.argsort(np.abs(places[piece] - at), kind="stable")[:most]]
+        away = (places[nearest] - min(at, places[piece[-1]])) / (places[piece[1]] - places[piece[0]])
+        powers = np.arange(nearest.size)
+        row[nearest] = np.linalg.solve(away ** powers[:, None], powers == 0)
+    return found[:, 1:]
 
 
 class DisturbanceParameters(Struct):

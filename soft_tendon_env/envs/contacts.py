@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from soft_tendon_env.effects.contact.samples import sample_radius
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import rod_radius
 from soft_tendon_env.tools.types import Array
 
 INSIDE = 0.1  # depth in an obstacle, in radii of the rod, from which an arm counts as inside: ten times what its own weight makes
@@ -26,7 +26,7 @@ def why_inside(model: Model, q: Array) -> str:
     if model.scene.effects.contact is None:
         return ""
     places = model.scene.effects.contact.sample_places(model.discretisation)
-    radius = rod_radius(model.scene, places)[0]
+    radius = sample_radius(model.discretisation, places)
     depth, sample, name = deepest(model, np.ascontiguousarray(model.backbone_at(q, places)[:, :3, 3]), radius)
     where = f"{1e3 * depth:.3g} mm deep in {name}, at {places[sample]:.3g} m along it"
     return f"the arm begins {where}" if depth > INSIDE * radius[sample] else ""
@@ -39,7 +39,7 @@ class ObstacleFreeSpace:
         model, scene, self._arms = arms.model, arms.model.scene, arms
         self.model = model.with_scene(scene.model_copy(update={"effects": scene.effects.everywhere()}))
         places = scene.effects.contact.sample_places(model.discretisation)
-        self._places, self._radius = model.grid.places(places, np.empty(0)), rod_radius(scene, places)[0]
+        self._places, self._radius = model.grid.places(places, np.empty(0)), sample_radius(model.discretisation, places)
 
     def holds(self, q: Array) -> NDArray[np.bool_]:
         """Whether the arm is clear of them at coordinates q (m, n): (m,)."""

@@ -149,8 +149,8 @@ def resolved_scene(options: Options) -> Scene:
     changes: dict[str, Any] = {f"tendons.{i}.tension_limits": options.tension_limits for i in tendons}
     ends: dict[str, float] = {}
     for drawn in options.randomize.ranges(scene):
-        if re.fullmatch(r"segments\..*\.(young_modulus|damping)", drawn.name):
-            ends |= drawn.changes(drawn.least if drawn.name.endswith("damping") else drawn.greatest)
+        if kind := re.search(r"^segments\..*?\.(young_modulus|damping|retardation_time)\b", drawn.name):
+            ends |= drawn.changes(drawn.greatest if kind[1] == "young_modulus" else drawn.least)
     with contextlib.suppress(ConfigurationError):  # an end that cannot be is told with its key, when the arms are drawn
         if ends and (columns := extrapolation_columns(scene.replace(ends))) != extrapolation_columns(scene):
             changes["integrator.columns"] = columns

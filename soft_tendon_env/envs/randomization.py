@@ -12,6 +12,7 @@ from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import move_poses
 from soft_tendon_env.scene.parameters import TABLES, Range, dotted_ranges, ranges_of
 from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.scene.sections import Stiffness
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, plain, shown
 from soft_tendon_env.tools.types import Array
 
@@ -24,6 +25,12 @@ SHORT = {
     "payload": ("effects.tip_load.mass", "offset"),
 }
 """Short names of numbers of the scene: their keys, and how they are drawn."""
+OF_STIFFNESS = {
+    "segments.*.young_modulus": ("bending.*", "torsion", "stretch", "shear.*"),
+    "segments.*.damping": ("retardation_time",),
+    "segments.*.density": ("mass_per_length", "rotary_inertia.*"),
+}
+"""Numbers of a section that has the stiffnesses themselves, which a factor of these changes too."""
 
 
 def _as_range(value: Any) -> Any:
@@ -78,7 +85,7 @@ class Randomization(Configuration):
     def ranges(self, scene: Scene) -> tuple[Range, ...]:
         """The ranges of numbers of a scene, in the order of their keys. Raises ConfigurationError."""
         try:
-            return ranges_of(scene, dict(sorted(self.numbers.items())))
+            return ranges_of(scene, {_whole_rod(scene, *drawn): drawn[1] for drawn in sorted(self.numbers.items())})
         except ConfigurationError as error:
             raise ConfigurationError([Problem(("randomize", *key), text) for key, text in error.problems], "environment") from None
 
@@ -97,6 +104,12 @@ def _in_full(numbers: dict[str, Any]) -> dict[str, Any]:
             raise ConfigurationError([Problem((name,), f"is {key}, which is drawn already: leave one of them out")])
         found[key] = {kind: value} if kind else value
     return found
+
+
+def _whole_rod(scene: Scene, name: str, value: Any) -> str:
+    """The key of a number, with the others that a factor of it means in some segments."""
+    mixed = isinstance(value, dict) and "factor" in value and any(isinstance(part.section, Stiffness) for part in scene.segments)
+    return "|".join([name, *(f"segments.*.section.{key}" for key in OF_STIFFNESS.get(name, ()) if mixed)])
 
 
 class Measured(NamedTuple):

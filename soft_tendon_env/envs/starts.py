@@ -5,6 +5,7 @@ the one whose number its generator draws.
 """
 
 import contextlib
+import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -69,7 +70,7 @@ class Starts:
                 self._model_with(drawn.changes(end), drawn.name)
         self._size = BANK if any(drawn.least < drawn.greatest for drawn in self._ranges) else 1
         self._redraws = REDRAWS * any(key.startswith("effects.contact.obstacles.") for drawn in self._ranges for key in drawn.keys)
-        soft = np.array([drawn.name.endswith(".young_modulus") for drawn in self._ranges])
+        soft = np.array([bool(re.search(r"\.(young_modulus|bending)\b", drawn.name)) for drawn in self._ranges])
         for shares in (np.zeros(soft.size), np.ones(soft.size), 1.0 - soft) if self._ranges and not self._redraws else ():
             self._make_arm(shares)
         for number in range(0 if self._model.arm.effects.load or self.q.any() else self._size):

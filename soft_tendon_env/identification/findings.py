@@ -33,6 +33,9 @@ EXPERIMENTS = {
     "density": "holds in another direction of gravity, or weighing the arm, show it",
     "young_modulus": "a known weight hung from the tip shows it",
     **dict.fromkeys(("base.position", "base.rotation"), "measure the base's pose, or record the arm at rest"),
+    "bending": "a known weight hung from the tip shows it",
+    "retardation": "a free decay shows it",
+    "mass_per_length": "holds in another direction of gravity, or weighing it, show it",
 }
 """Experiments that show a parameter, by a part of its name; the first that fits."""
 

@@ -13,7 +13,6 @@ from soft_tendon_env.model.grid import over_nodes, screw_matrices
 from soft_tendon_env.model.load_continuation import LoadPath
 from soft_tendon_env.model.model import Model, is_singular, model_on
 from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.routing import RadiusProfile
 from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene, breakpoints
 from soft_tendon_env.scene.units import warn_of_units
 from soft_tendon_env.tools.checks import checked_type, shown_numbers
@@ -102,8 +101,8 @@ class QuadratureTest:
         sides[0] = 1  # all at their greatest
         together = [self.limits[np.arange(count), side] for side in sides]
         self.tensions = list({tension.tobytes(): tension for tension in [*together, *alone, self.slack]}.values())
-        radii = [segment.radius for segment in scene.segments if isinstance(segment.radius, RadiusProfile)]
-        shortest = min(shape.wavelength() for shape in (*(tendon.routing for tendon in scene.tendons), *radii))
+        tapers = [taper for segment in scene.segments for taper in segment.shape.tapers().values()]
+        shortest = min(shape.wavelength() for shape in (*(tendon.routing for tendon in scene.tendons), *tapers))
         per_piece = math.ceil(PER_WAVE * np.diff(breakpoints(scene)).max() / shortest)
         # that a finer quadrature has at least: coarser ones could agree with each other and be both wrong
         self.resolving = min(max(per_piece, 3 * (scene.strain.highest_order + 1)), MOST_INTERVALS)

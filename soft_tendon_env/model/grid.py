@@ -7,10 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.effects import Discretisation
+from soft_tendon_env.effects.loads import weights
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.motion.batch import Places
 from soft_tendon_env.mechanics.types import IntVector, Rod, Tendons, node_field, point_field
-from soft_tendon_env.scene.scene import Scene, breakpoints, rod_radius, segment_index, tendon_ends, tendon_offset
+from soft_tendon_env.scene.scene import Scene, along_rod, breakpoints, disc_rows, rod_radius, segment_index, tendon_ends, tendon_offset
 from soft_tendon_env.scene.strain import STRAINS
 from soft_tendon_env.tools.types import Array
 
@@ -93,19 +94,9 @@ def newton_cotes(intervals: int) -> Array:
 
 
 def screw_matrices(scene: Scene, arc_length: Array) -> tuple[Array, Array, Array]:
-    """Diagonals of Sigma, Upsilon and the screw inertia density at arc lengths (m,), each (m, 6); circular section."""
-    radius, _ = rod_radius(scene, arc_length)
-    index = segment_index(scene, arc_length)
-
-    def material(name: str) -> Array:
-        return np.array([getattr(segment, name) for segment in scene.segments])[index]
-
-    area, bending = np.pi * radius**2, np.pi * radius**4 / 4
-    young, viscosity, density = material("young_modulus"), material("damping"), material("density")
-    shear = young / (2 * (1 + material("poisson_ratio")))
-    elasticity = np.stack([shear * 2 * bending, young * bending, young * bending, young * area, shear * area, shear * area], axis=-1)
-    damping = viscosity[:, None] * np.stack([2 * bending, 3 * bending, 3 * bending, 3 * area, area, area], axis=-1)
-    inertia = density[:, None] * np.stack([2 * bending, bending, bending, area, area, area], axis=-1)
+    """Diagonals of Sigma, Upsilon and the screw inertia density at arc lengths (m,), each (m, 6), without discs. See scene.sections."""
+    rows = along_rod(scene, arc_length, lambda segment, places: segment.screw_matrices(places).reshape(18, -1))
+    elasticity, damping, inertia = np.ascontiguousarray(rows.reshape(3, 6, -1).swapaxes(1, 2))
     return elasticity, damping, inertia
 
 
@@ -141,6 +132,8 @@ def at_points(scene: Scene, grid: Grid) -> AtPoints:
         node=grid.start + grid.length,
         point=grid.points,
         radius=lambda arc_length: rod_radius(scene, arc_length)[0],
+        hull=lambda arc_length: along_rod(scene, arc_length, lambda segment, places: segment.shape.hull(places, segment.length)),
+        discs=disc_rows(scene),
         elasticity=lambda arc_length: screw_matrices(scene, arc_length)[0],
         line_mass=lambda arc_length: screw_matrices(scene, arc_length)[2][:, 3],
         over_nodes=lambda density: over_nodes(grid, density),
@@ -160,6 +153,10 @@ def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], here: AtPoints) ->
     reference[..., :3] = here.curvature
     reference[..., 3] = 1.0
     inertia = over_nodes(grid, lambda arc_length: screw_matrices(scene, arc_length)[2])
+    place, disc_mass, radius, thickness = here.rod.discs.T
+    across = disc_mass * (radius**2 / 4 + thickness**2 / 12)
+    of_discs = np.stack([disc_mass * radius**2 / 2, across, across, disc_mass, disc_mass, disc_mass])
+    inertia += (of_discs @ weights(here.rod, place)).T
     mass = inertia[:, 3].copy()
     mass[-1] += scene.effects.payload[3]
     inertia += scene.effects.added_inertia(here.rod)

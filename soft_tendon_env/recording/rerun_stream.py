@@ -28,6 +28,7 @@ from soft_tendon_env.drawing.shapes import (
     label_place,
     mount_size,
     obstacles_of,
+    rotation_from_z,
     side_by_side,
     surface,
     tendon_curves,
@@ -37,7 +38,7 @@ from soft_tendon_env.drawing.shapes import (
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.recording.rollout import Rollout
-from soft_tendon_env.scene.scene import rod_length, rod_radius, scene_to_dict
+from soft_tendon_env.scene.scene import disc_rows, rod_length, rod_radius, scene_to_dict
 from soft_tendon_env.tools.types import Array
 
 try:
@@ -166,6 +167,8 @@ class RerunStream:
             "/target_trail": rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR),
         }
         self._send_static("world", getattr(rr.ViewCoordinates, f"RIGHT_HAND_{'XYZ'[vertical]}_{'UP' if upright else 'DOWN'}"))
+        if (discs := disc_rows(scene)).size:
+            parts["/discs"] = rr.Cylinders3D.from_fields(lengths=discs[:, 3], radii=discs[:, 2], fill_mode=solid, colors=colors)
         for name, what in parts.items():
             self._send_static(f"world/{part(arm)}{name}", what)
         self._send_static(f"scene/{part(arm)}", rr.TextDocument(json.dumps(scene_to_dict(scene), indent=2)))
@@ -180,6 +183,11 @@ class RerunStream:
         pieces = rr.Cylinders3D.columns(centers=centers.reshape(-1, 3), quaternions=quaternions.reshape(-1, 4))
         self._send(f"{root}/body", times, pieces.partition([known.station.size - 1] * rollout.samples))
         self._send(f"{root}/backbone", times, _lines(position))
+        if (discs := disc_rows(rollout.model.scene)).size:
+            poses = backbones(rollout.model, rollout.strain, discs[:, 0], base)
+            turned = rotation_from_z(poses[..., :3, 0])
+            plates = rr.Cylinders3D.columns(centers=poses[..., :3, 3].reshape(-1, 3), quaternions=turned.reshape(-1, 4))
+            self._send(f"{root}/discs", times, plates.partition([len(discs)] * rollout.samples))
         curves = tendon_curves(rollout.model, frames, known.station)
         strips = rr.LineStrips3D.columns(
             strips=_strips(curves), colors=tension_colors(rollout.model, rollout.tension).reshape(-1, 3).astype(np.uint8)

@@ -137,8 +137,8 @@ def _leaves(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _matching(name: str, entries: Mapping[str, Any]) -> list[str]:
-    """Keys of the parameters that a name stands for."""
-    pattern = re.escape(re.sub(r"\[(\d+|\*)\]", r".\1", name)).replace(r"\*", r"[^.]+")
+    """Keys of the parameters that a name stands for, or several with `|` between them."""
+    pattern = re.escape(re.sub(r"\[(\d+|\*)\]", r".\1", name)).replace(r"\*", r"[^.]+").replace(r"\|", "|")
     return [key for key, value in entries.items() if re.fullmatch(pattern, key) and not _misfit(key, value)]
 
 

@@ -75,8 +75,8 @@ class PassiveFields:
         """Difference between the scene and that which they were made for, in words; empty where they fit."""
         for i, segment in enumerate(scene.segments):
             for name in MATERIAL:
-                made_for, given = self.arm["segments"][i][name], getattr(segment, name)
-                if not made_for / ALIKE <= given <= made_for * ALIKE:
+                made_for, given = self.arm["segments"][i].get(name), getattr(segment, name)
+                if given is not None and not made_for / ALIKE <= given <= made_for * ALIKE:
                     return f"{name} of {made_for:g} in segment {i}, not {given:g}"
         (low, high), limits = self.tension_limits.T, np.array([tendon.tension_limits for tendon in scene.tendons]).T
         more = (ALIKE - 1.0) * (high - low)
@@ -117,7 +117,7 @@ def _read_once(path: Path, _changed: int) -> PassiveFields:
 
 def arm_of(scene: Scene) -> dict[str, Any]:
     """Tables of the arm that fields are made for: segments, tendons, the strains that the rod has and the borders of its pieces."""
-    segments = [segment.model_dump(mode="json") for segment in scene.segments]
+    segments = [segment.model_dump(mode="json", exclude_none=True) for segment in scene.segments]
     tendons = [{"routing": tendon.routing.model_dump(mode="json"), "ends": [*tendon_ends(scene, tendon)]} for tendon in scene.tendons]
     strains = [strain for strain in STRAINS if strain in scene.strain.free]
     return {"segments": segments, "tendons": tendons, "strains": strains, "borders": breakpoints(scene).tolist()}

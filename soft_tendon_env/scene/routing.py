@@ -1,6 +1,6 @@
-"""Geometry along the rod: radius profiles of a segment, and routings of a tendon, its offset d = (0, y, z) from the axis and d' = dd/dX.
+"""Geometry along the rod: tapers of a segment's sizes, and routings of a tendon, its offset d = (0, y, z) from the axis and d' = dd/dX.
 
-To add one, write its class here and name it in `Radius`, with its type as the tag, or in `Routing`.
+To add one, write its class here and name it in `Size`, with its type as the tag, or in `Routing`.
 """
 
 from abc import abstractmethod
@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, field_validator
+from pydantic import AliasChoices, Discriminator, Field, Tag, field_validator
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.tools.configuration import Configuration
@@ -19,7 +19,7 @@ Ends = tuple[float, float]
 
 
 class AlongRod(Configuration):
-    """Base of what varies along the rod: radius profiles of a segment and routings of a tendon."""
+    """Base of what varies along the rod: tapers of a segment's sizes and routings of a tendon."""
 
     def misfit(self, place: Any) -> str | None:
         """Error message for what does not fit a segment's length, or a tendon's (first, last) arc lengths [m]; None if it fits."""
@@ -37,7 +37,7 @@ class AlongRod(Configuration):
             raise ValueError(f"should increase, by at least {SHORTEST:g} m")
         return arc_length
 
-    @field_validator("radius", "y", "z", check_fields=False)
+    @field_validator("size", "y", "z", check_fields=False)
     @classmethod
     def _one_per_arc_length(cls, values: Any, info: ValidationInfo) -> Any:
         if "arc_length" in info.data and len(values) != len(info.data["arc_length"]):
@@ -45,40 +45,41 @@ class AlongRod(Configuration):
         return values
 
 
-class RadiusProfile(AlongRod):
-    """Base of the radius profiles: a radius that varies along its segment."""
+class Taper(AlongRod):
+    """Base of the tapers: a size of a segment, such as its radius, that varies along it."""
 
     @abstractmethod
-    def radius_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
-        """Radius [m] and its derivative d radius/dX [-] at `arc_length` [m] from the segment's start, both of its shape."""
+    def size_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
+        """Size [m] and its derivative along the rod [-] at `arc_length` [m] from the segment's start, both of its shape."""
 
 
-class LinearRadius(RadiusProfile):
+class LinearTaper(Taper):
     """Linear taper over the whole segment, from `base` to `tip` [m]."""
 
     type: Literal["linear"] = "linear"
     base: Length
     tip: Length
 
-    def radius_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
+    def size_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
         slope = (self.tip - self.base) / segment_length
         return self.base + slope * arc_length, np.full_like(arc_length, slope)
 
 
-class RadiusTable(RadiusProfile):
-    """Tabulated radii [m] at arc lengths [m] from the segment's start to its end, interpolated by PCHIP.
+class TaperTable(Taper):
+    """Tabulated sizes [m] at arc lengths [m] from the segment's start to its end, interpolated by PCHIP.
 
-    PCHIP (Fritsch and Carlson 1980) never overshoots, so the radius stays positive between positive values.
+    PCHIP (Fritsch and Carlson 1980) never overshoots, so the size stays positive between positive values. Scenes may say `radius` for
+    `size`.
     """
 
     type: Literal["table"] = "table"
     arc_length: tuple[Number, ...] = Field(min_length=2)
-    radius: tuple[Length, ...]
+    size: tuple[Length, ...] = Field(validation_alias=AliasChoices("size", "radius"))
 
-    def radius_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
+    def size_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
         from scipy.interpolate import PchipInterpolator  # here: it takes longer to import than all else that most scenes need
 
-        curve = PchipInterpolator(self.arc_length, self.radius)
+        curve = PchipInterpolator(self.arc_length, self.size)
         return curve(arc_length), curve.derivative()(arc_length)
 
     def misfit(self, segment_length: float) -> str | None:
@@ -88,8 +89,8 @@ class RadiusTable(RadiusProfile):
         return f"should cover the segment, 0 to {segment_length:g}, but its arc_length runs from {first:g} to {last:g}"
 
 
-Radius = Annotated[
-    Annotated[Length, Tag("number")] | Annotated[LinearRadius, Tag("linear")] | Annotated[RadiusTable, Tag("table")],
+Size = Annotated[
+    Annotated[Length, Tag("number")] | Annotated[LinearTaper, Tag("linear")] | Annotated[TaperTable, Tag("table")],
     Discriminator(lambda value: value.get("type") if isinstance(value, Mapping) else getattr(value, "type", "number")),
 ]
 
@@ -129,7 +130,7 @@ class ConvergingRouting(TendonRouting):
 
 
 class SurfaceRouting(TendonRouting):
-    """Tendon at a fixed fraction of the rod's local radius, so that it follows a taper.
+    """Tendon at a fixed fraction of the rod's local radius, that of the circle around its section, so that it follows a taper.
 
     y = fraction r(X) cos(angle), z = fraction r(X) sin(angle), `angle` in degrees from y towards z.
     """

@@ -5,8 +5,8 @@ SI units throughout. Every class raises `ConfigurationError` for unknown keys, w
 
 import math
 import re
-from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Self
+from collections.abc import Callable, Iterator, Mapping
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +14,8 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.effects.base import Effects
-from soft_tendon_env.scene.routing import Ends, Radius, RadiusProfile, Routing
+from soft_tendon_env.scene.routing import Ends, Routing, Size
+from soft_tendon_env.scene.sections import PLACES, AnySection, Discs, Section, Stiffness, Tube
 from soft_tendon_env.scene.strain import ExplicitStrain, StaticsBased
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, override, shown
 from soft_tendon_env.tools.types import Array, Length, NotNegative, Positive, Quaternion, TimeStep, Triple
@@ -66,22 +67,63 @@ class Base(Configuration):
 
 
 class Segment(Configuration):
-    """Segment of the rod with one material and a circular section; segments follow each other from the base."""
+    """Segment of the rod with one material and one kind of section; segments follow each other from the base.
+
+    It is a solid circle of a `radius`, or has another `section`: Tube, Rectangle, Ellipse, or Stiffness, which needs no material.
+    """
+
+    elsewhere: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("inner_radius", "outer_radius", "width", "height", "diameter"),
+        'a solid circle has a radius, and a tube is written section = {type = "tube", radius = 0.005, inner_radius = 0.004} in its place,'
+        " see soft_tendon_env.scene.sections",
+    )
 
     length: Length  # [m]
-    young_modulus: Positive  # [Pa]
-    poisson_ratio: float = Field(gt=-1, le=0.5)  # above -1, up to 0.5 (incompressible)
-    density: Positive  # [kg/m^3]
-    damping: NotNegative  # Kelvin-Voigt viscosity eta [Pa s]
-    radius: Radius  # [m], a number or a profile: LinearRadius, RadiusTable
+    section: AnySection | None = None  # in place of radius
+    young_modulus: Positive | None = Field(default=None, validate_default=True)  # [Pa]
+    poisson_ratio: float | None = Field(default=None, gt=-1, le=0.5, validate_default=True)  # above -1, up to 0.5 (incompressible)
+    density: Positive | None = Field(default=None, validate_default=True)  # [kg/m^3]
+    damping: NotNegative | None = Field(default=None, validate_default=True)  # Kelvin-Voigt viscosity eta [Pa s]
+    radius: Size | None = Field(default=None, validate_default=True)  # of a solid circle [m], a number or a LinearTaper or TaperTable
     curvature: Triple = (0.0, 0.0, 0.0)  # stress-free (torsion, bend_y, bend_z) [1/m]
+    discs: Discs | None = None  # spacer discs
 
-    @field_validator("radius")
+    @field_validator("young_modulus", "poisson_ratio", "density", "damping", "radius")
     @classmethod
-    def _fits_length(cls, radius: float | RadiusProfile, info: ValidationInfo) -> float | RadiusProfile:
-        if isinstance(radius, RadiusProfile) and "length" in info.data and (misfit := radius.misfit(info.data["length"])):
-            raise ValueError(misfit)
-        return radius
+    def _said_once(cls, value: Any, info: ValidationInfo) -> Any:
+        section: Any = info.data.get("section")
+        instead = isinstance(section, Section if info.field_name == "radius" else Stiffness)
+        if instead and value is not None:
+            raise ValueError(f"should be left out: the section, of type {section.type!r}, takes its place")
+        if not instead and value is None and "section" in info.data:
+            or_section = ", or a section" if info.field_name == "radius" else ""
+            raise ConfigurationError([Problem((), f"is missing: it is required{or_section}")])
+        return value
+
+    @model_validator(mode="after")
+    def _parts_fit_its_length(self) -> Self:
+        place: tuple[str, ...] = () if self.section is None else ("section",)
+        problems = [Problem((*place, *key), text) for key, text in self.shape.misfits(self.length)]
+        if self.discs is not None and not problems:
+            places = self.discs.rows(self.length)[:, 0]
+            widest = self.shape.outer_radius(places, self.length)[0].max()
+            if places.max() > self.length * (1 + SAME_PLACE):
+                problems.append(Problem(("discs", "places"), f"go to {places.max():g}: they should be at most the length, {self.length:g}"))
+            elif self.discs.radius <= widest:
+                text = f"is {self.discs.radius:g}: it should be greater than that of the rod there, {widest:g}"
+                problems.append(Problem(("discs", "radius"), text))
+        if problems:
+            raise ConfigurationError(problems)
+        return self
+
+    @property
+    def shape(self) -> Section:
+        """Its section: a circle is a tube without a hole."""
+        return Tube.model_construct(radius=self.radius, inner_radius=0.0) if self.section is None else self.section  # type: ignore[arg-type]
+
+    def screw_matrices(self, arc_length: Array) -> Array:
+        """Diagonals (3, 6, m) of Sigma, Upsilon and the screw inertia per length at arc lengths (m,) [m] from its start."""
+        return self.shape.screw_matrices(arc_length, self.length, self.young_modulus, self.poisson_ratio, self.density, self.damping)
 
 
 class Tendon(Configuration):
@@ -200,18 +242,28 @@ def breakpoints(scene: Scene) -> Array:
     return np.array([*places, length])
 
 
-def rod_radius(scene: Scene, arc_length: ArrayLike) -> tuple[Array, Array]:
-    """Radius [m] and its slope d radius/dX [-] at arc lengths [m] from the rod's base, each (m,). Borders: see `segment_index`."""
+def along_rod(scene: Scene, arc_length: ArrayLike, values: Callable[[Segment, Array], ArrayLike]) -> Array:
+    """Values (k, m) of the segments at arc lengths [m] from the start of each, put together at those (..) from the rod's base: (k, ..)."""
     arc_length = np.atleast_1d(np.asarray(arc_length, dtype=float))
     index, starts = segment_index(scene, arc_length), segment_borders(scene)
-    radius, slope = np.zeros((2, *arc_length.shape))
-    for i, segment in enumerate(scene.segments):
-        here = index == i
-        if isinstance(segment.radius, RadiusProfile):
-            radius[here], slope[here] = segment.radius.radius_and_slope(arc_length[here] - starts[i], segment.length)
-        else:
-            radius[here] = segment.radius
+    parts = [(index == i, values(segment, arc_length[index == i] - starts[i])) for i, segment in enumerate(scene.segments)]
+    found = np.empty((len(np.asarray(parts[0][1])), *arc_length.shape))
+    for here, part in parts:
+        found[:, here] = part
+    return found
+
+
+def rod_radius(scene: Scene, arc_length: ArrayLike) -> tuple[Array, Array]:
+    """Outer radius [m] and its slope d radius/dX [-] at arc lengths [m] from the rod's base, each (m,). Borders: see `segment_index`."""
+    radius, slope = along_rod(scene, arc_length, lambda segment, places: segment.shape.outer_radius(places, segment.length))
     return radius, slope
+
+
+def disc_rows(scene: Scene) -> Array:
+    """Arc length [m], mass [kg], radius and thickness [m], 0 for thin ones, of every spacer disc: (d, 4)."""
+    parts = zip(scene.segments, segment_borders(scene), strict=False)
+    rows = [segment.discs.rows(segment.length) + [start, 0.0, 0.0, 0.0] for segment, start in parts if segment.discs is not None]
+    return np.concatenate([np.zeros((0, 4)), *rows])
 
 
 def tendon_offset(scene: Scene, tendon: Tendon, arc_length: ArrayLike) -> tuple[Array, Array]:
@@ -229,7 +281,8 @@ def extrapolation_columns(scene: Scene) -> int:
     if scene.integrator.columns is not None:
         return scene.integrator.columns
     omega = 0.64 / scene.integrator.step
-    ratios = [1.5 * segment.damping * omega / segment.young_modulus for segment in scene.segments]  # Kelvin-Voigt, bending
+    parts = [segment.screw_matrices(np.zeros(1))[:2, 1, 0] for segment in scene.segments]
+    ratios = [0.5 * omega * damping / stiffness for stiffness, damping in parts]  # in bending
     if min(ratios) < 0.01:
         return 2
     return 3 if scene.integrator.tolerance is None else MOST_COLUMNS
@@ -257,3 +310,12 @@ def _misfits(scene: Scene) -> Iterator[Problem]:
     for i, border in enumerate(scene.strain.borders):
         if border >= length:
             yield Problem(("strain", "borders", i), f"is {border}: it should be less than the rod's length, {length:g}")
+    law = scene.effects.nonlinear_elasticity
+    for i, segment in enumerate(scene.segments):
+        if law is not None and law.bending is not None:
+            about_y, about_z = segment.screw_matrices(segment.length * PLACES)[0, 1:3]
+            if np.abs(about_y - about_z).max() > 1e-9 * about_y.max():
+                text = "has one e0 for both curvatures: it needs sections that bend alike about y and z, and that of segments"
+                yield Problem(("effects", "nonlinear_elasticity", "bending"), f"{text}[{i}] does not")
+        if scene.effects.fluid is not None and segment.discs is not None and segment.discs.thickness is None:
+            yield Problem(("segments", i, "discs", "thickness"), "is missing: in a fluid it is required")

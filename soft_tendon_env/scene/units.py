@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from soft_tendon_env.scene.scene import Scene, Tendon, rod_length, rod_radius, segment_index, tendon_ends, tendon_offset
-from soft_tendon_env.tools.types import UNITS
+from soft_tendon_env.scene.scene import Scene, Segment, Tendon, along_rod, disc_rows, rod_length, rod_radius, tendon_ends, tendon_offset
+from soft_tendon_env.tools.types import UNITS, Array
 
 DENSITIES, MODULI = {"g/cm^3": 1e3, "t/mm^3": 1e12}, {"kPa": 1e3, "MPa": 1e6, "GPa": 1e9}
 LENGTH, MODULUS, DENSITY = (1e-3, 20.0), (1e3, 1e12), (10.0, 25e3)
@@ -37,6 +37,12 @@ def _ask(value: float, usual: float, units: Mapping[str, float]) -> str:
     return f": is it {nearest}?" if nearest else ""
 
 
+def _stiffness(segment: Segment, places: Array) -> Array:
+    """Bending [N m^2], about the softer axis, and stretch [N] at arc lengths (m,) [m] of a segment: (2, m)."""
+    elasticity = segment.screw_matrices(places)[0]
+    return np.stack([elasticity[1:3].min(axis=0), elasticity[3]])
+
+
 def _unlikely(scene: Scene) -> Iterator[str]:
     """Numbers that no arm has, in words."""
     length, usual = rod_length(scene), Tendon.model_fields["tension_limits"].default
@@ -46,6 +52,8 @@ def _unlikely(scene: Scene) -> Iterator[str]:
         yield f"base.position is up to {away:g} m from the origin of an arm of {length:g} m{_ask(away, length, UNITS)}"
     for i, segment in enumerate(scene.segments):
         E, density = segment.young_modulus, segment.density
+        if E is None or density is None:  # a section that has the stiffnesses themselves
+            continue
         if not MODULUS[0] <= E <= MODULUS[1] or (density > METAL and E < IN_MPA):
             of = f", and its density, {density:g} kg/m^3, that of a metal" if density > METAL else ""
             yield f"segments[{i}].young_modulus is {E:g} Pa{of}{_ask(E, 5e10 if density > METAL else 5e5, MODULI)}"
@@ -61,15 +69,19 @@ def _unlikely(scene: Scene) -> Iterator[str]:
         if (widest := radius.max()) >= length:
             yield f"the rod has a radius of {widest:g} m on a length of {length:g} m{_ask(widest, SLENDER * length, UNITS)}"
             return
+        if (wide := disc_rows(scene)[:, 2].max(initial=0.0)) >= length:
+            yield f"spacer discs have a radius of {wide:g} m on a length of {length:g} m{_ask(wide, SLENDER * length, UNITS)}"
+            return
         if (farthest := offset.max()) > max(FAR_OFF * length, widest):
             yield f"tendons[{i}] is up to {farthest:g} m off the axis of a rod of {length:g} m{_ask(farthest, SLENDER * length, UNITS)}"
             return
-        modulus = np.array([segment.young_modulus for segment in scene.segments])[segment_index(scene, places)]
+        bending, stretch = along_rod(scene, places, _stiffness)
         pull = max(map(abs, tendon.tension_limits))
-        strain = float(np.median(pull * (4.0 * offset / radius + 1.0) / (np.pi * modulus * radius**2)))
-        if tendon.tension_limits != usual and strain > (STRAINED if modulus.min() < SOFT else STIFF_STRAINED):
+        strain = float(np.median(pull * (offset * radius / bending + 1.0 / stretch)))
+        soft = (stretch / (np.pi * radius**2)).min() < SOFT
+        if tendon.tension_limits != usual and strain > (STRAINED if soft else STIFF_STRAINED):
             yield f"tendons[{i}].tension_limits are up to {pull:g} N, which strain the rod by {strain:.0%}: is it mN, or a modulus in kPa?"
             return
-        bent = max(bent, float((4.0 * pull * offset / (np.pi * modulus * radius**4)).mean() * (end - start)))
+        bent = max(bent, float((pull * offset / bending).mean() * (end - start)))
     if 0.0 < bent < LEAST_BENT and 1.0 < length <= LENGTH[1]:
         yield f"tensions within their limits bend the rod by at most {bent:.2g} rad: are lengths in mm?"

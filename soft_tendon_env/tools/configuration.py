@@ -10,7 +10,7 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
-from typing import Any, NamedTuple, Self, get_origin
+from typing import Any, ClassVar, NamedTuple, Self, get_origin
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -49,6 +49,7 @@ class Configuration(BaseModel):
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    elsewhere: ClassVar[Mapping[str, str]] = {}  # keys that it has not, but people look for, and how to write what they mean
 
     def __init__(self, /, **values: Any):
         try:
@@ -189,7 +190,8 @@ def _problems(table: type[Configuration], error: ErrorDetails) -> list[Problem]:
     if kind == "default_factory_not_called":
         return []  # a default that depends on other keys, of which some are wrong
     if kind == "extra_forbidden":
-        return [Problem(key, f"is an unknown key (given {shown(value)}): {not_among(str(key[-1]), table.model_fields)}")]
+        valid = table.elsewhere.get(str(key[-1])) or not_among(str(key[-1]), table.model_fields)
+        return [Problem(key, f"is an unknown key (given {shown(value)}): {valid}")]
     if kind == "missing":
         return [Problem(key, "is missing: it is required")]
     if kind == "union_tag_not_found":

@@ -52,6 +52,17 @@ def test_a_frame_has_the_size_asked_for(arm, size):
     assert frame.max() == 255 and frame.min() < 120, "paper and ink"
 
 
+def test_flat_sections_and_discs_are_as_wide_as_they_are(arm):
+    flat = {"radius": None, "section": {"type": "rectangle", "width": 0.002, "height": 0.04}}
+    wide = {"segments.0.discs": {"mass": 1e-3, "radius": 0.05, "places": [0.15], "thickness": 0.004}}
+    frames = []
+    for changes in ({}, {f"segments.0.{key}": value for key, value in flat.items()}, wide):
+        _, renderer, picture = arm("three_tendon", changes)
+        frames.append(renderer.frame(picture(0.0 * LOADED)))
+    sizes = [np.ptp(changed(frames[0], frame), axis=0) for frame in frames[1:]]
+    assert min(map(max, sizes)) > 20, "pixels"
+
+
 def test_the_tip_is_painted_where_the_model_has_it(arm):
     model, renderer, picture = arm("three_tendon")
     straight, bent = (renderer.frame(picture(tension)) for tension in (0.0 * LOADED, LOADED))

@@ -48,10 +48,30 @@ def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
 
 
-@pytest.mark.no_jit
-def test_damping_is_the_derivative_of_the_drag(uniform, workspace_at, slope):
+FLAT = {
+    "segments.0.radius": None,
+    "segments.0.section": {"type": "rectangle", "width": 0.004, "height": 0.02},
+    "segments.0.discs": {"mass": 1e-3, "radius": 0.02, "thickness": 0.002, "number": 3},
+}
+
+
+def test_a_flat_section_with_discs(uniform):
+    """What moves along y is as wide as the height, and discs add their rims, faces and volume beyond the rod."""
+    fluid = {"density": 1000.0, "normal_drag": 1.0, "tangential_drag": 0.0, "disc_drag": 1.0}
+    model = uniform(changes={**FLAT, "effects.fluid": fluid, "quadrature.intervals": 6})
+    found = model.scene.effects.fluid.parameters(model.discretisation)
+    rod = model.discretisation.over_nodes(lambda arc_length: np.ones((arc_length.size, 1))).sum()  # length, less the share of the base
+    y, z = ((500.0 * (rod * width + 3 * (0.04 - width) * 0.002)) for width in (0.02, 0.004))
+    for part, total in ((found.normal_y**1.5, y), (found.normal_z**1.5, z), (found.tangential, 1500.0 * (np.pi * 4e-4 - 8e-5))):
+        np.testing.assert_allclose(part.sum(), total, rtol=1e-3)
+    np.testing.assert_allclose(found.displaced.sum(), 1e3 * (8e-5 * rod + 3 * 0.002 * (np.pi * 4e-4 - 8e-5)), rtol=1e-3)
+    np.testing.assert_allclose(found.added_y.sum(), 1e3 * np.pi * (1e-4 * rod + 3 * 0.002 * 3e-4), rtol=1e-3)
+
+
+@pytest.mark.parametrize("shape", [pytest.param({}, marks=pytest.mark.no_jit, id="round"), pytest.param(FLAT, id="flat")])
+def test_damping_is_the_derivative_of_the_drag(uniform, workspace_at, slope, shape):
     """-dF/dq_dot = J^T (node damping) J, symmetric and not negative; without the added mass, whose share is no damping."""
-    changes = {"effects.fluid": {"density": 1000.0, "current": [0.2, -0.1, 0.3], "added_mass": 0.0}, "quadrature.intervals": 4}
+    changes = {"effects.fluid": {"density": 1000.0, "current": [0.2, -0.1, 0.3], "added_mass": 0.0}, "quadrature.intervals": 4, **shape}
     model = uniform(("torsion", "bend_y", "bend_z"), 0, changes)
     q, v = np.array([1.0, 2.0, -3.0]), np.array([2.0, 5.0, 3.0])
     work = workspace_at(model, q, v)

@@ -45,6 +45,17 @@ def path(tmp_path):
     return tmp_path / "new folder" / "recording.rrd"
 
 
+def test_spacer_discs_are_where_the_rod_is(path, rollout):
+    wanted = rollout(3)
+    discs = {"segments.0.discs": {"mass": 1e-3, "radius": 0.05, "number": 2}}
+    with RerunFile(path) as file:
+        file.write(dataclasses.replace(wanted, model=wanted.model.with_scene(wanted.model.scene.replace(discs))))
+    centers = Read(path).array("/world/arm/discs", "Cylinders3D:centers")
+    length = wanted.model.scene.segments[0].length
+    exact = [wanted.model.backbone_at(np.zeros(wanted.model.coordinate_count), [length / 2, length])[:, :3, 3]]
+    np.testing.assert_allclose(centers[:1], exact, **FLOAT32)
+
+
 def test_an_episode_is_read_back_as_written(path, rollout):
     wanted = rollout(7)
     with RerunFile(path) as file:

@@ -1,4 +1,4 @@
-"""Tendon routings and radius profiles: slopes against differences, the formulas of each, and what they refuse."""
+"""Tendon routings and tapers: slopes against differences, the formulas of each, and what they refuse."""
 
 import numpy as np
 import pytest
@@ -6,16 +6,16 @@ import pytest
 from soft_tendon_env.scene.routing import (
     ConvergingRouting,
     HelixRouting,
-    LinearRadius,
-    RadiusTable,
+    LinearTaper,
     StraightRouting,
     SurfaceRouting,
     TableRouting,
+    TaperTable,
 )
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 ENDS, LENGTH = (0.1, 0.5), 0.4
-RADII = RadiusTable(arc_length=(0.0, 0.1, 0.25, 0.4), radius=(0.02, 0.018, 0.01, 0.012))
+RADII = TaperTable(arc_length=(0.0, 0.1, 0.25, 0.4), size=(0.02, 0.018, 0.01, 0.012))
 ROUTINGS = {
     "straight": StraightRouting(offset=(0.01, -0.02)),
     "converging": ConvergingRouting(start_offset=(0.02, 0.0), end_offset=(0.01, 0.01)),
@@ -38,16 +38,16 @@ def test_slope_is_the_derivative_of_the_offset(routing):
     np.testing.assert_allclose(slope, (evaluate(routing, x + h)[0] - evaluate(routing, x - h)[0]) / (2 * h), atol=1e-8)
 
 
-@pytest.mark.cases("profile", [LinearRadius(base=0.03, tip=0.02), RADII])
+@pytest.mark.cases("profile", [LinearTaper(base=0.03, tip=0.02), RADII])
 def test_slope_is_the_derivative_of_the_radius(profile):
     s, h = np.linspace(0.011, 0.389, 50), 1e-6
-    ahead, behind = (profile.radius_and_slope(s + d, LENGTH)[0] for d in (h, -h))
-    np.testing.assert_allclose(profile.radius_and_slope(s, LENGTH)[1], (ahead - behind) / (2 * h), atol=1e-7)
+    ahead, behind = (profile.size_and_slope(s + d, LENGTH)[0] for d in (h, -h))
+    np.testing.assert_allclose(profile.size_and_slope(s, LENGTH)[1], (ahead - behind) / (2 * h), atol=1e-7)
 
 
 def test_radii_meet_their_points_and_never_overshoot():
-    np.testing.assert_allclose(RADII.radius_and_slope(np.array(RADII.arc_length), LENGTH)[0], RADII.radius, rtol=1e-14)
-    radius, _ = RADII.radius_and_slope(np.linspace(0, LENGTH, 500), LENGTH)
+    np.testing.assert_allclose(RADII.size_and_slope(np.array(RADII.arc_length), LENGTH)[0], RADII.size, rtol=1e-14)
+    radius, _ = RADII.size_and_slope(np.linspace(0, LENGTH, 500), LENGTH)
     assert radius.min() >= 0.01 and radius.max() <= 0.02
 
 
@@ -58,9 +58,9 @@ def test_misfits_say_what_is_wrong():
 @pytest.mark.cases(
     "kind, columns, message",
     [
-        (RadiusTable, {"arc_length": (0.0,), "radius": (0.1,)}, r"arc_length is \[0.0\]: it should have at least 2 items, not 1"),
-        (RadiusTable, {"arc_length": (0.2, 0.1), "radius": (0.1, 0.1)}, "it should increase"),
-        (RadiusTable, {"arc_length": (0.0, 0.2), "radius": (0.1, 0.0)}, r"radius\[1\] is 0.0: it should be greater than 0"),
+        (TaperTable, {"arc_length": (0.0,), "radius": (0.1,)}, r"arc_length is \[0.0\]: it should have at least 2 items, not 1"),
+        (TaperTable, {"arc_length": (0.2, 0.1), "radius": (0.1, 0.1)}, "it should increase"),
+        (TaperTable, {"arc_length": (0.0, 0.2), "radius": (0.1, 0.0)}, r"radius\[1\] is 0.0: it should be greater than 0"),
         (TableRouting, {"arc_length": (0.0, 0.2, 0.1, 0.3), "y": (0.0,) * 4, "z": (0.0,) * 4}, "arc_length is .*: it should increase"),
         (TableRouting, {"arc_length": (0, 0.1, 0.2, 0.3), "y": (0.0,) * 4, "z": (0.0, 0.0)}, "z is .*: it should have one entry per arc"),
     ],

@@ -6,7 +6,7 @@ import pytest
 from soft_tendon_env.effects import Effect, register_effect
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.routing import LinearRadius, StraightRouting
+from soft_tendon_env.scene.routing import LinearTaper, StraightRouting
 from soft_tendon_env.scene.scene import Scene, Segment, Tendon, breakpoints, extrapolation_columns, rod_length, scene_to_dict
 from soft_tendon_env.scene.strain import StaticsBased
 from soft_tendon_env.tools.configuration import ConfigurationError
@@ -22,7 +22,7 @@ def tendon(**changes):
 
 @pytest.fixture
 def scene():
-    taper = segment(length=0.3, radius=LinearRadius(base=0.01, tip=0.004))
+    taper = segment(length=0.3, radius=LinearTaper(base=0.01, tip=0.004))
     return Scene(name="test", segments=[segment(), taper], tendons=[tendon(), tendon(start=0.1, end=0.35)])
 
 

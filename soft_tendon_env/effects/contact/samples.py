@@ -1,5 +1,6 @@
-"""Samples of the arm, at which contact is looked for: balls of its radius, evenly along the axis.
+"""Samples of the arm, at which contact is looked for: balls of its outer radius, evenly along the axis.
 
+The ball nearest to a spacer disc has the radius of the disc, and stands for its mass too.
 Each stands for its share of the length, that at the tip for the round cap too. They lie on the cubic Hermite curve through neighbouring
 nodes: with tangents h R e_x for an interval of length h, x(t) = H00 r_a + H10 h R_a e_x + H01 r_b + H11 h R_b e_x.
 """
@@ -14,6 +15,7 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import cross, plus, rotate, times
 from soft_tendon_env.mechanics.effects import BeforeStep, ContactFlags, Nodes
 from soft_tendon_env.mechanics.terms.kinematics import pose_at, pose_of_base, twist_at
+from soft_tendon_env.mechanics.types import IntVector
 from soft_tendon_env.tools.types import Triple
 
 MOST_SAMPLES = 10_000
@@ -120,11 +122,24 @@ def make_samples(rod: Discretisation) -> tuple[Array, Array, Array]:
     t = np.concatenate([np.arange(1, count + 1) / count for count in counts if count])
     length, share = np.repeat(h, counts), np.repeat(h / np.maximum(counts, 1), counts)
     place = np.repeat(start, counts) + t * length
-    radius = rod.radius(place)
+    radius = sample_radius(rod, place)
     share[-1] = 0.5 * share[-1] + radius[-1]  # the tip's round cap
-    stiffness = rod.elasticity(place)[:, 3] / (2.0 * radius) ** 2 * share  # E A / (2 r)^2 per length and depth
+    stiffness = rod.elasticity(place)[:, 3] / (2.0 * rod.radius(place)) ** 2 * share  # E A / (2 r)^2 per length and depth
     wall = WALL_MASS * WALL_SPEED**2 * rod.line_mass(place) * share
+    np.add.at(wall, _nearest(rod, place), WALL_MASS * WALL_SPEED**2 * rod.discs[:, 1])
     bases = (1 + 2 * t) * (1 - t) ** 2, length * t * (1 - t) ** 2, t**2 * (3 - 2 * t), length * t**2 * (t - 1)
     samples = np.stack([*bases, t, radius, stiffness, SMOOTHING * radius, wall], axis=1)  # in the order of Sample
     largest = [radius[end - count : end].max(initial=0.0) for end, count in zip(last, counts, strict=True)]
     return np.stack([h, last - counts, last, largest], axis=1), samples, place
+
+
+def sample_radius(rod: Discretisation, arc_length: Array) -> Array:
+    """Radius (m,) [m] of the balls at arc lengths (m,) [m]: the rod's, or at the ball nearest to a spacer disc that of the disc."""
+    radius = rod.radius(arc_length)
+    np.maximum.at(radius, _nearest(rod, arc_length), rod.discs[:, 2])
+    return radius
+
+
+def _nearest(rod: Discretisation, arc_length: Array) -> IntVector:
+    """Which of the arc lengths (m,) is nearest to each disc: (d,)."""
+    return np.abs(arc_length - rod.discs[:, :1]).argmin(axis=1)
