@@ -132,9 +132,10 @@ def _with_bounds(usual: Parameter, bounds: tuple[float, float] | None, scene: Sc
     if not low <= usual.value <= high or (usual.is_factor and low * high <= 0.0):
         what = "of one sign around" if usual.is_factor else "around"
         raise ValueError(f"parameter {usual.name!r} is bounded to {low:g}..{high:g}: bounds should be {what} its number, {usual.value:g}")
-    if usual.of_scene is not None:
-        low, high = _nearest_allowed(low, usual, scene), _nearest_allowed(high, usual, scene)
-    return replace(usual, low=low, high=high, prior=None if bounds else usual.prior)
+    found = replace(usual, low=low, high=high, prior=None if bounds else usual.prior)
+    if found.of_scene is None:
+        return found
+    return replace(found, low=_nearest_allowed(low, found, scene), high=_nearest_allowed(high, found, scene))
 
 
 def _nearest_allowed(bound: float, parameter: Parameter, scene: Scene) -> float:
