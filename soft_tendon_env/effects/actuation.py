@@ -54,9 +54,9 @@ class TendonElasticity(Effect):
 
     The command of a tendon is the displacement delta [m] by which its actuator has pulled it in, and its tension
 
-        T = min(max(0, k (delta - (L_0 - L))), T_m)
+        T = min(max(0, k (delta - l - (L_0 - L))), T_m)
 
-    with the length L along the strained rod, L_0 along the stress-free one, the stiffness k = E A / length of the whole tendon
+    with the length L along the strained rod, L_0 along the stress-free one, the slack l, the stiffness k = E A / length of the whole tendon
     (D. B. Camarillo et al., IEEE Trans. Robotics 24, 2008) and the strength T_m of the actuator, which gives way beyond. Springs stiffer
     than the arm are the rule: their tensions are those at the end of every substep. Environments scale actions to `displacement_limits`.
     """
@@ -66,6 +66,7 @@ class TendonElasticity(Effect):
 
     stiffness: Positive = Field(description="stiffness of the tendons [N/m]")
     displacement_limits: tuple[Number, Number] = Field(description="least and greatest displacement of the actuators [m]")
+    slack: tuple[Number, ...] = Field((), description="slack of each tendon at displacement 0 [m], negative: pretension; none by default")
     strength: Positive | None = Field(None, description="strength of the actuators [N]; by default the greatest of `tension_limits`")
 
     @field_validator("displacement_limits")
@@ -77,8 +78,12 @@ class TendonElasticity(Effect):
 
     def transmission(self, rod: Discretisation) -> dict[str, Any]:
         tendons = len(rod.tension_limits)
+        if len(self.slack) not in (0, tendons):
+            text = f"has {len(self.slack)} entries: it should have one for each tendon, {tendons}"
+            raise ConfigurationError([Problem(("effects", "tendon_elasticity", "slack"), text)])
+        slack = np.array(self.slack or np.zeros(tendons))
         strength = np.maximum(rod.tension_limits[:, 1], 0.0) if self.strength is None else np.full(tendons, self.strength)
-        return {"elastic": 1, "stiffness": np.full(tendons, self.stiffness), "strength": strength, "length": rod.tendon_length.copy()}
+        return {"elastic": 1, "stiffness": np.full(tendons, self.stiffness), "strength": strength, "length": rod.tendon_length + slack}
 
 
 @register_effect("tendon_friction")

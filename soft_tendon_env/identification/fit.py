@@ -2,8 +2,9 @@
 
 Minimises sum (r / sigma)^2 + sum (x / prior)^2 within bounds (scipy.optimize.least_squares); a sigma that is not given is the root mean
 square of the residuals. Intervals are the wider of two. Linear: Student's t times the standard deviations of (J^T J / sigma^2 + P)^-1, as
-if readings were independent. Bootstrap: clusters of recordings with the same commands are drawn again as a whole, since errors within one
-are common, each time with one Newton step from the estimate and priors drawn around theirs (Davison and Hinkley 1997, 3.8 and 7.6).
+if readings were independent. Bootstrap: clusters of recordings (of a group, or with the same commands) are drawn again as a whole, since
+errors within one are common, each time with one Newton step from the estimate and priors drawn around theirs (Davison and Hinkley 1997,
+3.8 and 7.6).
 """
 
 from typing import NamedTuple

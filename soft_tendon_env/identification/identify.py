@@ -17,10 +17,10 @@ from soft_tendon_env.identification.fit import Intervals, fit, intervals
 from soft_tendon_env.identification.markers import MarkerSet, check_places, load_markers
 from soft_tendon_env.identification.parameters import DELAY, Parameter, command_limits, read_parameters
 from soft_tendon_env.identification.readings import NoHoldError, Plants, Readings, mean_of_finite
-from soft_tendon_env.identification.recordings import SHARE, read_recordings, split
+from soft_tendon_env.identification.recordings import SHARE, Recording, read_recordings, split
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.scene import Scene, scene_to_dict
-from soft_tendon_env.tools.checks import checked_type
+from soft_tendon_env.tools.checks import checked_count, checked_type
 from soft_tendon_env.tools.configuration import plain
 from soft_tendon_env.tools.files import digest
 from soft_tendon_env.tools.types import Array
@@ -58,15 +58,17 @@ def identify(
     parameters: Sequence[str],
     *,
     held_out: str | float = SHARE,
+    fit_to: int | None = None,
     fidelity: str = FIDELITY,
     noise: float | None = None,
 ) -> Estimate:
     """Identifies parameters of an arm from recorded marker positions, by least squares with priors.
 
     data: CSV files, see identification.recordings. markers: TOML file, see identification.markers. parameters: as `KEY` or
-    `KEY=LOW..HIGH`, see identification.parameters. held_out: a share of the recordings, or a column, see identification.recordings.
-    fidelity: of the fitted model, whose errors go into the parameters. noise: standard deviation of a marker's coordinate [m]; None: it is
-    estimated. Raises ValueError, ConfigurationError or FileNotFoundError for data that cannot be used, in one line that says where.
+    `KEY=LOW..HIGH`, see identification.parameters. held_out: a share of the recordings, a column, see identification.recordings, or a CSV
+    file of others. fit_to: greatest number of recordings to fit to, evenly over the data; None: all. fidelity: of the fitted model, whose
+    errors go into the parameters. noise: standard deviation of a marker's coordinate [m]; None: it is estimated. Raises ValueError,
+    ConfigurationError or FileNotFoundError for data that cannot be used, in one line that says where.
     """
     checked_type("scene", scene, Scene, "see load_scene")
     if noise is not None and not 0.0 < noise < np.inf:
@@ -75,12 +77,12 @@ def identify(
     placed = markers if isinstance(markers, MarkerSet) else load_markers(markers, scene)
     check_places(placed, scene, "markers")
     chosen = read_parameters(parameters, scene, placed)
-    recordings = read_recordings([Path(file) for file in files], scene, placed)
+    parts = _parts(read_recordings([Path(file) for file in files], scene, placed), scene, placed, str(held_out), fit_to)
     accurate = at_fidelity(scene, fidelity)
-    period = min((one.period for one in recordings if one.period), default=np.inf)
+    period = min((one.period for part in parts for one in part if one.period), default=np.inf)
     accurate = accurate.replace({"integrator.step": min(period, accurate.integrator.step)})  # a command may arrive in each period
     plants = Plants(accurate, build_model(accurate), placed, chosen)
-    fitted, unseen = (Readings(plants, part) for part in split(recordings, str(held_out)))
+    fitted, unseen = (Readings(plants, part) for part in parts)
     try:
         found = fit(fitted, noise)
     except NoHoldError as error:
@@ -100,6 +102,19 @@ def identify(
         findings=tuple(findings(found, spread.unseen, fitted, noise)),
         data=tuple(os.fspath(file) for file in files),
     )
+
+
+def _parts(
+    recordings: list[Recording], scene: Scene, markers: MarkerSet, held_out: str, fit_to: int | None
+) -> tuple[list[Recording], list[Recording]]:
+    """Recordings to fit to, and held-out ones, see `identify`. Raises ValueError, FileNotFoundError."""
+    if held_out.endswith(".csv"):
+        fitted, unseen = recordings, read_recordings([Path(held_out)], scene, markers)
+    else:
+        fitted, unseen = split(recordings, held_out)
+    if fit_to is not None and checked_count("fit_to", fit_to, 1) < len(fitted):
+        fitted = [fitted[int(i)] for i in (np.arange(fit_to) + 0.5) * len(fitted) / fit_to]
+    return fitted, unseen
 
 
 def save_estimate(found: Estimate, folder: Path) -> list[Path]:

@@ -1,9 +1,10 @@
 """Parameters to estimate: numbers of a scene by dotted keys, and numbers of the measurement (markers, commands).
 
 `segments.*.young_modulus` is one parameter, by which the numbers of all matches change together, see scene.parameters. Numbers other than
-zero are estimated as a factor (in logarithm), others as a difference. Where the arm stands and how it is measured are others, of which a
-wildcard is a parameter for each match: `base.rotation` [deg] and `base.position` [m] of the scene, `markers.NAME.offset` [m],
-`commands.I.gain`, `commands.I.offset` and `commands.delay` [s]; all but the delay have a normal prior, which bounds take the place of.
+zero are estimated as a factor (in logarithm), others and angles of tendons as a difference. Where the arm stands and how it is measured
+are others, of which a wildcard is a parameter for each match: `base.rotation` [deg] and `base.position` [m] of the scene,
+`markers.NAME.offset` [m], `commands.I.gain`, `commands.I.offset` and `commands.delay` [s]; all but the delay have a normal prior, which
+bounds take the place of.
 """
 
 import contextlib
@@ -23,6 +24,7 @@ from soft_tendon_env.tools.types import Array
 
 MEASUREMENT = ("base", "markers", "commands")
 FACTOR, WIDE = 30.0, 5.0  # how far a factor may go where no bounds are given, and a difference, in standard deviations of its prior
+TURN = 30.0  # how far angles of tendons may go where no bounds are given [deg]
 ROTATION, GAIN = 3.0, 0.1  # standard deviations of the priors of the base's rotation [deg] and gains
 SHIFT, OFFSET = 0.0125, 0.025  # of those of the base's position and of marker offsets, as shares of the rod's length
 COMMAND_OFFSET = 0.05  # of that of a command's offset, as a share of the range of the tendon's commands
@@ -115,10 +117,11 @@ def _of_measurement(scene: Scene, markers: MarkerSet) -> dict[str, Parameter]:
 def _of_scene(key: str, scene: Scene, bounds: tuple[float, float] | None) -> Parameter:
     """Parameter of the scene that is asked for. Raises ValueError where bounds must be given, ConfigurationError."""
     (numbers,) = scene_parameters(scene, [key])
-    value, is_factor = numbers.value, all(numbers.values)
-    if not is_factor and bounds is None:
+    value, is_angle = numbers.value, key.endswith((".angle", ".phase")) and not numbers.is_factor
+    is_factor = all(numbers.values) and not is_angle
+    if not is_factor and not is_angle and bounds is None:
         raise ValueError(f"parameter {key!r} is {value:g}: zero has no usual range, give {key}=LOW..HIGH")
-    low, high = sorted((value / FACTOR, value * FACTOR))
+    low, high = (value - TURN, value + TURN) if is_angle else sorted((value / FACTOR, value * FACTOR))
     return _with_bounds(Parameter(key, numbers, value, low, high, None, is_factor), bounds, scene)
 
 
@@ -129,9 +132,10 @@ def _with_bounds(usual: Parameter, bounds: tuple[float, float] | None, scene: Sc
     if not low <= usual.value <= high or (usual.is_factor and low * high <= 0.0):
         what = "of one sign around" if usual.is_factor else "around"
         raise ValueError(f"parameter {usual.name!r} is bounded to {low:g}..{high:g}: bounds should be {what} its number, {usual.value:g}")
-    if usual.of_scene is not None:
-        low, high = _nearest_allowed(low, usual, scene), _nearest_allowed(high, usual, scene)
-    return replace(usual, low=low, high=high, prior=None if bounds else usual.prior)
+    found = replace(usual, low=low, high=high, prior=None if bounds else usual.prior)
+    if found.of_scene is None:
+        return found
+    return replace(found, low=_nearest_allowed(low, found, scene), high=_nearest_allowed(high, found, scene))
 
 
 def _nearest_allowed(bound: float, parameter: Parameter, scene: Scene) -> float:

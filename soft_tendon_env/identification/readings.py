@@ -1,7 +1,8 @@
 """Readings of recordings beside those that are simulated at given parameters: residuals and their derivatives.
 
 Equilibria of still holds are sought by Newton's method from the last ones that were found for their recordings, so that a fit re-solves
-each in a few iterations. Motions begin at rest under their first command; each command is held until the next sample.
+each in a few iterations; their derivatives take one Newton step from there (implicit function theorem). Motions begin at rest under their
+first command; each command is held until the next sample.
 """
 
 from collections.abc import Iterable, Sequence
@@ -11,7 +12,8 @@ import numpy as np
 
 from soft_tendon_env.identification.markers import MarkerSet
 from soft_tendon_env.identification.parameters import DELAY, Parameter
-from soft_tendon_env.identification.recordings import Recording, same_commands
+from soft_tendon_env.identification.recordings import Recording, clusters
+from soft_tendon_env.model.equilibrium_residual import Balance
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, simulate
 from soft_tendon_env.model.statics import commanded_equilibrium, static_equilibrium
@@ -40,6 +42,14 @@ class Measurement(NamedTuple):
         """Positions (..., m, 3) [m] of markers in the world, of section poses (..., m, 4, 4) along its axes, but beginning at the base."""
         away = poses[..., :3, 3] + np.einsum("...ij,...j->...i", poses[..., :3, :3], self.offsets)
         return np.asarray(away + self.position)
+
+
+class Near(NamedTuple):
+    """Equilibrium of a hold, and how it moves with forces on its coordinates while the command stays."""
+
+    q: Array  # (n,)
+    compliance: Array  # (n, n)
+    pulls: Array  # (n_a,) bool, of elastic tendons those whose tension follows the arm
 
 
 class Plants:
@@ -78,14 +88,14 @@ class Plants:
 
 class Readings:
     """Readings of recordings in one vector (N,): the coordinates of `measured` positions (samples of all recordings, m, 3) [m] that are
-    `seen`. cluster: index of each reading (N,) that those under the same commands share, whose errors are common."""
+    `seen`. cluster: index of each reading (N,) that those with common errors share, see `clusters`."""
 
     def __init__(self, plants: Plants, recordings: Sequence[Recording]) -> None:
         self.plants, self.recordings = plants, sorted(recordings, key=lambda one: bool(one.period))  # holds, then motions
         self._rests: list[Array | None] = [None] * len(recordings)
         self._difference = DIFFERENCES[any(one.period for one in recordings)]
         samples = [len(one.command) for one in self.recordings]
-        self.ends, group = np.cumsum(samples), same_commands(self.recordings)
+        self.ends, group = np.cumsum(samples), clusters(self.recordings)
         self.measured = np.concatenate([np.empty((0, len(plants.markers.markers), 3)), *(one.positions for one in self.recordings)])
         self.seen = np.isfinite(self.measured)
         self.cluster = np.broadcast_to(np.repeat(group, samples)[:, None, None], self.seen.shape)[self.seen]
@@ -102,10 +112,12 @@ class Readings:
     def jacobian(self, x: Array) -> Array:
         """Derivatives (N, k) [m] of the readings by the coordinates, by central differences within the bounds. Raises as `positions`."""
         columns, still = [], self._poses(x)
+        arms = zip(self.recordings, self._rests, self._arms(x), strict=True)
+        near = [None if one.period or q is None else _near(model, command[0], q) for one, q, (model, command) in arms]
         for i, parameter in enumerate(self.plants.parameters):
             ends = np.clip([x[i] - self._difference, x[i] + self._difference], *parameter.bounds)
             places = [np.where(np.arange(x.size) == i, end, x) for end in ends]
-            low, high = (self.residual(at, None if self.plants.moves_arm[i] else still) for at in places)
+            low, high = (self.residual(at, self._poses(at, near) if self.plants.moves_arm[i] else still) for at in places)
             columns.append((high - low) / (ends[1] - ends[0]))
         return np.stack(columns, axis=-1)
 
@@ -116,15 +128,22 @@ class Readings:
             one.name: mean_of_finite(part.ravel()) for one, part in zip(self.recordings, np.split(distance, self.ends[:-1]), strict=False)
         }
 
-    def _poses(self, x: Array) -> Array:
-        """Simulated poses (samples, m, 4, 4) of the markers' sections, from the place of the base. Raises NoHoldError."""
+    def _arms(self, x: Array) -> list[tuple[Model, Array]]:
+        """The model at coordinates x (k,), with the commands (samples, n_a) of each recording."""
         model, measurement = self.plants.model.with_scene(self.plants.scene_at(x, self.plants.scene)), self.plants.measurement(x)
+        return [(model, measurement.gain * one.command + measurement.offset) for one in self.recordings]
+
+    def _poses(self, x: Array, near: Sequence[Near | None] = ()) -> Array:
+        """Simulated poses (samples, m, 4, 4) of the markers' sections, from the place of the base; of holds that are `near` others to
+        first order. Raises NoHoldError."""
+        arms, simulated, places = self._arms(x), list[Array](), self.plants.markers.arc_lengths
         with erring_actuators():  # by the gains and offsets that are looked for
-            commands = [measurement.gain * one.command + measurement.offset for one in self.recordings]
-            simulated = [q for i, command in enumerate(commands) for q in self._simulate(model, command, i)]
-        places = self.plants.markers.arc_lengths
+            for i, (model, command) in enumerate(arms):
+                moved = _moved(model, command[0], near[i]) if near else None
+                simulated += self._simulate(model, command, i) if moved is None else [moved]
+        model = arms[0][0] if arms else self.plants.model
         poses = np.array([model.backbone_at(q, places) for q in simulated]).reshape(-1, places.size, 4, 4)
-        poses[..., :3, 3] -= measurement.position
+        poses[..., :3, 3] -= self.plants.measurement(x).position
         return poses
 
     def _simulate(self, model: Model, command: Array, i: int) -> list[Array]:
@@ -146,6 +165,42 @@ class Readings:
             motion = f"cannot be simulated: {error}. Its samples are {one.period:.3g} s apart, if their unit is right"
             text = f"motion {one.name!r} {motion}" if one.period else f"hold {one.name!r} has no equilibrium: {error}"
             raise NoHoldError(f"{one.where}: {text}.") from error
+
+
+def _near(model: Model, command: Array, q: Array) -> Near | None:
+    """The equilibrium q (n,) of a hold under a command (n_a,); None where it does not move to first order."""
+    path, (u, pulls) = model.arm.effects.transmission, _tension(model, command, q)
+    with model.workspace() as work:
+        here = Balance(model, u, work).linearise(q, 1.0)
+    if here is None:
+        return None
+    compliance = here.compliance
+    if pulls.any():
+        columns = model.terms(q, np.zeros_like(q), u).actuation[:, pulls]
+        answer, springs = compliance @ columns, np.diag(1.0 / path.stiffness[pulls])
+        compliance = compliance - answer @ np.linalg.solve(springs + columns.T @ answer, columns.T @ compliance)
+    return Near(q, compliance, pulls)
+
+
+def _moved(model: Model, command: Array, near: Near | None) -> Array | None:
+    """Equilibrium (n,) of a hold of another arm by one Newton step; None where that says nothing, as where a tendon goes slack."""
+    if near is None:
+        return None
+    u, pulls = _tension(model, command, near.q)
+    if (pulls != near.pulls).any():
+        return None
+    with model.workspace() as work:
+        at = Balance(model, u, work).at(near.q, 1.0)
+    return None if at is None else np.asarray(near.q + near.compliance @ at.force)
+
+
+def _tension(model: Model, command: Array, q: Array) -> tuple[Array, Array]:
+    """Tensions (n_a,) [N] under a command (n_a,) at coordinates q (n,), and which of them follow the arm (n_a,)."""
+    path = model.arm.effects.transmission
+    if not path.elastic:
+        return command, np.zeros(command.size, dtype=bool)
+    u = np.clip(path.stiffness * (command - path.length + model.tendon_lengths(q)), 0.0, path.strength)
+    return u, (u > 0.0) & (u < path.strength)
 
 
 def mean_of_finite(values: Iterable[float]) -> float:

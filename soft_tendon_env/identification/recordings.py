@@ -2,7 +2,8 @@
 
 One row is a hold (`hold`, its name), or with a column `time` [s] a sample, of which those with one `hold` follow each other as one motion.
 Commands are `tension_i` [N] or `displacement_i` [m], one for each tendon from 0 on; a marker has `NAME_x`, `NAME_y`, `NAME_z` [m], all of
-them empty where it was not seen. The table `[columns]` of the markers' file gives quantities other names and units.
+them empty where it was not seen. The table `[columns]` of the markers' file gives quantities other names and units, and may name a column
+`group`, of recordings whose errors are common.
 """
 
 import itertools
@@ -39,6 +40,7 @@ class Recording:
     positions: Array  # (samples, m, 3) [m] in the scene's world frame, NaN where they were not measured
     period: float  # [s] between samples, 0 for a hold
     columns: Mapping[str, str]  # cells of its first row, by the header
+    group: str = ""  # its cell in the column of groups, if there is one
 
 
 def read_recordings(paths: Sequence[str | Path], scene: Scene, markers: MarkerSet) -> list[Recording]:
@@ -55,7 +57,8 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
     unit = scene.effects.command_unit
     commands = {f"{COMMANDS[unit]}_{i}": unit for i in range(len(scene.tendons))}
     places = {f"{name}_{axis}": "m" for name in markers.markers for axis in "xyz"}
-    table, sources = _table(path, markers, {**commands, **places, "time": "s", "hold": ""})
+    texts = dict.fromkeys(("hold", "group") if "group" in markers.columns else ("hold",), "")
+    table, sources = _table(path, markers, {**commands, **places, "time": "s", **texts})
     rows = [where for where, _ in table.rows]
     command, placed, times = (table.numbers(sources[name] for name in names) for names in (commands, places, {"time"} & sources.keys()))
     if np.isnan(command).any():
@@ -71,7 +74,9 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
         samples = [*group]
         where, cells = table.rows[samples[0]]
         period = _period(name, times[samples].ravel(), [rows[i] for i in samples])
-        found.append(Recording(name, where, command[samples], positions[samples], period, dict(zip(table.header, cells, strict=True))))
+        columns = dict(zip(table.header, cells, strict=True))
+        group_name = columns[sources["group"][0]] if "group" in sources else ""
+        found.append(Recording(name, where, command[samples], positions[samples], period, columns, group_name))
         check_commands(found[-1], scene)
     return found
 
@@ -103,7 +108,7 @@ def _table(path: Path, markers: MarkerSet, units: Mapping[str, str]) -> tuple[Ta
         raise ValueError(f"{table.where}: {text}; {not_among(missing[0], table.header)}")
     if not table.rows:
         raise ValueError(f"{table.where}: there are no rows beneath the header")
-    places = [table.header.index(name) for quantity, (name, _) in found.items() if quantity != "hold"]
+    places = [table.header.index(name) for quantity, (name, _) in found.items() if quantity not in ("hold", "group")]
     marks = {mark: where for where, cells in table.rows for i in places for mark in ",." if mark in cells[i]}
     if len(marks) > 1:
         raise ValueError(f"{marks[',']} has decimal commas and {marks['.']} points: numbers should have one decimal mark, and no others")
@@ -168,7 +173,7 @@ def _unit_guess(quantity: str, value: float, most: float, unit: str) -> str:
 
 
 def split(recordings: Sequence[Recording], held_out: str = SHARE) -> list[list[Recording]]:
-    """Recordings to fit to, and held-out ones, each in the order of the data; those with the same commands stay together in a share.
+    """Recordings to fit to, and held-out ones, each in the order of the data; those of a cluster stay together in a share.
     held_out: a share below 1, evenly over the data, or a column that is not zero there. Raises ValueError."""
     try:
         wanted = float(held_out)
@@ -180,14 +185,21 @@ def split(recordings: Sequence[Recording], held_out: str = SHARE) -> list[list[R
     else:
         if not 0.0 <= wanted < 1.0:
             raise ValueError(f"held_out is {wanted:g}: it should be a share from 0 to below 1, or a column")
-        group = same_commands(recordings)
+        group = clusters(recordings)
         count = group.max(initial=-1) + 1
         groups = round(wanted * count)
         chosen = np.isin(group, ((np.arange(groups) + 0.5) * count / max(groups, 1)).astype(int))
     if chosen.all():
         text = f"held_out is {held_out!r}, which leaves nothing to fit to of {len(recordings)} recordings"
-        raise ValueError(f"{text}: those with the same commands stay together")
+        raise ValueError(f"{text}: those with the same commands, or of one group, stay together")
     return [[one for one, is_out in zip(recordings, chosen, strict=True) if bool(is_out) == kind] for kind in (False, True)]
+
+
+def clusters(recordings: Sequence[Recording]) -> Array:
+    """Index (recordings,), from 0 in the order of the data, that recordings with common errors share: those of a group, or where there are
+    no groups those with the same commands."""
+    names = [*dict.fromkeys(one.group for one in recordings)]
+    return np.array([names.index(one.group) for one in recordings]) if any(names) else same_commands(recordings)
 
 
 def same_commands(recordings: Sequence[Recording]) -> Array:

@@ -1,6 +1,7 @@
 """Parameters of a scene: its numbers by dotted keys with wildcards, and ranges of them as domain randomisation draws them."""
 
 import contextlib
+import itertools
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple, NoReturn
@@ -61,7 +62,8 @@ class Range(NamedTuple):
 
 
 def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...]:
-    """Parameters of a scene by dotted keys, in which `*` stands for every entry, as `"segments.*.young_modulus"`.
+    """Parameters of a scene by dotted keys, in which `*` stands for every entry, as `"segments.*.young_modulus"`, and
+    `0,2` for those that it lists.
 
     Any number of `[[segments]]`, `[[tendons]]`, `[base]` and `[effects]` can be one, but for lengths of segments, ends and limits of
     tendons, and the quaternion. An effect that does nothing unless it is told to, as a tip load, need not be in the scene. Raises
@@ -147,9 +149,11 @@ def _misfit(key: str, value: Any) -> str:
 
 
 def _parameter(name: str, entries: Mapping[str, Any]) -> Parameter:
-    keys = _matching(name, entries)
-    if not keys:
-        _fail(name, _refusal(name, entries))
+    keys = list[str]()
+    for one in map(".".join, itertools.product(*(part.split(",") for part in name.split(".")))):
+        if not (matches := _matching(one, entries)):
+            _fail(one, _refusal(one, entries))
+        keys += [key for key in matches if key not in keys]
     arrays = {re.sub(r"\.\d+$", "", key) for key in keys}  # of a number of its own the key itself
     size = max(abs(value) for key, value in entries.items() if isinstance(value, float) and re.sub(r"\.\d+$", "", key) in arrays)
     return Parameter(name, tuple(keys), tuple(entries[key] for key in keys), size)

@@ -56,6 +56,7 @@ MISTAKES = [
     ("moving_base", {"axis": [0.0, 0.0, 0.0]}, "axis .* should be a direction"),
     ("moving_base", {"amplitude": [0.1, 0.0, 0.0]}, "frequency should be above 0 Hz"),
     ("tendon_elasticity", {"displacement_limits": [0.0, 0.1], "stiffness": [1e3, 1e3]}, r"effects\.tendon_elasticity"),
+    ("tendon_elasticity", {"displacement_limits": [0, 1], "stiffness": 1e3, "slack": [0.0]}, "has 1 entries: .* for each tendon, 3"),
     ("tendon_elasticity", {"displacement_limits": [0.1, 0.0], "stiffness": 1e3}, r"effects\.tendon_elasticity"),
 ]
 

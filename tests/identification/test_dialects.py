@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.identification import Marker, MarkerSet
-from soft_tendon_env.identification.recordings import read_recordings
+from soft_tendon_env.identification.recordings import clusters, read_recordings, split
 from soft_tendon_env.scene.file import load_scene
 
 HEADER = ["hold", "tension_0", "tension_1", "tension_2", "m_x", "m_y", "m_z"]
@@ -69,6 +69,23 @@ def test_columns_have_names_units_and_signs(tmp_path, columns, factors, header):
     np.testing.assert_allclose([[*recording.command[0], *recording.positions[0, 0]] for recording in found], NUMBERS, rtol=1e-11)
     again = markers.with_offsets(markers.offsets)
     assert again.columns == markers.columns
+
+
+def test_rows_of_servos_in_mm_with_labels_are_holds_in_groups(tmp_path):
+    """As a laboratory wrote them: epoch seconds that name rows, servos in an order of their own, patterns of motion."""
+    header = "timestamp,pattern_label,servo_7_mm,servo_2_mm,servo_5_mm,tip_x,tip_y,tip_z"
+    rows = [f"{1778538602.5 + 0.6 * i:.6f},rep1_dir{60 * (i // 2)}_pull,{-i},{0.5 * i},{2 * i},{i},-2.5,{299 - i}" for i in range(6)]
+    servos = {f"displacement_{i}": {"name": f"servo_{servo}_mm", "unit": "mm", "sign": sign} for i, servo, sign in [(0, 5, 1), (1, 7, -1)]}
+    columns = {**servos, "displacement_2": {"name": "servo_2_mm", "unit": "mm"}, "tip_*": {"unit": "mm"}, "hold": {"name": "timestamp"}}
+    driven = load_scene("three_tendon").replace({"effects.tendon_elasticity": {"stiffness": 3e3, "displacement_limits": [-0.01, 0.02]}})
+    turned = {"markers": {"tip": {"arc_length": 0.3}}, "frame": {"quaternion": [0.5, 0.5, 0.5, 0.5]}}
+    markers = MarkerSet.parse({**turned, "columns": {**columns, "group": {"name": "pattern_label"}}}, "test")
+    (tmp_path / "log.csv").write_text("\n".join([header, *rows]) + "\n")
+    found = read_recordings([tmp_path / "log.csv"], driven, markers)
+    assert [one.name for one in found[:2]] == ["1778538602.500000", "1778538603.100000"] and not any(one.period for one in found)
+    np.testing.assert_allclose([one.command[0] for one in found], 1e-3 * np.outer(range(6), [2.0, 1.0, 0.5]), rtol=1e-12)
+    np.testing.assert_allclose(found[3].positions[0, 0], [0.296, 0.003, -0.0025], rtol=1e-12)
+    assert clusters(found).tolist() == [0, 0, 1, 1, 2, 2] and [len(part) for part in split(found, "0.34")] == [4, 2]
 
 
 @pytest.mark.cases(

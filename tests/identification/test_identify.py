@@ -1,14 +1,17 @@
 """Identification of simulated arms with known parameters: truth within intervals, and what the data do not contain told."""
 
 import json
+import os
+import runpy
 from dataclasses import replace
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
 from soft_tendon_env.cli.main import main
-from soft_tendon_env.identification import identify
+from soft_tendon_env.identification import MarkerSet, identify
 from soft_tendon_env.identification.fit import fit
 from soft_tendon_env.identification.identify import save_estimate
 from soft_tendon_env.identification.parameters import read_parameters
@@ -42,6 +45,36 @@ def test_derivatives_are_those_of_smaller_differences(arm, holds, placed):
     d = 3e-4
     other = np.stack([(readings.residual(x + step) - readings.residual(x - step)) / (2 * d) for step in d * np.eye(x.size)], axis=-1)
     assert np.abs(J - other).max() < 1e-5 * np.abs(J).max()
+
+
+def test_derivatives_under_displacements_are_differences_of_equilibria(arm):
+    elastic = {"stiffness": 3e3, "slack": [-1e-3, 0.0, 1e-3], "displacement_limits": [-0.01, 0.03]}
+    placed = MarkerSet.parse({"markers": {"tip": {"arc_length": 0.2}}}, "test")
+    driven = arm.replace({"effects.tendon_elasticity": elastic})
+    asked = [E, "effects.tendon_elasticity.stiffness", "effects.tendon_elasticity.slack.1=-0.01..0.01", "commands.0.offset"]
+    commands = np.array([[[4e-3, 1e-3, 0.0]], [[0.0, 6e-3, 5e-3]]])
+    holds = [Recording(f"{i}", "test", command, np.zeros((1, 1, 3)), 0.0, {}) for i, command in enumerate(commands)]
+    readings = Readings(Plants(driven, build_model(driven), placed, read_parameters(asked, driven, placed)), holds)
+    x, d = np.full(4, 0.02), 1e-4
+    other = np.stack([(readings.residual(x + step) - readings.residual(x - step)) / (2 * d) for step in d * np.eye(4)], axis=-1)
+    assert np.abs(readings.jacobian(x) - other).max() < 1e-6 * np.abs(other).max()
+
+
+def test_a_file_judges_and_few_recordings_are_fitted_to(arm, holds, placed):
+    found = identify(arm, holds, placed, [E], fidelity="scene", held_out=holds, fit_to=6)
+    assert [*found.error_fit] == [f"holds{i}" for i in (1, 4, 6, 9, 12, 14)] and len(found.error_held_out) == 16
+
+
+@pytest.mark.slow
+@pytest.mark.skipif("MEASURED" not in os.environ, reason="MEASURED names no folder with measured data")
+def test_the_tip_of_a_measured_arm_of_three_segments_is_met(tmp_path):
+    example = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "three_segment_arm.py"))
+    example["write_inputs"](tmp_path)
+    data = example["file_of"](Path(os.environ["MEASURED"]), "train")
+    asked, most = example["STEPS"]["8 parameters"]
+    scene = load_scene(tmp_path / "three_segment.toml")
+    found = identify(scene, data, tmp_path / "markers.toml", asked, fit_to=most, fidelity="scene")
+    assert len(found.value) == 8 and found.errors[1] < 5e-3 < 7e-3 < found.before[1] and found.intervals.identified.all()
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,15 @@ def test_a_wildcard_of_the_scene_is_one_factor_and_one_of_the_measurement_is_man
     assert offsets[1].prior == pytest.approx(0.01)
 
 
+def test_entries_of_a_list_change_together_and_angles_by_differences(placed):
+    elastic = {"stiffness": 3e3, "slack": [0.0, 0.0, 0.0], "displacement_limits": [-0.01, 0.03]}
+    changes = {"effects.tendon_elasticity": elastic, "tendons.1.routing": {"type": "surface", "angle": 10.0}}
+    asked = ["effects.tendon_elasticity.slack.0,2=-0.002..0.002", "tendons.1.routing.angle"]
+    slack, angle = read_parameters(asked, load_scene("three_tendon").replace(changes), placed)
+    assert slack.of_scene.keys == ("effects.tendon_elasticity.slack.0", "effects.tendon_elasticity.slack.2")
+    assert not angle.is_factor and (angle.low, angle.high) == (-20.0, 40.0)
+
+
 def test_bounds_stop_where_the_scene_does(arm, placed):
     (nu,) = read_parameters(["segments.0.poisson_ratio=0.1..0.7"], arm.replace({"segments.0.poisson_ratio": 0.4}), placed)
     assert 0.4999999 < nu.high <= 0.5
@@ -31,6 +40,7 @@ def test_bounds_stop_where_the_scene_does(arm, placed):
 @pytest.mark.cases(
     "asked, message",
     [
+        ("segments.0,7.density", "segments.7.density is no number of the scene"),
         ("segments.*.young", "segments.*.young is no number of the scene: did you mean 'segments.*.young_modulus'?"),
         ("markers.top.offset", "parameter 'markers.top.offset' is none of the measurement: did you mean 'markers.tip.offset.2'?"),
         ("segments.*.density=5..1", "should be KEY or KEY=LOW..HIGH with LOW < HIGH"),
