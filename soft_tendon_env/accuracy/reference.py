@@ -19,7 +19,7 @@ from soft_tendon_env.scene.scene import LEAST_TOLERANCE, Scene, rod_length
 from soft_tendon_env.tools.parallel import processors, run_all
 from soft_tendon_env.tools.types import Array
 
-STEPS = (2e-2, 1e-2, 3e-3, 1e-3)  # tolerance of time steps at a level, as a share of that of the motions; the last for those that follow
+STEPS = (2e-2, 1e-2, 5e-3)  # tolerance of time steps at a level, as a share of that of the motions; the last for those that follow
 
 
 class Reference(NamedTuple):

@@ -28,7 +28,7 @@ class Level(NamedTuple):
     cuts: int  # of every piece, besides those by its turns
 
 
-LEVELS = (Level(5, 1), Level(7, 1), Level(9, 1), Level(11, 1), Level(11, 2), Level(12, 4))
+LEVELS = (Level(6, 1), Level(8, 1), Level(10, 1), Level(12, 1), Level(12, 2), Level(13, 4))
 FIRST = 1  # the first level that equilibria are judged by
 
 
