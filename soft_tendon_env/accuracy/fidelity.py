@@ -1,7 +1,7 @@
 """Fidelity: presets of accuracy against time, strain field, quadrature and integrator together, see docs/appendix/speed.md.
 
-A preset is an error: the largest distance of the tip from full physics, as a share of the rod's length, at rest under tensions within limits
-and in the usual motions, see input_motions.
+A preset is an error: the largest distance of the tip from full physics, as a share of the rod's length, at rest under tensions within
+limits and in the usual motions, see input_motions.
 """
 
 from __future__ import annotations
@@ -63,14 +63,21 @@ def build_model(scene: Scene, fidelity: str | None = UNSAID) -> Model:
 def at_fidelity(scene: Scene, fidelity: str | None) -> Scene:
     """The scene with the strain, quadrature and integrator of a fidelity, see `build_model`.
 
-    They are found by a short trial of the arm, once, unless it has passive fields of its own that were made for its loads: there the fields'
-    errors are known. Raises ConfigurationError where nothing keeps within a length; warns where nothing reaches a preset.
+    They are found by a short trial of the arm, once, unless it has passive fields of its own that were made for its loads: the errors of
+    these are known. Raises ConfigurationError where nothing keeps within a length; warns where nothing reaches a preset.
     """
     if fidelity == AS_SCENE:
         return scene
     asked, everything = accuracy_of(scene, fidelity or "standard"), fidelity is not None
-    chosen = {"quadrature": {"tolerance": asked.quadrature, "least": asked.least}, "integrator": {"tolerance": asked.tolerance * rod_length(scene)}}
-    is_open = {"strain": _leaves_strain_open(scene), "quadrature": scene.quadrature == Quadrature(), "integrator": scene.integrator == Integrator()}
+    chosen = {
+        "quadrature": {"tolerance": asked.quadrature, "least": asked.least},
+        "integrator": {"tolerance": asked.tolerance * rod_length(scene)},
+    }
+    is_open = {
+        "strain": _leaves_strain_open(scene),
+        "quadrature": scene.quadrature == Quadrature(),
+        "integrator": scene.integrator == Integrator(),
+    }
     if everything or is_open["strain"]:
         fields = known_fields(scene)
         if fidelity is not None and is_length(fidelity) or fields is None or fields.misfit(scene):
@@ -98,10 +105,12 @@ def _check(scene: Scene, found: Choice, asked: Accuracy, fidelity: str) -> None:
     if found.error <= asked.share:
         return
     if np.isfinite(found.error):
-        text = f"{scene.name!r} has no coordinates that keep its tip as near to full physics as {fidelity!r} asks, {100 * asked.share:.3g} %"
+        text = (
+            f"{scene.name!r} has no coordinates that keep its tip as near to full physics as {fidelity!r} asks, {100 * asked.share:.3g} %"
+        )
         text += f" of the length: the best there are, {found.describe(scene)}"
     else:
-        text = f"the accuracy of {scene.name!r} is not known: full physics has none of the motions under its loads and within its tension limits"
+        text = f"the accuracy of {scene.name!r} is not known: full physics has no motion under its loads and tensions"
     if is_length(fidelity):
         raise ConfigurationError([Problem((), text)])
     warnings.warn(text, FidelityWarning, stacklevel=3)

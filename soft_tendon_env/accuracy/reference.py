@@ -1,6 +1,6 @@
 """Converged reference motions: full Cosserat-rod physics, refined until the arm's tip no longer moves, with an error bar.
 
-Basis, quadrature and time steps are refined together: what a motion changes by from one level to the next bounds the error of the finer one.
+Basis, quadrature and time steps are refined together: what a motion changes by from one level to the next bounds the finer one's error.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from soft_tendon_env.scene.scene import LEAST_TOLERANCE, Scene, rod_length
 from soft_tendon_env.tools.parallel import processors, run_all
 from soft_tendon_env.tools.types import Array
 
-STEPS = (2e-2, 1e-2, 5e-3)  # tolerance of time steps at a level, as a share of that of the motions; the last for those that follow
+STEPS = (5e-2, 1e-2, 2e-3)  # tolerance of time steps at a level, as a share of that of the motions; the last for those that follow
 
 
 class Reference(NamedTuple):

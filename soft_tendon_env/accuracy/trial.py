@@ -4,13 +4,14 @@ A trial is made once, in seconds, under the scene's loads and within its tension
 obstacles, and without what lies between commands and tensions.
 """
 
+from __future__ import annotations
+
 import contextlib
 import functools
 import hashlib
 import inspect
 import json
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,23 +22,22 @@ from soft_tendon_env.accuracy.input_motions import USUAL, motion_tensions
 from soft_tendon_env.accuracy.reference import distance, reference_motions, tip_path
 from soft_tendon_env.model.coordinates import coordinate_count
 from soft_tendon_env.model.full_physics import part_borders
-from soft_tendon_env.model.model import model_on
+from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.scene.passive_fields import PassiveFields, fields_of, find_fields
 from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene, breakpoints, rod_length
 from soft_tendon_env.scene.strain import STRAINS, Snapshots, StaticsBased
 from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.files import digest, new_data_folder, read_json, replacing, sources_digest
 from soft_tendon_env.tools.messages import say_once
-from soft_tendon_env.tools.types import Array
 
 SEED, SECONDS, RESTS = 500, 1.0, 6  # of the motions, one of each usual kind; equilibria under random tensions, besides the slack arm's
 MARGIN = 2.0  # by which the error on these stays below what is asked for, since other motions may be worse
 REFERENCE, UNSURE = 0.1, 0.5  # of what is asked for: error aimed at in full physics, and the largest of a motion that is judged by
 FIELDS, ROD, PIECE, EXPLICIT = (6, 9, 12, 18, 24), (1, 2, 3, 4, 6, 8, 10, 12), (1, 2, 3, 5, 7, 9), (4, 6, 9)
-"""Numbers of the arm's own passive fields, and Legendre orders over the rod, over each part of it, and of explicit strain, that are tried."""
-PROBE, RICH, FINER, SETTLED, TIGHTER, MOST = 3, 5, 10.0, 0.25, 5.0, 5
-"""Order of the moments that quadrature and steps are settled with; by how much finer ones must change their tip by less than a part of what
-is asked for; by how much and how often they are tightened."""
+"""Numbers of the arm's own passive fields, Legendre orders over the rod, over each part of it, and of explicit strain, that are tried."""
+FEW, RICH, FINER, SETTLED, TIGHTER, MOST, RICHEST = 3, 5, 10.0, 0.25, 5.0, 5, 3
+"""Orders of moments and explicit strain that steps and quadrature are settled with; finer ones, by how much, change the tip by less than a
+part of what is asked for; by how much and how often steps are tightened; how many of the richest strains are compared where none does."""
 SOURCES = tuple(f"{folder}/**/*.py" for folder in ("mechanics", "effects", "scene", "model", "accuracy"))
 
 
@@ -63,6 +63,13 @@ class Choice(NamedTuple):
     def of(self, scene: Scene) -> Scene:
         """The scene with this choice."""
         return scene.replace({name: getattr(self, name) for name in ("strain", "quadrature", "integrator")})
+
+    def with_strain(self, scene: Scene, strain: dict[str, Any]) -> Choice:
+        """The choice with another strain table, and at least as many intervals along the rod as that needs. Raises ConfigurationError."""
+        changed = scene.replace({"strain": strain})
+        spread = (breakpoints(scene).size - 1) / (breakpoints(changed).size - 1)
+        least = max(math.ceil(self.quadrature["least"] * spread), changed.strain.highest_order + 2)
+        return self._replace(strain=strain, quadrature={**self.quadrature, "least": least}, coordinates=coordinate_count(changed))
 
     def describe(self, scene: Scene) -> str:
         """The choice in words, with the error that was measured."""
@@ -132,61 +139,62 @@ class Trial:
         tests = zip(inputs, found.tips, found.tip_errors, strict=True)
         self.tests = [(tensions, tips) for tensions, tips, error in tests if tips is not None and error <= UNSURE * self.unit]
 
-    def paths(self, choice: Choice, dimensions: tuple[int, ...] = (1, 2)) -> Iterator[tuple[Array | None, Array]]:
-        """Paths of the tip of a model and of full physics, those of equilibria (1) and motions (2); nothing where there is no such model."""
-        with contextlib.suppress(ConfigurationError):
-            model = model_on(choice.of(self.scene), choice.quadrature["least"])
-            for tensions, tips in [test for test in self.tests if test[0].ndim in dimensions]:
-                yield tip_path(model, tensions), tips
+    def model(self, choice: Choice) -> Model:
+        """Model of a choice with the fewest of its quadrature intervals."""
+        return model_on(choice.of(self.scene), choice.quadrature["least"])
 
-    def distance(self, choice: Choice, enough: float = np.inf) -> float:
+    def distance(self, model: Model, enough: float = np.inf) -> float:
         """Largest distance [m] of the tip from full physics; where that is more than `enough`, one that is."""
-        worst = -np.inf
-        for i, pair in enumerate(self.paths(choice)):
-            worst = max(worst, distance(*pair))
+        worst = 0.0 if self.tests else np.inf
+        for i, (tensions, tips) in enumerate(self.tests):
+            worst = max(worst, distance(tip_path(model, tensions), tips))
             if worst > enough:
                 self.tests.insert(0, self.tests.pop(i))  # it may well tell the next one too
                 break
-        return worst if worst >= 0.0 else np.inf
+        return worst
 
     def change(self, first: Choice, second: Choice, dimension: int) -> float:
         """Largest distance [m] between two models at rest (1) or in motion (2)."""
-        pairs = zip(self.paths(first, (dimension,)), self.paths(second, (dimension,)), strict=False)
-        return max((distance(one, two) for (one, _), (two, _) in pairs if one is not None and two is not None), default=0.0)
+        models, inputs = (self.model(first), self.model(second)), [tensions for tensions, _ in self.tests if tensions.ndim == dimension]
+        paths = ([tip_path(model, tensions) for model in models] for tensions in inputs)
+        return max((distance(one, two) for one, two in paths if one is not None and two is not None), default=0.0)
 
 
 def search(scene: Scene, asked: Accuracy) -> Choice:
     """The choice with the fewest coordinates whose error is below what is asked for, by MARGIN; or the best there is."""
     trial, length = Trial(scene, asked.share), rod_length(scene)
-    tables, scene, pieces = strain_tables(scene, known_fields(scene)), trial.scene, breakpoints(scene).size - 1
+    settled, best = settle(trial, asked), list[Choice]()
+    tables, enough = strain_tables(trial.scene, known_fields(scene)) if trial.tests else [], trial.unit / MARGIN
+    for table, most in [*((table, enough) for table in tables), *((table, np.inf) for table in tables[-RICHEST:])]:
+        with contextlib.suppress(ConfigurationError):  # no independent coordinates
+            found = settled.with_strain(trial.scene, table)
+            found = found._replace(error=trial.distance(trial.model(found), most) / length)
+            if found.error * length <= enough:
+                return found
+            best += [found] * (most == np.inf)
+    return min(best, key=lambda choice: choice.error, default=settled)
+
+
+def settle(trial: Trial, asked: Accuracy) -> Choice:
+    """A choice with few moments whose intervals and time steps are so fine that finer ones hardly move the tip."""
+    scene, length, allowed = trial.scene, rod_length(trial.scene), SETTLED * trial.unit
     angular = [strain for strain in STRAINS[:3] if strain in scene.strain.free] or list(scene.strain.free)
-    probe = bare_rod(scene) | {"passive": [{"strains": angular, "order": PROBE, "span": "rod"}]}
-    rich = {"type": "explicit", "modes": [{"strains": list(scene.strain.free), "order": RICH, "span": "piece"}]}
-    rich["borders"] = [*scene.strain.borders, *part_borders(scene)]
+    free, borders = list(scene.strain.free), [*scene.strain.borders, *part_borders(scene)]
+    rich = {"type": "explicit", "modes": [{"strains": free, "order": RICH, "span": "piece"}], "borders": borders}
+    few = bare_rod(scene) | {"passive": [{"strains": angular, "order": FEW, "span": "rod"}]}
 
-    def choice(strain: dict[str, Any], intervals: float, tolerance: float) -> Choice:
-        changed = scene.replace({"strain": strain})
-        least = max(math.ceil(intervals * pieces / (breakpoints(changed).size - 1)), changed.strain.highest_order + 2)
-        quadrature = {"tolerance": asked.quadrature, "least": least}
-        return Choice(strain, quadrature, {"tolerance": tolerance * length}, coordinate_count(changed), np.inf)
+    def choice(strain: dict[str, Any], intervals: int, tolerance: float) -> Choice:
+        rough = Choice({}, {"tolerance": asked.quadrature, "least": intervals}, {"tolerance": tolerance * length}, 0, np.inf)
+        return rough.with_strain(scene, strain)
 
-    intervals, tolerance, allowed = float(asked.least), asked.tolerance, SETTLED * trial.unit
+    intervals, tolerance = asked.least, asked.tolerance
     while intervals < MOST_INTERVALS and trial.change(*(choice(rich, n, tolerance) for n in (intervals, 2 * intervals)), 1) > allowed:
-        intervals *= 1.3
+        intervals = math.ceil(1.3 * intervals)
     for _ in range(MOST):
-        if trial.change(*(choice(probe, intervals, size) for size in (tolerance, tolerance / FINER)), 2) <= allowed:
+        if trial.change(*(choice(few, intervals, size) for size in (tolerance, tolerance / FINER)), 2) <= allowed:
             break
         tolerance /= TIGHTER
-    enough, best = trial.unit / MARGIN, choice(probe, intervals, tolerance)
-    for table in tables if trial.tests else ():
-        found = choice(table, intervals, tolerance)
-        found = found._replace(error=trial.distance(found, enough) / length)
-        if found.error * length <= enough:
-            return found
-    for table in tables[-1:-4:-1] if trial.tests else ():  # the richest, measured to the end
-        found = choice(table, intervals, tolerance)
-        best = min(best, found._replace(error=trial.distance(found) / length), key=lambda one: one.error)
-    return best
+    return choice(few, intervals, tolerance)
 
 
 def choose(scene: Scene, asked: Accuracy) -> Choice:
