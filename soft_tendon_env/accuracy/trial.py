@@ -154,10 +154,10 @@ class Trial:
         return worst
 
     def change(self, first: Choice, second: Choice, dimension: int) -> float:
-        """Largest distance [m] between two models at rest (1) or in motion (2)."""
+        """Largest distance [m] between the tips of two models, as a share of what they are judged by, at rest (1) or in motion (2)."""
         models, inputs = (self.model(first), self.model(second)), [tensions for tensions, _ in self.tests if tensions.ndim == dimension]
         paths = ([tip_path(model, tensions) for model in models] for tensions in inputs)
-        return max((distance(one, two) for one, two in paths if one is not None and two is not None), default=0.0)
+        return max((distance(one, two) for one, two in paths if one is not None and two is not None), default=0.0) / self.unit
 
 
 def search(scene: Scene, asked: Accuracy) -> Choice:
@@ -177,7 +177,7 @@ def search(scene: Scene, asked: Accuracy) -> Choice:
 
 def settle(trial: Trial, asked: Accuracy) -> Choice:
     """A choice with few moments whose intervals and time steps are so fine that finer ones hardly move the tip."""
-    scene, length, allowed = trial.scene, rod_length(trial.scene), SETTLED * trial.unit
+    scene, length = trial.scene, rod_length(trial.scene)
     angular = [strain for strain in STRAINS[:3] if strain in scene.strain.free] or list(scene.strain.free)
     free, borders = list(scene.strain.free), [*scene.strain.borders, *part_borders(scene)]
     rich = {"type": "explicit", "modes": [{"strains": free, "order": RICH, "span": "piece"}], "borders": borders}
@@ -187,14 +187,14 @@ def settle(trial: Trial, asked: Accuracy) -> Choice:
         rough = Choice({}, {"tolerance": asked.quadrature, "least": intervals}, {"tolerance": tolerance * length}, 0, np.inf)
         return rough.with_strain(scene, strain)
 
-    intervals, tolerance = asked.least, asked.tolerance
-    while intervals < MOST_INTERVALS and trial.change(*(choice(rich, n, tolerance) for n in (intervals, 2 * intervals)), 1) > allowed:
-        intervals = math.ceil(1.3 * intervals)
+    n, tolerance = asked.least, asked.tolerance
+    while n < MOST_INTERVALS and trial.change(choice(rich, n, tolerance), choice(rich, 2 * n, tolerance), 1) > SETTLED:
+        n = math.ceil(1.3 * n)
     for _ in range(MOST):
-        if trial.change(*(choice(few, intervals, size) for size in (tolerance, tolerance / FINER)), 2) <= allowed:
+        if trial.change(choice(few, n, tolerance), choice(few, n, tolerance / FINER), 2) <= SETTLED:
             break
         tolerance /= TIGHTER
-    return choice(few, intervals, tolerance)
+    return choice(few, n, tolerance)
 
 
 def choose(scene: Scene, asked: Accuracy) -> Choice:

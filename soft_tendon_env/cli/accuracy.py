@@ -24,7 +24,7 @@ from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.types import GivenLength, length_text
 
 SHARES = (2e-2, 5e-3, 1e-3, 2e-4)  # of the rod's length, errors that are asked for beside those of the presets
-HEADER = ("asked", "asked [mm]", "coordinates", "intervals", "CPU [ms]", "tip [mm]")
+HEADER = ("asked", "asked [mm]", "coordinates", "intervals", "CPU of a second [ms]", "tip [mm]")
 
 
 class Accuracy(ArmSettings):
@@ -52,15 +52,10 @@ def run(settings: Accuracy) -> None:
         measured = {"asked": asked, "tolerance": share * rod_length(scene), "coordinates": model.coordinate_count}
         costs = {"intervals": model.grid.per_piece, "cpu_time": cpu_time(model, trial), "tip_error": trial.distance(model)}
         records.append(measured | costs)
-    print(
-        f"{scene.name}: largest distance from full physics in {len(trial.tests)} motions and equilibria; CPU of a simulated second; {machine()}."
-    )
+    print(f"{scene.name}: largest distance from full physics in {len(trial.tests)} motions and equilibria; {machine()}.\n")
     rows = [[*row.values()] for row in records]
-    print(
-        markdown_table(
-            HEADER, [[row[0], number(1e3 * row[1]), *map(str, row[2:4]), *(number(1e3 * value) for value in row[4:])] for row in rows]
-        )
-    )
+    cells = [[row[0], number(1e3 * row[1]), *map(str, row[2:4]), *(number(1e3 * value) for value in row[4:])] for row in rows]
+    print(f"{markdown_table(HEADER, cells)}\n")
     write_csv(out / f"{scene.name}.csv", records)
     for length, found in wanted.items():
         write_recommended(found, out / f"{scene.name}_{length}.toml")

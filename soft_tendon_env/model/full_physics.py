@@ -89,7 +89,8 @@ def equilibrium_error(model: Model, q: Array, tension: Array, part: float, stabl
 
 
 def rest_near(model: Model, guess: Array, tension: Array, part: float, stable: bool) -> Array | None:
-    """Coordinates (n,) of the equilibrium that Newton's method finds from a guess (n,), or, if that should be stable, else of a slowly loaded arm's."""
+    """Coordinates (n,) of the equilibrium that Newton's method finds from a guess (n,); where it should be stable and none is, that of a
+    slowly loaded arm."""
     with model.workspace() as work:
         path = LoadPath(Balance(model, tension, work))
         found = path.equilibrium(guess, part)

@@ -121,6 +121,6 @@ def test_quadrature_and_steps_are_settled():
     trial = Trial(curled, 2e-3)
     found = settle(trial, accuracy_of(curled, "standard"))
     finer = found._replace(quadrature={**found.quadrature, "least": 3 * found.quadrature["least"]})
-    assert trial.change(found, finer, 1) < 0.5 * trial.unit
+    assert trial.change(found, finer, 1) < 0.5
     quicker = found._replace(integrator={"tolerance": 0.1 * found.integrator["tolerance"]})
-    assert trial.change(found, quicker, 2) < 0.5 * trial.unit
+    assert trial.change(found, quicker, 2) < 0.5
