@@ -16,7 +16,7 @@ from soft_tendon_env.accuracy.input_motions import USUAL
 from soft_tendon_env.accuracy.trial import Accuracy, Choice, bare_rod, choose, known_fields, snapshots
 from soft_tendon_env.model import build
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.passive_fields import FidelityWarning
+from soft_tendon_env.scene.passive_fields import FidelityWarning, PassiveFields
 from soft_tendon_env.scene.scene import TIP_TOLERANCE, Integrator, Quadrature, Scene, rod_length
 from soft_tendon_env.scene.strain import StaticsBased
 from soft_tendon_env.tools.checks import checked_type
@@ -80,7 +80,7 @@ def at_fidelity(scene: Scene, fidelity: str | None) -> Scene:
     }
     if everything or is_open["strain"]:
         fields = known_fields(scene)
-        if fidelity is not None and is_length(fidelity) or fields is None or fields.misfit(scene):
+        if fields is None or not _are_measured(fields, scene) or is_length(fidelity or ""):
             found = choose(scene, asked)
             _check(scene, found, asked, fidelity or "standard")
             chosen = {name: getattr(found, name) for name in is_open}
@@ -98,6 +98,13 @@ def accuracy_of(scene: Scene, fidelity: str) -> Accuracy:
     near = next((preset for preset in PRESETS.values() if preset.share <= share), PRESETS["fine"])
     finer = min(share / near.share, 1.0)
     return near._replace(share=share, quadrature=finer * near.quadrature, tolerance=finer * near.tolerance)
+
+
+def _are_measured(fields: PassiveFields, scene: Scene) -> bool:
+    """Whether the errors of passive fields hold for this arm: they were measured under its loads, or it has none."""
+    loads = scene.effects.everywhere()
+    sizes = [getattr(effect, key) for effect in loads.chosen().values() for key in effect.strengths]
+    return not fields.misfit(scene) and (loads == fields.effects or not any(map(np.any, sizes)))
 
 
 def _check(scene: Scene, found: Choice, asked: Accuracy, fidelity: str) -> None:
