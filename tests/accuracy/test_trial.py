@@ -10,6 +10,7 @@ from soft_tendon_env.accuracy.fidelity import PRESETS, accuracy_of, at_fidelity
 from soft_tendon_env.accuracy.input_motions import USUAL, motion_tensions
 from soft_tendon_env.accuracy.reference import distance, reference_motions, tip_path
 from soft_tendon_env.accuracy.trial import Choice, Trial, bare_rod, choose, settle, strain_tables, trial_digest
+from soft_tendon_env.compiler.compilation import cache_folder
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.passive_fields import FidelityWarning, find_fields
@@ -27,6 +28,7 @@ TWO = {"segments.0.length": 0.25, "tendons.0.end": 0.11, "segments.0.curvature":
 @pytest.fixture(autouse=True)
 def cache(tmp_path, monkeypatch):
     """The folder of trials in a cache of its own."""
+    cache_folder()  # of kernels, which stays as it is
     monkeypatch.setattr(files, "cache_parents", lambda: [tmp_path])
     return tmp_path / "soft_tendon_env" / "trials"
 
@@ -49,6 +51,7 @@ def test_presets_keep_their_error_at_rest_and_in_motion(changes):
 
 
 def test_it_is_made_once_and_kept(cache, monkeypatch):
+    monkeypatch.setattr(module, "SECONDS", 0.2)
     found = choose(ARM, PRESETS["fast"])
     assert found.error < PRESETS["fast"].share / module.MARGIN and found.coordinates == build_model(found.of(ARM)).coordinate_count
     (path,) = cache.glob("*.json")
@@ -109,14 +112,15 @@ def test_fields_of_the_arms_own_need_no_trial_and_others_are_tried(monkeypatch):
     assert {"type": "snapshots", "fields": 6, "digest": fields.digest} in [table.get("passive") for table in tables]
 
 
-def test_strains_and_loads_of_the_rod_stay(monkeypatch):
+def test_strains_and_loads_of_the_rod_stay():
     kirchhoff = ARM.replace({"strain": {"type": "statics_based", "strains": ["bend_y", "bend_z"], "include_loads": True}})
     tables = [kirchhoff.replace({"strain": table}).strain for table in strain_tables(kirchhoff, None)]
     assert all({*strain.free} == {"bend_y", "bend_z"} for strain in tables)
     assert all(strain.include_loads for strain in tables if strain.type == "statics_based")
 
 
-def test_quadrature_and_steps_are_settled():
+def test_quadrature_and_steps_are_settled(monkeypatch):
+    monkeypatch.setattr(module, "SECONDS", 0.2)
     curled = ARM.replace({"segments.0.curvature": [0.0, 0.0, 70.0]})
     trial = Trial(curled, 2e-3)
     found = settle(trial, accuracy_of(curled, "standard"))
