@@ -7,9 +7,11 @@ usual kind, none of which the trial had. The trial's CPU time is that of one thr
 """
 
 import time
+from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
-from _results import APPENDIX, folders, markdown_table, parser_of, write_block, write_csv
+from _results import APPENDIX, folders, markdown_table, parser_of, write_block, write_csv, write_picture
 from tqdm import tqdm
 
 import soft_tendon_env as ste
@@ -106,6 +108,7 @@ def main() -> None:
     rows = [row for name in tqdm(names, desc="arms", leave=False) for row in measured(name, count, seconds)]
     for folder in folders(arguments):
         write_csv(folder / "own_arms.csv", HEADER, rows)
+        draw(rows, folder / "own_arms.png")
     write_block(arguments, APPENDIX / "accuracy.md", "own arms", markdown_table(HEADER, rows))
 
 
@@ -133,6 +136,17 @@ def row(
     errors = [f"{100.0 * np.nanmax(values) / rod_length(scene):.2g}" for values in (still, moving)]
     sizes = str(model.coordinate_count), str(model.grid.real.sum())
     return scene.name, preset, f"{100.0 * asked.share:g}", *errors, *sizes, f"{trial:.1f}", f"{cost:.0f}"
+
+
+def draw(rows: list[tuple[str, ...]], path: Path) -> None:
+    figure, axes = plt.subplots(figsize=(6, 4), constrained_layout=True)
+    for name in dict.fromkeys(row[0] for row in rows):
+        chosen = [row for row in rows if row[0] == name]
+        axes.loglog([float(row[2]) for row in chosen], [max(float(row[3]), float(row[4])) for row in chosen], "o-", label=name)
+    axes.axline((0.1, 0.1), (1.0, 1.0), color="0.5", label="asked")
+    axes.set(xlabel="asked [% of the length]", ylabel="largest error of the tip [%]")
+    axes.legend(frameon=False, fontsize=7)
+    write_picture(figure, path)
 
 
 if __name__ == "__main__":

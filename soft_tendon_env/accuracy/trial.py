@@ -52,7 +52,7 @@ class Accuracy(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """What a trial chose, and what it measured."""
+    """Coordinates, quadrature and time steps that a trial chose, and the error that it measured."""
 
     strain: dict[str, Any]
     quadrature: dict[str, Any]
@@ -198,7 +198,7 @@ def settle(trial: Trial, asked: Accuracy) -> Choice:
 
 
 def choose(scene: Scene, asked: Accuracy) -> Choice:
-    """What a trial of the arm chooses, from the cache or made now. Raises ConfigurationError."""
+    """Choice of a trial of the arm, from the cache or made now. Raises ConfigurationError."""
     key = trial_digest(scene, asked)
     try:
         path = new_data_folder("trials") / f"{key}.json"
