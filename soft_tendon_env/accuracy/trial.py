@@ -71,6 +71,11 @@ class Choice(NamedTuple):
         least = max(math.ceil(self.quadrature["least"] * spread), changed.strain.highest_order + 2)
         return self._replace(strain=strain, quadrature={**self.quadrature, "least": least}, coordinates=coordinate_count(changed))
 
+    def finer(self, intervals: float, steps: float = 1.0) -> Choice:
+        """The choice with so many times as many intervals, and a tolerance of time steps that is so many times less."""
+        quadrature = {**self.quadrature, "least": math.ceil(intervals * self.quadrature["least"])}
+        return self._replace(quadrature=quadrature, integrator={"tolerance": self.integrator["tolerance"] / steps})
+
     def describe(self, scene: Scene) -> str:
         """The choice in words, with the error that was measured."""
         modes = self.strain.get("modes", self.strain.get("passive", []))
@@ -177,24 +182,23 @@ def search(scene: Scene, asked: Accuracy) -> Choice:
 
 def settle(trial: Trial, asked: Accuracy) -> Choice:
     """A choice with few moments whose intervals and time steps are so fine that finer ones hardly move the tip."""
-    scene, length = trial.scene, rod_length(trial.scene)
-    angular = [strain for strain in STRAINS[:3] if strain in scene.strain.free] or list(scene.strain.free)
-    free, borders = list(scene.strain.free), [*scene.strain.borders, *part_borders(scene)]
-    rich = {"type": "explicit", "modes": [{"strains": free, "order": RICH, "span": "piece"}], "borders": borders}
-    few = bare_rod(scene) | {"passive": [{"strains": angular, "order": FEW, "span": "rod"}]}
-
-    def choice(strain: dict[str, Any], intervals: int, tolerance: float) -> Choice:
-        rough = Choice({}, {"tolerance": asked.quadrature, "least": intervals}, {"tolerance": tolerance * length}, 0, np.inf)
-        return rough.with_strain(scene, strain)
-
-    n, tolerance = asked.least, asked.tolerance
-    while n < MOST_INTERVALS and trial.change(choice(rich, n, tolerance), choice(rich, 2 * n, tolerance), 1) > SETTLED:
-        n = math.ceil(1.3 * n)
+    scene, free = trial.scene, list(trial.scene.strain.free)
+    rich = {"type": "explicit", "modes": [{"strains": free, "order": RICH, "span": "piece"}]}
+    rich["borders"] = [*scene.strain.borders, *part_borders(scene)]
+    moments = {"strains": [strain for strain in STRAINS[:3] if strain in free] or free, "order": FEW, "span": "rod"}
+    quadrature = {"tolerance": asked.quadrature, "least": RICH - 1}
+    found = Choice(rich, quadrature, {"tolerance": asked.tolerance * rod_length(scene)}, 0, np.inf)
+    parts = (breakpoints(found.of(scene)).size - 1) / (breakpoints(scene).size - 1)  # of each piece
+    found.quadrature["least"] = max(math.ceil(asked.least / parts), RICH - 1)
+    while found.quadrature["least"] < MOST_INTERVALS and trial.change(found, found.finer(2.0), 1) > SETTLED:
+        found = found.finer(1.3)
+    found.quadrature["least"] = math.ceil(parts * found.quadrature["least"])
+    found = found.with_strain(scene, bare_rod(scene) | {"passive": [moments]})
     for _ in range(MOST):
-        if trial.change(choice(few, n, tolerance), choice(few, n, tolerance / FINER), 2) <= SETTLED:
+        if trial.change(found, found.finer(1.0, FINER), 2) <= SETTLED:
             break
-        tolerance /= TIGHTER
-    return choice(few, n, tolerance)
+        found = found.finer(1.0, TIGHTER)
+    return found
 
 
 def choose(scene: Scene, asked: Accuracy) -> Choice:
