@@ -61,12 +61,12 @@ def distance(path: Array | None, reference: Array | None) -> float:
     return np.inf if path is None else float(np.linalg.norm(path - reference, axis=1).max())
 
 
-def reference_motions(scene: Scene, inputs: Sequence[Array], tolerance: float) -> Reference:
+def reference_motions(scene: Scene, inputs: Sequence[Array], tolerance: float, most: int = len(LEVELS)) -> Reference:
     """Motions of full physics under inputs (rows, n_a) [N], each row held for HOLD, or equilibria under (n_a,), each refined until it does
-    not change by more than `tolerance` [m], or to the finest of LEVELS. The level is that of the last to be refined."""
+    not change by more than `tolerance` [m], or to the finest of the first `most` of LEVELS. The level is that of the last to be refined."""
     found: list[Array | None] = [None] * len(inputs)
     changes, rest = [np.inf] * len(inputs), list(range(len(inputs)))
-    for level in LEVELS:
+    for level in LEVELS[:most]:
         model = full_physics(scene, level, step_tolerance(scene, level, tolerance))
         label = f"full physics, {model.coordinate_count} coordinates"
         paths = run_all(partial(tip_path, model), [inputs[i] for i in rest], processors(), label, unit="motion", threads=True)

@@ -24,20 +24,21 @@ from soft_tendon_env.model.coordinates import coordinate_count
 from soft_tendon_env.model.full_physics import part_borders
 from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.scene.passive_fields import PassiveFields, fields_of, find_fields
-from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene, breakpoints, rod_length
+from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene, breakpoints, extrapolation_columns, rod_length
 from soft_tendon_env.scene.strain import STRAINS, Snapshots, StaticsBased
 from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.files import digest, new_data_folder, read_json, replacing, sources_digest
 from soft_tendon_env.tools.messages import say_once
 
-SEED, SECONDS, RESTS = 500, 2.0, 6  # of the motions, one of each usual kind; equilibria under random tensions, besides the slack arm's
+SEED, SECONDS, RESTS = 500, 2.0, 10  # of the motions, one of each usual kind; equilibria under random tensions, besides the slack arm's
 MARGIN = 2.0  # by which the error on these stays below what is asked for, since other motions may be worse
 REFERENCE, UNSURE = 0.1, 0.5  # of what is asked for: error aimed at in full physics, and the largest of a motion that is judged by
 FIELDS, ROD, PIECE, EXPLICIT = (6, 9, 12, 18, 24), (1, 2, 3, 4, 6, 8, 10, 12), (1, 2, 3, 4, 5, 6, 7, 9), (4, 6, 9)
 """Numbers of the arm's own passive fields, Legendre orders over the rod, over each part of it, and of explicit strain, that are tried."""
-FEW, RICH, FINER, SETTLED, TIGHTER, MOST, RICHEST = 3, 5, 10.0, 0.15, 5.0, 5, 3
+FEW, RICH, FINER, SETTLED, TIGHTER, MOST, RICHEST, MOST_LEVELS = 3, 5, 10.0, 0.15, 5.0, 5, 3, 3
 """Orders of moments and explicit strain that steps and quadrature are settled with; finer ones, by how much, change the tip by less than a
-part of what is asked for; by how much and how often steps are tightened; how many of the richest strains are compared where none does."""
+part of what is asked for; by how much and how often steps are tightened; how many of the richest strains are compared where none does;
+levels of full physics."""
 SOURCES = tuple(f"{folder}/**/*.py" for folder in ("mechanics", "effects", "scene", "model", "accuracy"))
 
 
@@ -139,8 +140,10 @@ class Trial:
         self.scene, self.unit = scene.replace({"effects": scene.effects.everywhere()}), share * rod_length(scene)
         low, high = np.array([tendon.tension_limits for tendon in scene.tendons]).T
         rests = [np.clip(0.0, low, high), *(low + np.random.default_rng(SEED).random((RESTS, low.size)) * (high - low))]
-        inputs = [*rests, *(motion_tensions(scene, kind, SEED, SECONDS) for kind in USUAL)]
-        found = reference_motions(self.scene, inputs, REFERENCE * self.unit)
+        is_damped = extrapolation_columns(scene.replace({"integrator": {}})) > 2
+        seconds = SECONDS / (1.0 + bool(part_borders(scene)) + 3.0 * (not is_damped))  # many coordinates, or short steps, take longer
+        inputs = [*rests, *(motion_tensions(scene, kind, SEED, seconds) for kind in USUAL)]
+        found = reference_motions(self.scene, inputs, REFERENCE * self.unit, MOST_LEVELS)
         tests = zip(inputs, found.tips, found.tip_errors, strict=True)
         self.tests = [(tensions, tips) for tensions, tips, error in tests if tips is not None and error <= UNSURE * self.unit]
 

@@ -24,7 +24,7 @@ NEGLIGIBLE = 1e-9  # share of the length below which an error is round-off
 class Level(NamedTuple):
     """How fine full physics is."""
 
-    order: int  # of the polynomials where the rod is one part; of P parts each has log2 P less
+    order: int  # of the polynomials where the rod is one part; on many parts and pieces it is less
     cuts: int  # of every piece, besides those by its turns
 
 
@@ -46,8 +46,10 @@ def part_borders(scene: Scene, cuts: int = 1) -> list[float]:
 def full_physics(scene: Scene, level: Level, tolerance: float | None = None) -> Model:
     """Model of a scene with an explicit basis of every strain that the rod has; tolerance: of its time steps [m]."""
     added = part_borders(scene, level.cuts)
-    parts = breakpoints(scene).size - 1 + len(added)
-    order = max(2, min(level.order - math.ceil(math.log2(parts)), 12))
+    pieces = breakpoints(scene).size - 1
+    parts = pieces + len(added)
+    coarser = math.ceil(math.log2(parts) + 0.5 * math.log2(pieces))  # short pieces need lower orders than parts that turn once
+    order = max(LEVELS.index(level) + 1, min(level.order - coarser, 12))
     modes = [{"strains": list(scene.strain.free), "order": order, "span": "piece"}]
     strain = {"type": "explicit", "modes": modes, "borders": [*scene.strain.borders, *added]}
     changes = {"strain": strain, "integrator": {"tolerance": tolerance}}
