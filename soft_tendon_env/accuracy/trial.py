@@ -187,7 +187,7 @@ def settle(trial: Trial, asked: Accuracy) -> Choice:
     """A choice with few moments whose intervals and time steps are so fine that finer ones hardly move the tip."""
     scene, free = trial.scene, list(trial.scene.strain.free)
     order = max(1, RICH - 2 * int(math.log2(breakpoints(scene).size - 1)))  # less on many pieces
-    rich = {"type": "explicit", "modes": [{"strains": free, "order": order, "span": "piece"}]}
+    rich: dict[str, Any] = {"type": "explicit", "modes": [{"strains": free, "order": order, "span": "piece"}]}
     rich["borders"] = [*scene.strain.borders, *part_borders(scene)]
     moments = {"strains": [strain for strain in STRAINS[:3] if strain in free] or free, "order": FEW, "span": "rod"}
     quadrature = {"tolerance": asked.quadrature, "least": RICH - 1}
