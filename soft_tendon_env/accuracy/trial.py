@@ -69,7 +69,8 @@ class Choice(NamedTuple):
         """The choice with another strain table, and at least as many intervals along the rod as that needs. Raises ConfigurationError."""
         changed = scene.replace({"strain": strain})
         spread = (breakpoints(scene).size - 1) / (breakpoints(changed).size - 1)
-        least = max(math.ceil(self.quadrature["least"] * spread), changed.strain.highest_order + 2)
+        order = 2 if "fields" in strain.get("passive", ()) else changed.strain.highest_order  # leading POD modes are smooth
+        least = max(math.ceil(self.quadrature["least"] * spread), order + 2)
         return self._replace(strain=strain, quadrature={**self.quadrature, "least": least}, coordinates=coordinate_count(changed))
 
     def finer(self, intervals: float, steps: float = 1.0) -> Choice:
