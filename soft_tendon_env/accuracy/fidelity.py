@@ -40,8 +40,8 @@ def build_model(scene: Scene, fidelity: str | None = UNSAID) -> Model:
     """Model of a scene at a fidelity: chooses its quadrature and prepares the arrays of its kernels.
 
     fidelity: "fast", "standard" or "fine" are presets: an error of the tip of 1, 0.2 or 0.05 % of the length. A length such as "1mm" is
-    this error. "scene" takes strain, quadrature and integrator from the scene; a strain that it leaves open has one coordinate per tension and
-    no others. None is "standard" for all that the scene leaves open, as in `gym.make`. Without the argument it is "scene", with a
+    this error. "scene" takes strain, quadrature and integrator from the scene; a strain that it leaves open has one coordinate per tension
+    and no others. None is "standard" for all that the scene leaves open, as in `gym.make`. Without the argument it is "scene", with a
     FidelityWarning if the scene leaves its strain open.
 
     Raises TypeError, ValueError for another fidelity, ConfigurationError for an arm that cannot be computed.
