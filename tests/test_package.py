@@ -10,6 +10,21 @@ import soft_tendon_env as ste
 from soft_tendon_env import public
 
 ROOT = Path(__file__).parent.parent
+IMPORTS = """
+import sys
+import gymnasium, soft_tendon_env
+import soft_tendon_env.cli.main as cli
+cli.usage()
+assert {f"TendonRod-{task}-v1" for task in ("Reach", "Shape", "TipPose")} <= {*gymnasium.registry}
+assert not {"numba", "scipy", "soft_tendon_env.envs"} & {*sys.modules}
+import soft_tendon_env.envs
+extras = {"torch", "stable_baselines3", "sb3_contrib", "ray", "rerun", "matplotlib", "pandas", "tqdm"}
+assert not extras & {*sys.modules}, extras & {*sys.modules}
+"""
+APART = {"rllib", "peers", "check", "docs", "dist"}
+"""Extras that have environments of their own, or no part in what the package computes."""
+OPEN = {"numba"}
+"""Dependencies without an upper bound: of numba, only what its manual describes is used (tests/compiler)."""
 
 
 def test_every_public_name_is_there():
@@ -27,27 +42,8 @@ def test_one_version():
     assert re.findall(r"^## \[([\d.]+)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)[0] == version
 
 
-IMPORTS = """
-import sys
-import gymnasium, soft_tendon_env
-import soft_tendon_env.cli.main as cli
-cli.usage()
-assert {f"TendonRod-{task}-v1" for task in ("Reach", "Shape", "TipPose")} <= {*gymnasium.registry}
-assert not {"numba", "scipy", "soft_tendon_env.envs"} & {*sys.modules}
-import soft_tendon_env.envs
-extras = {"torch", "stable_baselines3", "sb3_contrib", "ray", "rerun", "matplotlib", "pandas", "tqdm"}
-assert not extras & {*sys.modules}, extras & {*sys.modules}
-"""
-
-
 def test_importing_waits_for_no_compiler_and_brings_no_library_of_an_extra():
     subprocess.run([sys.executable, "-c", IMPORTS], check=True)
-
-
-APART = {"rllib", "peers", "check", "docs", "dist"}
-"""Extras that have environments of their own, or no part in what the package computes."""
-OPEN = {"numba"}
-"""Dependencies without an upper bound: of numba, only what its manual describes is used (tests/compiler)."""
 
 
 def test_every_dependency_has_bounds_and_the_lower_ones_are_those_of_the_lowest_environment():

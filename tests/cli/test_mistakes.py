@@ -76,6 +76,7 @@ FILES = [
     ("evaluate {folder}", "it should be the folder of an agent (of a training: {best})"),
     ("compare --config {model}", "model.zip: is not valid TOML"),
 ]
+DAMAGES = [lambda path: path.write_bytes(path.read_bytes()[:-20]), lambda path: path.write_bytes(b"[]"), lambda path: path.unlink()]
 
 
 @pytest.mark.cases("arguments, said", OPTIONS)
@@ -95,9 +96,6 @@ def test_files_and_what_stands_in_them(refused, config, finished, arguments, sai
 def test_missing_extras_come_with_the_command_that_installs_them(refused, monkeypatch, arguments, missing):
     monkeypatch.setattr(errors, "find_spec", lambda module: None)
     assert f'pip install "soft_tendon_env[{missing}]"' in refused(*arguments.split())
-
-
-DAMAGES = [lambda path: path.write_bytes(path.read_bytes()[:-20]), lambda path: path.write_bytes(b"[]"), lambda path: path.unlink()]
 
 
 @pytest.mark.cases("damage", DAMAGES)

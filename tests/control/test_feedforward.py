@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from soft_tendon_env import static_equilibrium, tension_for_tip_pose
 from soft_tendon_env.control import CONTROLLERS, ControllerInput, Reference
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.objectives import TipPose, TipPosition
 from soft_tendon_env.control.paper_laws import PaperTipPose
-from soft_tendon_env.model.inverse_statics import tension_for_tip_pose
-from soft_tendon_env.model.statics import static_equilibrium
 
 PERIOD = 0.02
 HEAVY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}

@@ -7,17 +7,22 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import soft_tendon_env  # noqa: F401
+from soft_tendon_env import Simulation
 from soft_tendon_env.control import ControllerInput, InputError, Reference
 from soft_tendon_env.control.objectives import Shape, TipPose, TipPosition
 from soft_tendon_env.control.predictive import Predictive, Tuning
 from soft_tendon_env.evaluation import evaluate, summarise
-from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.policies import make_policy, observation_options
 
 PERIOD = 0.02
 OBJECTIVES = {"pose": lambda model: TipPose(0.1 * model.length), "position": lambda model: TipPosition(), "shape": Shape}
 WIDE = np.tile([-100.0, 100.0], (10, 1))
+LATE = {
+    "a disturbance": {"effects.disturbance.loads": [{"at": 0.3, "force": [0.0, 0.05, 0.02], "signal": {"type": "sine", "frequency": 1.5}}]},
+    "a moving base": {"effects.moving_base": {"amplitude": [0.0, 0.02, 0.01], "angular_amplitude": 0.1, "frequency": 1.5}},
+    "memory": {"effects.viscoelastic_memory.branches": [{"modulus": 1.0, "relaxation_time": 0.3}]},
+}
+CABLES = {"scene": "three_tendon", "effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": [-0.03, 0.05]}}
 
 
 @pytest.fixture(scope="module")
@@ -92,13 +97,6 @@ def test_constant_disturbances_are_found_and_allowed_for(model, holding, drive, 
     assert off[0.25] < 1e-3
 
 
-LATE = {
-    "a disturbance": {"effects.disturbance.loads": [{"at": 0.3, "force": [0.0, 0.05, 0.02], "signal": {"type": "sine", "frequency": 1.5}}]},
-    "a moving base": {"effects.moving_base": {"amplitude": [0.0, 0.02, 0.01], "angular_amplitude": 0.1, "frequency": 1.5}},
-    "memory": {"effects.viscoelastic_memory.branches": [{"modulus": 1.0, "relaxation_time": 0.3}]},
-}
-
-
 @pytest.fixture(params=LATE)
 def affected(request, build):
     return build("three_tendon", {"quadrature.intervals": 6, **LATE[request.param]})
@@ -119,9 +117,6 @@ def test_what_is_predicted_is_what_happens(affected):
         np.testing.assert_allclose(memory.rates, simulation.state.q_dot, atol=1e-6 * np.abs(simulation.state.q_dot).max())
         np.testing.assert_allclose(memory.effects, simulation.state.effects, atol=1e-9)
     assert np.abs(memory.disturbance).max() < 1e-3
-
-
-CABLES = {"scene": "three_tendon", "effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": [-0.03, 0.05]}}
 
 
 @pytest.mark.parametrize("controller, greatest", [("tracking", 5e-4), ("predictive", 1e-3)])

@@ -6,14 +6,11 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from soft_tendon_env import ConfigurationError, Simulation, State, load_scene, simulate
 from soft_tendon_env.effects import EFFECTS, Effect, register_effect
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.model.build import build_model
-from soft_tendon_env.model.simulation import Simulation, simulate
-from soft_tendon_env.model.state import State
-from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene, scene_to_dict
-from soft_tendon_env.tools.configuration import ConfigurationError
 
 GRAVITY = {"effects.gravity.acceleration": [9.81, 0.0, 0.0]}
 CASES = {

@@ -5,13 +5,11 @@ import pickle
 import numpy as np
 import pytest
 
+from soft_tendon_env import ConfigurationError, Simulation, static_equilibrium
 from soft_tendon_env.envs import ReachEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.contacts import why_inside
 from soft_tendon_env.envs.starts import BANK
 from soft_tendon_env.model.build import build_model
-from soft_tendon_env.model.simulation import Simulation
-from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
@@ -44,6 +42,17 @@ CASES = {
         {**GRAVITY, "effects.tip_load.force": [0.0, 0.01, 0.0], "strain.include_loads": True},
         {"effects.gravity.acceleration.2": [-10.0, -5.0], "effects.tip_load.force": [0.0, [-0.01, 0.01], 0.0]},
     ),
+}
+WRONG = {
+    "an unknown number": ({"fluid.densty": 1.0}, "effects.fluid.densty is no number of the scene: did you mean 'effects.fluid.density'?"),
+    "a text": ({"contact.obstacles.0.type": 1.0}, "is no parameter: 'sphere' is no number"),
+    "a short vector": ({"fluid.current": [0.0, [0.0, 1.0]]}, "it should be a list of 3"),
+    "the wrong way round": ({"fluid.density": [2.0, 1.0]}, "the least should come first"),
+    "a negative density": (
+        {"fluid.density": [-1.0, 1000.0]},
+        "can draw effects.fluid.density -1, which the scene refuses: scene: effects.",
+    ),
+    "twice": ({"fluid.current": [0, 0, 0], "fluid.current.1": [0.0, 1.0]}, "draws what 'effects.fluid.current.1' draws already"),
 }
 
 
@@ -111,19 +120,6 @@ def test_info_has_what_was_drawn_where_episodes_begin():
     infos = [rows.step(none)[4] for _ in range(3)]
     assert "drawn" not in infos[0] and [info["_drawn"].tolist() for info in infos[1:]] == [[True, False, False], [False, True, True]]
     assert (infos[2]["drawn"]["segments.0.density"] > 0.0).tolist() == infos[2]["drawn"]["_latency"].tolist() == [False, True, True]
-
-
-WRONG = {
-    "an unknown number": ({"fluid.densty": 1.0}, "effects.fluid.densty is no number of the scene: did you mean 'effects.fluid.density'?"),
-    "a text": ({"contact.obstacles.0.type": 1.0}, "is no parameter: 'sphere' is no number"),
-    "a short vector": ({"fluid.current": [0.0, [0.0, 1.0]]}, "it should be a list of 3"),
-    "the wrong way round": ({"fluid.density": [2.0, 1.0]}, "the least should come first"),
-    "a negative density": (
-        {"fluid.density": [-1.0, 1000.0]},
-        "can draw effects.fluid.density -1, which the scene refuses: scene: effects.",
-    ),
-    "twice": ({"fluid.current": [0, 0, 0], "fluid.current.1": [0.0, 1.0]}, "draws what 'effects.fluid.current.1' draws already"),
-}
 
 
 @pytest.mark.cases("how", WRONG)

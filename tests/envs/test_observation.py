@@ -10,6 +10,8 @@ from soft_tendon_env.envs.observation import GROUPS
 
 SMALL = {"scene": "three_tendon", "fidelity": "standard"}  # 3 tendons, 12 coordinates or fewer
 KINDS = {"TipPose": TipPoseEnv, "Shape": ShapeEnv, "Reach": ReachEnv}
+HISTORY = {"observation": ["tip_position", "target_error", "tendon_lengths", "last_action", "command"], "history": 3}
+NOISY = {"noise": {"position": 1e-3, "rotation": 0.01, "length": 5e-4}, "latency": 0.03, "tension_gain": [0.9, 1.1]}
 
 
 @pytest.mark.parametrize("task", KINDS)
@@ -80,10 +82,6 @@ def units(model):
     bending = segment.young_modulus * np.pi * segment.radius**4 / 4
     n = model.coordinate_count
     return np.sqrt(bending / model.length / np.diag(model.terms(np.zeros(n), np.zeros(n)).stiffness))
-
-
-HISTORY = {"observation": ["tip_position", "target_error", "tendon_lengths", "last_action", "command"], "history": 3}
-NOISY = {"noise": {"position": 1e-3, "rotation": 0.01, "length": 5e-4}, "latency": 0.03, "tension_gain": [0.9, 1.1]}
 
 
 def frames(observations, slices, names):

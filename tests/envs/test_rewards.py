@@ -13,6 +13,8 @@ WEIGHTS = {
     TipPoseEnv: {"graded_position": 1.0, "graded_angle": 0.25, "effort": 0.02, "smoothness": 0.1},
     ShapeEnv: {"graded_backbone": 1.0, "effort": 0.02, "smoothness": 0.1},
 }
+DRAWN = {"stiffness": [0.5, 2.0], "payload": [0.0, 0.02]}
+HANGING = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 
 
 def steps(env, count=30, seed=0):
@@ -138,10 +140,6 @@ def test_scales_of_terms_that_have_none_are_refused(forgotten, name, scale, show
         ConfigurationError, match=rf"reward\.{name}\.scale is {shown}: .*; those with a scale are position, graded_position"
     ):
         TipPoseEnv(**SMALL, reward={"position": 1.0, name: {"scale": scale}})
-
-
-DRAWN = {"stiffness": [0.5, 2.0], "payload": [0.0, 0.02]}
-HANGING = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 
 
 @pytest.mark.slow

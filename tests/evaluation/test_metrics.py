@@ -22,6 +22,7 @@ from soft_tendon_env.evaluation.summaries import (
 from soft_tendon_env.evaluation.tables import records, summary_cells, write_csv
 
 PERIOD = 0.5  # [s]
+KEY = "own_rms"
 
 
 def episode(position=(0.3, 0.3, 0.04, 0.03, 0.005), **changes):
@@ -117,9 +118,6 @@ def test_tuning_costs_are_of_errors_and_chatter_within_the_worst():
     shaken = judged(2e-3, fast)
     found = shaken.metrics["chatter"]
     assert found == pytest.approx(0.5, rel=1e-3) and tracking_cost([shaken]) == 2e-3 + CHATTER_COST * found
-
-
-KEY = "own_rms"
 
 
 def standing(values, shared=False):

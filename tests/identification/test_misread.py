@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 
+from soft_tendon_env import Simulation, load_scene, simulate, static_equilibrium
 from soft_tendon_env.identification import Frame, Marker, MarkerSet, identify
 from soft_tendon_env.identification.readings import NoHoldError
 from soft_tendon_env.model.build import build_model
-from soft_tendon_env.model.simulation import Simulation, simulate
-from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.scene.file import load_scene
 
 E = "segments.*.young_modulus"
 SHIFT = np.array([0.02, -0.01, 0.03])

@@ -5,10 +5,8 @@ import warnings
 import numpy as np
 import pytest
 
+from soft_tendon_env import ConfigurationError, load_scene, static_equilibrium
 from soft_tendon_env.model.build import QuadratureTest, QuadratureWarning, build_model, quadrature_estimate
-from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.tools.configuration import ConfigurationError
 
 LOADS = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.01}
 ANGULAR = ["torsion", "bend_y", "bend_z"]

@@ -15,6 +15,7 @@ from soft_tendon_env.recording.rerun_file import RerunFile  # noqa: E402
 from soft_tendon_env.recording.rollout import Rollout  # noqa: E402
 
 FLOAT32 = {"rtol": 1e-6, "atol": 1e-7}
+BALL = {"type": "sphere", "position": [0.2, 0.1, 0.0], "radius": 0.03}
 
 
 class Read(dict):
@@ -122,9 +123,6 @@ def test_a_closed_file_passes_the_check_of_rerun_and_takes_nothing(path, rollout
     assert done.returncode == 0, done.stderr
     with pytest.raises(ValueError, match="is closed"):
         file.write(rollout())
-
-
-BALL = {"type": "sphere", "position": [0.2, 0.1, 0.0], "radius": 0.03}
 
 
 def test_a_recording_shows_a_moving_base_and_the_obstacles_of_each_episode(path, build):
