@@ -82,15 +82,6 @@ def test_errors_fall_as_the_gains_say(model, near, drive, objective, settling_ti
     assert 0.5 * settling_time < took < 1.46 * settling_time + 3.0 * PERIOD
 
 
-@pytest.fixture(params=ARMS)
-def shaped(build, request):
-    return build(*ARMS[request.param])
-
-
-def wide(model):
-    return np.tile([-1e6, 1e6], (model.tendon_count, 1))
-
-
 def controller_input(model, random_state, period):
     """In motion, towards a target in motion, and the target's rates."""
     q, q_dot = random_state(model, 0)
@@ -99,12 +90,14 @@ def controller_input(model, random_state, period):
     return ControllerInput(q, q_dot, model.tip_pose(q), np.zeros(model.tendon_count), Reference(np.array([0.0, period]), q=path)), rates
 
 
-def test_short_periods_give_the_paper_s_law_of_shapes(shaped, random_state):
+@pytest.mark.parametrize("arm", ARMS)
+def test_short_periods_give_the_paper_s_law_of_shapes(build, arm, random_state):
     """u = q_a_bar + B^+ G (kd (q_bar_dot - q_dot) + kp (q_bar - q)), up to what a period changes: in its tenth a tenth."""
-    off = []
+    shaped, off = build(*ARMS[arm]), []
+    wide = np.tile([-1e6, 1e6], (shaped.tendon_count, 1))
     for period in (1e-8, 1e-9):
         now, rates = controller_input(shaped, random_state, period)
-        controller = ShapeTracking(shaped, wide(shaped), period, settling_time=0.2, damping=1.0)
+        controller = ShapeTracking(shaped, wide, period, settling_time=0.2, damping=1.0)
         held = np.stack([shaped.rest_coordinates(unit) for unit in np.eye(shaped.tendon_count)], axis=1)
         push = controller.kd * (rates - now.q_dot) + controller.kp * (now.reference.q[0] - now.q)
         terms = shaped.terms(now.q, now.q_dot)

@@ -9,14 +9,7 @@ from gymnasium.error import DependencyNotInstalled
 
 from soft_tendon_env.drawing.palette import style, styles
 from soft_tendon_env.drawing.renderer import ArmRenderer, Picture
-from soft_tendon_env.drawing.shapes import (
-    backbones,
-    base_poses,
-    surface,
-    tendon_curves,
-    view_box,
-    viewpoint,
-)
+from soft_tendon_env.drawing.shapes import backbones, base_poses, surface, tendon_curves, view_box, viewpoint
 from soft_tendon_env.effects.contact import Contact
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.registration import IDS

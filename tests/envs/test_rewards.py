@@ -102,10 +102,7 @@ def test_a_term_of_a_users_own_is_a_function_of_the_tracking(forgotten):
         assert {*env.episodes.terms} == {"straightness", "position"} and many[4]["reward_straightness"][0] == info["reward_straightness"]
 
 
-@pytest.mark.cases(
-    "value",
-    [lambda tracking: 0.5, lambda tracking: tracking.distance + 1.0, lambda tracking: np.nan * tracking.distance],
-)
+@pytest.mark.cases("value", [lambda tracking: 0.5, lambda tracking: tracking.distance + 1.0, lambda tracking: np.nan * tracking.distance])
 def test_terms_of_a_users_own_have_values_between_0_and_1(forgotten, value):
     value.__name__ = "wrong"
     register_reward_term(value)

@@ -110,14 +110,8 @@ def test_identification_reads_the_log_of_a_run(tmp_path, columns_of_log):
     robot = SimulatedRobot(**SMALL, sensors=options["sensors"], randomize={"noise": NOISE}, real_time=False)
     report = run_policy(policy, RobotEnv(env, robot, log=path, settle=0.2), 0.5, seed=4)
     log = columns_of_log(path)
-    assert report.finished and {*log.dtype.names} >= {
-        "tip_x",
-        "tip_qw",
-        "tip_wx",
-        "tendon_length_2",
-        "strain_2_shear_z",
-        "strain_rate_0_torsion",
-    }
+    names = {"tip_x", "tip_qw", "tip_wx", "tendon_length_2", "strain_2_shear_z", "strain_rate_0_torsion"}
+    assert report.finished and {*log.dtype.names} >= names
     (motion,) = read_recordings([path], load_scene("three_tendon"), TIP)
     assert motion.name == "first" and motion.period == pytest.approx(0.02)
     assert (motion.command[1:, 0] == log["tension_0"]).all() and (motion.positions[1:, 0, 0] == log["tip_x"]).all()

@@ -7,15 +7,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import (
-    LANES,
-    lane,
-    lane_sum,
-    largest,
-    load,
-    prefix_sum,
-    store,
-)
+from soft_tendon_env.mechanics.algebra.lanes import LANES, lane, lane_sum, largest, load, prefix_sum, store
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 
 pytestmark = pytest.mark.no_jit

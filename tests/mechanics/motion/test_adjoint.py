@@ -98,11 +98,7 @@ def test_adjoint_is_near_differences(build, scene):
 
 @pytest.mark.parametrize(
     "changes, command",
-    [
-        ({**GRAVITY, "effects.contact.obstacles": [PLANE]}, 0.0),
-        (SCENES["elastic tendons"], -1e-3),
-        ({}, 0.0),
-    ],
+    [({**GRAVITY, "effects.contact.obstacles": [PLANE]}, 0.0), (SCENES["elastic tendons"], -1e-3), ({}, 0.0)],
     ids=["contact", "slack", "at rest"],
 )
 def test_adjoint_is_finite_where_motion_is_not_smooth(build, changes, command):

@@ -65,20 +65,13 @@ def test_bias_is_lagranges(name, changes, build, random_state):
 
 
 @pytest.mark.parametrize(("name", "changes"), FEW)
-def test_elastic_force_is_the_gradient_of_the_elastic_energy(name, changes, build, random_state):
+def test_elastic_force_and_actuation_are_gradients(name, changes, build, random_state):
+    """Of the elastic energy, and of the tendons' lengths, B = -(d length / dq)^T: a tension does work as its tendon shortens."""
     model = build(name, changes)
     q, q_dot = random_state(model, 8)
-    expected = gradient(lambda x: model.energy(x, q_dot).elastic, q, 1e-4 * np.abs(q).max())
-    assert_close(model.terms(q, q_dot).elastic_force, expected, 1e-6)
-
-
-@pytest.mark.parametrize(("name", "changes"), FEW)
-def test_actuation_is_the_shortening_of_the_tendons(name, changes, build, random_state):
-    """B = -(d length / dq)^T: a tension does work as its tendon shortens."""
-    model = build(name, changes)
-    q, q_dot = random_state(model, 9)
-    expected = -gradient(model.tendon_lengths, q, 1e-4 * np.abs(q).max()).T
-    assert_close(model.terms(q, q_dot).actuation, expected, 1e-6)
+    terms, step = model.terms(q, q_dot), 1e-4 * np.abs(q).max()
+    assert_close(terms.elastic_force, gradient(lambda x: model.energy(x, q_dot).elastic, q, step), 1e-6)
+    assert_close(terms.actuation, -gradient(model.tendon_lengths, q, step).T, 1e-6)
 
 
 @pytest.mark.parametrize(
