@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from soft_tendon_env import build_model
-from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, simulate
-from soft_tendon_env.model.statics import commanded_equilibrium, static_equilibrium
-from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env import Scene, Simulation, SimulationDiverged, build_model, commanded_equilibrium, simulate, static_equilibrium
 
 FINE = {"integrator.step": 0.005, "integrator.columns": 4, "quadrature.intervals": 4}
 ROUND_OFF = {"rtol": 1e-12, "atol": 1e-12}
+RAMP = {"effects.actuators.rate_limit": 0.02}
+"""Actuators that take their time: a spring that is stretched by millimetres at once pulls as hard as it is stiff."""
+MU = 0.15
 
 
 def limited_lag(u, c, time_constant, rate, times):
@@ -83,10 +83,6 @@ def test_an_arm_that_is_held_at_rest_stays(build):
     assert np.abs(simulation.state.q - rest.q).max() > 1e-2, "which they are not by default"
 
 
-RAMP = {"effects.actuators.rate_limit": 0.02}
-"""Actuators that take their time: a spring that is stretched by millimetres at once pulls as hard as it is stiff."""
-
-
 def springs(stiffness=5e3, **more):
     return {"effects.tendon_elasticity": {"stiffness": stiffness, "displacement_limits": [0.0, 0.05]}, **more}
 
@@ -134,9 +130,6 @@ def test_a_wire_that_cables_drive_by_displacement_never_diverges(fidelity):
         rest, _ = commanded_equilibrium(model, 0.5 * end)
         held = simulate(model, 0.5 * end, 20.0, 1.0).tip_pose[-1]
         assert rest.converged and np.linalg.norm(held[:3, 3] - rest.tip_pose[:3, 3]) < 1e-9 * model.length
-
-
-MU = 0.15
 
 
 def friction(coefficient=MU, **more):

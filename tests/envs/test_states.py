@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 
-from soft_tendon_env import Simulation, build_model, load_scene
+from soft_tendon_env import ConfigurationError, Simulation, build_model, load_scene
 from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
-from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 HANGING = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
