@@ -32,7 +32,7 @@ def log(g):
 
 def test_groups_are_what_they_say(arm):
     sensors = [0.0, 0.1, 0.3]
-    env = ShapeEnv(**arm, action="tension", observation=[*GROUPS], sensors=sensors, preview=[0.1])
+    env = ShapeEnv(**{**arm, "fidelity": "fine"}, action="tension", observation=[*GROUPS], sensors=sensors, preview=[0.1])
     env.reset(seed=0)
     action = np.array([0.4, -0.9, 0.1])
     for _ in range(12):

@@ -192,7 +192,7 @@ def test_states_that_are_not_the_arms_are_refused_before_anything_changes(same):
         with pytest.raises(ValueError, match=message):
             env.state = state
     with pytest.raises(ValueError, match="this state is of .*"):
-        late.reset(options={"state": start})
+        late.reset(options={"state": bent(TipPoseEnv(**{**SMALL, "scene": HANGING}))})
     with pytest.raises(ResetNeeded, match="state was used before reset"):
         late.state = start
     assert same(env.step(np.zeros(3)), twin.step(np.zeros(3)))
