@@ -5,36 +5,24 @@ import re
 from typing import Annotated, Any, Literal, NoReturn
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, InstanceOf, SerializeAsAny, field_validator
+from pydantic import AfterValidator, Field, InstanceOf, field_validator
 
 from soft_tendon_env.accuracy.fidelity import at_fidelity, checked_fidelity
 from soft_tendon_env.envs.observation import Group
 from soft_tendon_env.envs.randomization import Randomization
-from soft_tendon_env.envs.targets import TARGETS, Target
+from soft_tendon_env.envs.targets import NamedTarget, Target
 from soft_tendon_env.envs.targets.shipped import Hold
 from soft_tendon_env.envs.tasks import Task
 from soft_tendon_env.envs.tracking import GoalReward, Weight, weights_of
 from soft_tendon_env.model.state import State
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene, TensionLimits, extrapolation_columns, rod_length, scene_to_dict
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, not_registered, shown
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, shown
 from soft_tendon_env.tools.types import Array, NotNegative, Positive
 
 MOST_AHEAD = 10_000  # control periods by which a preview looks ahead: every row keeps its target for that long
 GOAL_BOUND = 2.0  # largest coordinate of goals in the world frame, in lengths of the rod
 MASK = "reset_mask"  # key of the rows that a vector environment resets, (rows,) bool; the others go on
-
-
-def _target_by_name(target: Any) -> Any:
-    settings = {"type": target} if isinstance(target, str) else target
-    if not isinstance(settings, dict):
-        return target
-    if (kind := str(settings.get("type"))) not in TARGETS:
-        raise ConfigurationError([Problem(("type",), f"is {shown(settings.get('type'))}: {not_registered(kind, TARGETS)}")])
-    return TARGETS[kind](**settings)
-
-
-NamedTarget = Annotated[SerializeAsAny[Target], BeforeValidator(_target_by_name)]
 
 
 class Options(Configuration):
@@ -51,7 +39,7 @@ class Options(Configuration):
         action: "tension" maps [-1, 1] to the tension limits; "increment" maps it to changes of at most `tension_rate` times the control
             period.
         tension_rate: largest rate of change [N/s] of actions that are increments.
-        target: name of a target ("random", "hold", "circle", "ramp", "steps" or a registered one), a table with that `type` and its
+        target: name of a target ("random", "hold", "circle", "ramp", "steps" or another of TARGETS), a table with that `type` and its
             settings, or a target object. None takes the task's default.
         observation: "full", "measurable" (tip pose, tendon lengths, strain sensors), or a list of observation groups.
         preview: times ahead [s] at which the target is observed too, rounded to whole control periods (1 to 10,000). The default is 0.1 and

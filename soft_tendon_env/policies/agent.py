@@ -188,25 +188,35 @@ def layout_of(episodes: Episodes) -> dict[str, int]:
     return {group: where.stop - where.start for group, where in episodes.layout.slices.items()}
 
 
+def _other_effects(scene: Scene, known: set[str]) -> dict[str, Any]:
+    """Effects of a scene but those of these names, whose numbers an agent's training drew: it has met arms with much and little of them."""
+    return {name: effect for name, effect in scene.effects.chosen().items() if name not in known}
+
+
 def _check_agent(name: str, config: AgentConfig, episodes: Episodes, other_effects: bool) -> None:
-    """Raises ValueError where an agent was trained on another arm, or with another meaning of observations or actions. other_effects:
-    those of the arm may be others. Warns (TrainingWarning) of another task, control period, or arm as it is computed."""
+    """Raises ValueError where an agent was trained on another arm, with another control period, or with another meaning of observations or
+    actions. other_effects: those of the arm may be others. Warns (TrainingWarning) of another task, or arm as it is computed."""
     now, scene, layout, trained = episodes.options, episodes.model.scene, layout_of(episodes), Options(**config.options)
-    before = resolved_scene(trained)
+    before, known = resolved_scene(trained), {name.split(".")[1] for name in trained.randomize.numbers if name.startswith("effects.")}
     for key in PHYSICS:
-        if getattr(before, key) != getattr(scene, key) and not (other_effects and key == "effects"):
+        if key == "effects":
+            differs = not other_effects and _other_effects(before, known) != _other_effects(scene, known)
+        else:
+            differs = getattr(before, key) != getattr(scene, key)
+        if differs:
             text = f"{name} was trained on an arm with other {key} (scene {before.name!r}) than this environment's ({scene.name!r})"
             raise ValueError(f"{text}: an arm that differs from it is what `randomize` is for")
     groups = [", ".join(f"{group} ({size})" for group, size in of.items()) for of in (config.layout or layout, layout)]
     values = {"observation": (groups[0], groups[1]), **{key: (getattr(trained, key), getattr(now, key)) for key in INTERFACE[1:]}}
     if {"coordinates", "rates", "target_coordinates"} & layout.keys():
         values["strain"] = (config.strain or strain_of(before), strain_of(scene))
+    values["control_period"] = trained.control_period, now.control_period
     for key, (one, other) in values.items():
         if one != other:
             raise ValueError(f"{name} was trained with {key} = {one!r}, this environment has {other!r}")
     same = before.replace({"name": "arm"}) == scene.replace({"name": "arm"})
     soft = {"task": (config.task or episodes.task.name, episodes.task.name)}
-    soft |= {key: (getattr(trained, key), getattr(now, key)) for key in ARM if key == "control_period" or not same}
+    soft |= {key: (getattr(trained, key), getattr(now, key)) for key in ARM if key != "control_period" and not same}
     if not other_effects and (other := [f"{key} = {one!r}, judged with {two!r}" for key, (one, two) in soft.items() if one != two]):
         text = f"{name}: trained with {'; '.join(other)}. policy_options() has the options of its training"
         warnings.warn(text, TrainingWarning, stacklevel=5)

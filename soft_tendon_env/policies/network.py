@@ -37,8 +37,11 @@ def algorithm_class(algorithm: str) -> Any:
 
 def new_network(algorithm: str, arguments: Mapping[str, Any], observations: gym.Space[Any], actions: gym.Space[Any]) -> Any:
     """A policy network that has learned nothing. arguments: of the policy, see `policy_arguments`. Raises ValueError for others."""
-    aliases = algorithm_class(OF_PACKAGE.get(algorithm, algorithm)).policy_aliases
-    kind = aliases["MultiInputPolicy" if isinstance(observations, gym.spaces.Dict) else "MlpPolicy"]
+    if algorithm == "APG":
+        from soft_tendon_env.policies.recurrent import RecurrentPolicy as kind
+    else:
+        aliases = algorithm_class(OF_PACKAGE.get(algorithm, algorithm)).policy_aliases
+        kind = aliases["MultiInputPolicy" if isinstance(observations, gym.spaces.Dict) else "MlpPolicy"]
     given = policy_arguments({key: value for key, value in arguments.items() if key not in OF_TRAINING})
     known = inspect.signature(kind.__init__).parameters
     if unknown := given.keys() - known.keys():

@@ -221,3 +221,35 @@ def test_motions_under_loads_come_from_a_bank_whatever_was_drawn_before(same):
     assert len({key for key, _ in env.episodes._draws._bank}) == 2
     again = pickle.loads(pickle.dumps(env))
     assert same(again.reset()[0], env.reset()[0])
+
+
+EITHER = {"type": "either", "of": ["hold", {"type": "circles", "radius": [0.02, 0.05], "distance": [0.2, 0.25]}]}
+
+
+def test_every_episode_draws_one_of_several_targets():
+    """As often as another; circles within their ranges, at every seed the same."""
+    env, kinds, found = TipPoseEnv(**SMALL, target=EITHER), [], []
+    for seed in range(40):
+        course, _ = course_of(env, seed)
+        kinds.append(isinstance(course, CircleCourse))
+        if kinds[-1]:
+            found.append([course.radius, course.centre[0], course.circle.tilt, course.circle.period])
+    assert 10 < sum(kinds) < 30
+    least, greatest = np.array([[0.02, 0.2, 0.0, 2.0], [0.05, 0.25, 45.0, 8.0]])
+    assert ((least <= found) & (found <= greatest)).all() and (np.ptp(found, axis=0) > 0.5 * (greatest - least)).all()
+    assert len(course_of(TipPoseEnv(**SMALL, target=EITHER), 39)[0].sample(TIMES).tip_pose if kinds[-1] else TIMES) == len(TIMES)
+
+
+@pytest.mark.cases(
+    "target, said",
+    [
+        ({"type": "either", "of": []}, r"target\.of"),
+        ({"type": "either", "of": ["random", "orbit"]}, r"target\.of\[1\]\.type is 'orbit'"),
+        ({"type": "either", "of": [{"type": "random", "knot_period": [0.5, 3.0]}]}, r"knot_period is \[0\.5, 3\.0\]: it should be 0\.001 to"),
+        ({"type": "circles", "radius": [0.3, 0.1]}, r"target\.radius.* should be a number greater than 0"),
+        ({"type": "circles", "tilt": [0.0, 100.0]}, r"target\.tilt"),
+    ],
+)
+def test_targets_that_cannot_be_drawn_are_refused(target, said):
+    with pytest.raises(ConfigurationError, match=said):
+        TipPoseEnv(**SMALL, target=target)

@@ -1,29 +1,34 @@
 """The targets that ship: poses or shapes to hold, one or several, a circle and a ramp of tensions as in the paper's Section IV, and smooth
 random motions."""
 
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from soft_tendon_env.envs.targets import (
     FARTHEST,
+    Amount,
     Course,
     Distance,
     DrawnShapes,
     GivenShapes,
+    NamedTarget,
     PoseCourse,
     Setting,
     ShapeCourse,
     Target,
     TargetSamples,
+    drawn,
     pose_samples,
     register_target,
 )
 from soft_tendon_env.envs.targets.statics import Tensions, shape_course
+from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.types import Array, Positive
 
+Angle = Annotated[float, Field(ge=-90, le=90)]
 MOST_KNOTS = 10_000  # points that a random motion can be drawn with
 
 
@@ -139,7 +144,7 @@ class Circle(Target):
     type: Literal["circle"] = "circle"
     radius: float | None = Field(default=None, gt=0, le=FARTHEST)
     centre: tuple[Distance, Distance, Distance] | None = None
-    tilt: float = Field(default=37.8, ge=-90, le=90)
+    tilt: Angle = 37.8
     period: Positive = 4.0
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
@@ -169,6 +174,57 @@ class CircleCourse(PoseCourse):
         angular = rate * (pose[:, 0, :3] - ahead)
         linear = (pose[:, :3, :3] * (rate * self.radius * across)[:, :, None]).sum(axis=1)
         return pose_samples(pose, np.concatenate([angular, linear], axis=1))
+
+
+@register_target
+class Circles(Target):
+    """A circle that every episode draws, see `Circle`: ranges of its `radius` and of the `distance` of its centre [m], of `tilt` [degrees]
+    and `period` [s]. The paper's arm can hold the positions of most and the orientations of few."""
+
+    type: Literal["circles"] = "circles"
+    radius: Amount = (0.05, 0.26)
+    distance: Amount = (0.8, 0.95)
+    tilt: tuple[Angle, Angle] = (0.0, 45.0)
+    period: Amount = (2.0, 8.0)
+
+    @property
+    def is_random(self) -> bool:
+        return True
+
+    def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
+        radius, distance, tilt, period = (drawn(of, generator) for of in (self.radius, self.distance, self.tilt, self.period))
+        return CircleCourse(Circle(radius=radius, centre=(distance, 0.0, 0.0), tilt=tilt, period=period))
+
+
+@register_target
+class Either(Target):
+    """One of several targets, `of`, that every episode draws, each as often."""
+
+    type: Literal["either"] = "either"
+    of: tuple[NamedTarget, ...] = Field(min_length=1)
+
+    @property
+    def is_random(self) -> bool:
+        return True
+
+    @property
+    def gives_shapes(self) -> bool:
+        return all(target.gives_shapes for target in self.of)
+
+    @property
+    def repeats(self) -> float | None:
+        return max((target.repeats for target in self.of if target.repeats is not None), default=None)
+
+    @property
+    def kinds(self) -> int:
+        return len(self.of)
+
+    def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
+        return self.of[int(generator.integers(len(self.of)))].draw(generator, setting)
+
+    def check(self, scene: Scene) -> None:
+        for target in self.of:
+            target.check(scene)
 
 
 @register_target
@@ -203,17 +259,20 @@ class Rise(Tensions):
 @register_target
 class Random(DrawnShapes):
     """A smooth random motion: tensions along a closed cubic B-spline with a random point within `fraction` of their limits every
-    `knot_period` [s], or a little less or more to make them a whole number of at least 4; it repeats after `period` [s]."""
+    `knot_period` [s], which may be a range too, or a little less or more to make them a whole number of at least 4; it repeats after
+    `period` [s]."""
 
     type: Literal["random"] = "random"
-    knot_period: float = Field(default=1.0, gt=0)
+    knot_period: Amount = 1.0
     period: Positive = 10.0
 
     @model_validator(mode="after")
     def _enough_knots(self) -> "Random":
-        if not 4 * self.knot_period <= self.period <= MOST_KNOTS * self.knot_period:
-            allowed = f"{self.period / MOST_KNOTS:g} to {self.period / 4:g} s, for 4 to {MOST_KNOTS} in a period of {self.period:g} s"
-            raise ConfigurationError([Problem(("knot_period",), f"is {self.knot_period:g}: it should be {allowed}")])
+        least, greatest = self.period / MOST_KNOTS, self.period / 4
+        if not least <= np.min(self.knot_period) <= np.max(self.knot_period) <= greatest:
+            allowed = f"{least:g} to {greatest:g} s, for 4 to {MOST_KNOTS} in a period of {self.period:g} s"
+            given = shown(self.knot_period) if isinstance(self.knot_period, tuple) else f"{self.knot_period:g}"
+            raise ConfigurationError([Problem(("knot_period",), f"is {given}: it should be {allowed}")])
         return self
 
     @property
@@ -221,7 +280,7 @@ class Random(DrawnShapes):
         return self.period
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        count = round(self.period / self.knot_period)
+        count = round(self.period / drawn(self.knot_period, generator))
         return shape_course(self, generator, setting, lambda points: ClosedSpline(points, self.period), count)
 
 
