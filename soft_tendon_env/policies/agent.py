@@ -31,6 +31,7 @@ SHIPPED = (AGENT, "ppo", "sac", "dagger", "apg")
 ARM = ("scene", "fidelity", "control_period", "tension_limits")  # options that define the arm
 INTERFACE = ("observation", "preview", "history", "sensors", "action", "tension_rate")
 """Options that say what a policy observes and how its actions are read."""
+SAME = (*INTERFACE[1:], "control_period")  # options that should be those of the training
 OF_TRAINING = (
     *("arms", "checkpoint_every", "checkpoint_seconds", "engine", "evaluated", "evaluation", "hindsight", "learning_rate", "record"),
     *("runners", "seconds", "seconds_learned", "seed", "start_from", "steps", "threads"),
@@ -188,29 +189,26 @@ def layout_of(episodes: Episodes) -> dict[str, int]:
     return {group: where.stop - where.start for group, where in episodes.layout.slices.items()}
 
 
-def _other_effects(scene: Scene, known: set[str]) -> dict[str, Any]:
-    """Effects of a scene but those of these names, whose numbers an agent's training drew: it has met arms with much and little of them."""
-    return {name: effect for name, effect in scene.effects.chosen().items() if name not in known}
+def _physics(scene: Scene, drawn: set[str]) -> dict[str, Any]:
+    """What of a scene agents are trained for, by the names of PHYSICS: of the effects those whose numbers a training did not draw."""
+    effects = {name: effect for name, effect in scene.effects.chosen().items() if name not in drawn}
+    return {**{key: getattr(scene, key) for key in PHYSICS}, "effects": effects}
 
 
 def _check_agent(name: str, config: AgentConfig, episodes: Episodes, other_effects: bool) -> None:
     """Raises ValueError where an agent was trained on another arm, with another control period, or with another meaning of observations or
     actions. other_effects: those of the arm may be others. Warns (TrainingWarning) of another task, or arm as it is computed."""
     now, scene, layout, trained = episodes.options, episodes.model.scene, layout_of(episodes), Options(**config.options)
-    before, known = resolved_scene(trained), {name.split(".")[1] for name in trained.randomize.numbers if name.startswith("effects.")}
+    before, drawn = resolved_scene(trained), {name.split(".")[1] for name in trained.randomize.numbers if name.startswith("effects.")}
+    there, known = _physics(scene, drawn), _physics(before, drawn)
     for key in PHYSICS:
-        if key == "effects":
-            differs = not other_effects and _other_effects(before, known) != _other_effects(scene, known)
-        else:
-            differs = getattr(before, key) != getattr(scene, key)
-        if differs:
+        if known[key] != there[key] and not (other_effects and key == "effects"):
             text = f"{name} was trained on an arm with other {key} (scene {before.name!r}) than this environment's ({scene.name!r})"
             raise ValueError(f"{text}: an arm that differs from it is what `randomize` is for")
     groups = [", ".join(f"{group} ({size})" for group, size in of.items()) for of in (config.layout or layout, layout)]
-    values = {"observation": (groups[0], groups[1]), **{key: (getattr(trained, key), getattr(now, key)) for key in INTERFACE[1:]}}
+    values = {"observation": (groups[0], groups[1]), **{key: (getattr(trained, key), getattr(now, key)) for key in SAME}}
     if {"coordinates", "rates", "target_coordinates"} & layout.keys():
         values["strain"] = (config.strain or strain_of(before), strain_of(scene))
-    values["control_period"] = trained.control_period, now.control_period
     for key, (one, other) in values.items():
         if one != other:
             raise ValueError(f"{name} was trained with {key} = {one!r}, this environment has {other!r}")
