@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.contacts import ObstacleFreeSpace, why_inside
@@ -96,7 +97,7 @@ class Starts:
                     break
         return self._bank[number]
 
-    def _make_arm(self, shares: Array, omitted: Array | None = None) -> Drawn:
+    def _make_arm(self, shares: Array, omitted: NDArray[np.bool_] | None = None) -> Drawn:
         """The arm with numbers so far, 0 to 1, between the ends of every range but omitted ones. Raises ConfigurationError."""
         changes: dict[str, float] = {}
         for i, (drawn, share) in enumerate(zip(self._ranges, shares.tolist(), strict=True)):

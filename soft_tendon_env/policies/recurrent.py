@@ -51,7 +51,7 @@ class RecurrentPolicy(ActorCriticPolicy):
 
     def act(self, observation: Any, memory: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Mean actions (rows, n_a) and the next memory, of observations and the memory (rows, size)."""
-        plain = self.extract_features(observation, self.pi_features_extractor)
+        plain: Any = self.extract_features(observation, self.pi_features_extractor)
         seen = self._finer(plain)
         if self.memory:
             share = torch.sigmoid(self.gate(torch.cat([seen, memory], dim=1)))

@@ -186,7 +186,12 @@ GRAVITY = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, 0
     "task, trained, judged, said",
     [
         ("TipPose", {}, {}, None),
-        ("TipPose", {**LOOKS, "scene": GRAVITY, "randomize": {"effects.gravity.acceleration": [[-9.0, 9.0]] * 3}}, LOOKS, "trained with scene ="),
+        (
+            "TipPose",
+            {**LOOKS, "scene": GRAVITY, "randomize": {"effects.gravity.acceleration": [[-9.0, 9.0]] * 3}},
+            LOOKS,
+            "trained with scene =",
+        ),
         ("TipPose", LOOKS, {**LOOKS, "fidelity": "standard"}, "trained with fidelity = 'fast', judged with"),
         ("TipPose", {}, {"scene": load_scene("three_tendon")}, None),  # the same in other words
         ("Shape", {}, {}, "trained with task = 'Shape', judged with 'TipPose'"),
