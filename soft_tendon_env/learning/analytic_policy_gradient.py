@@ -42,7 +42,7 @@ class APGSettings:
         far_weight: weight of the distance, which leads arms back that are far off.
         smoothness: weight of the mean square change of actions; unknown latency needs 10 to 20.
         max_grad_norm: greatest norm of a gradient.
-        max_row_gradient: greatest gradient by a row's action, in those of the median row: arms that whirl would lead all others.
+        max_row_gradient: greatest gradient by a row's action, in those of the median row: those of arms that oscillate would lead all others.
         cost: function of Trajectories to a scalar, in place of TrackingCost.
     """
 

@@ -190,7 +190,7 @@ def layout_of(episodes: Episodes) -> dict[str, int]:
 
 
 def _physics(scene: Scene, drawn: set[str]) -> dict[str, Any]:
-    """What of a scene agents are trained for, by the names of PHYSICS: of the effects those whose numbers a training did not draw."""
+    """Physical arm of a scene by the names of PHYSICS, without effects whose numbers a training drew."""
     effects = {name: effect for name, effect in scene.effects.chosen().items() if name not in drawn}
     return {**{key: getattr(scene, key) for key in PHYSICS}, "effects": effects}
 
