@@ -42,7 +42,7 @@ class APGSettings:
         far_weight: weight of the distance, which leads arms back that are far off.
         smoothness: weight of the mean square change of actions; unknown latency needs 10 to 20.
         max_grad_norm: greatest norm of a gradient.
-        max_row_gradient: greatest gradient by a row's action, in those of the median row: those of arms that oscillate would lead all others.
+        max_row_gradient: greatest gradient by a row's action, in those of the median row: arms that oscillate would lead all others.
         cost: function of Trajectories to a scalar, in place of TrackingCost.
     """
 
@@ -163,9 +163,10 @@ def normalised(observation: Any, statistics: VecNormalize | None, moments: Any =
 
 
 def clip_rows(gradient: torch.Tensor, most: float) -> torch.Tensor:
-    """Gradient (rows, n_a) whose rows have at most `most` times the norm of the median row."""
+    """Gradient (rows, n_a) whose rows have at most `most` times the norm of the median row, unless that is zero."""
     norm = gradient.norm(dim=1, keepdim=True)
-    return gradient * (most * norm.median() / norm.clamp(min=1e-30)).clamp(max=1.0)
+    greatest = most * norm.median()
+    return gradient * (greatest / norm).clamp(max=1.0) if greatest > 0.0 and math.isfinite(most) else gradient
 
 
 def update_statistics(statistics: VecNormalize | None, seen: list[Any]) -> None:

@@ -19,7 +19,9 @@ class RecurrentPolicy(ActorCriticPolicy):
 
     The memory is that of a minimal gated unit (G.-B. Zhou et al., Int. J. Automation and Computing 13, 2016), zero where an episode begins.
     memory: its size, 0: none. fine: factor of small entries, as those of errors of a millimetre, which layers see besides as tanh(fine x);
-    0: they do not. Other arguments are those of ActorCriticPolicy.
+    0: they do not. posture: number of the first entries, which say how the arm is bent and commanded; the others vanish where it rests at
+    its target, and are multiplied by gains, a part of the action that vanishes too; 0: there are no gains. Other arguments are those of
+    ActorCriticPolicy. Raises ValueError for sizes that cannot be.
     """
 
     def __init__(
@@ -39,6 +41,9 @@ class RecurrentPolicy(ActorCriticPolicy):
         super().__init__(*spaces, lr_schedule, net_arch, activation_fn, features_extractor_class=features)
 
     def _build_mlp_extractor(self) -> None:
+        if not (self.memory >= 0 and 0 <= self.posture < self.features_dim):
+            text = f"memory is {self.memory} and posture {self.posture}: they should be at least 0"
+            raise ValueError(f"{text}, and posture less than the size of an observation, {self.features_dim}")
         both = self.features_dim * (2 if self.fine else 1) + self.memory
         if self.memory:
             self.gate, self.candidate = torch.nn.Linear(both, self.memory), torch.nn.Linear(both, self.memory)

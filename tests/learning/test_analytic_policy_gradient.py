@@ -62,6 +62,8 @@ def test_gradients_of_rows_are_clipped_at_those_of_the_median_row():
     clipped = clip_rows(gradient, 2.0)
     np.testing.assert_allclose(clipped[2], [2.4, 3.2])
     np.testing.assert_array_equal(clipped[[0, 1, 3, 4]], gradient[[0, 1, 3, 4]])
+    few = torch.tensor([[0.0], [0.0], [5.0]])
+    assert torch.equal(clip_rows(few, 2.0), few) and torch.equal(clip_rows(gradient, np.inf), gradient)
 
 
 def error_of(agent, options):

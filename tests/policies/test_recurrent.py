@@ -55,6 +55,12 @@ def test_lost_states_are_told(policy, seen):
             policy.predict(seen[0])
 
 
+@pytest.mark.cases("given", [{"memory": -1}, {"posture": 6}, {"posture": -2}])
+def test_sizes_that_cannot_be_are_refused(given):
+    with pytest.raises(ValueError, match="they should be at least 0, and posture less than the size of an observation, 6"):
+        new_network("APG", given, *SPACES)
+
+
 def test_where_nothing_is_away_from_rest_only_layers_without_gains_act(policy):
     """Gains by which the way to the target is multiplied add nothing where there is none."""
     at_rest = torch.tensor([[0.3, -0.2, 0.0, 0.0, 0.0, 0.0]])
