@@ -76,10 +76,13 @@ class RecurrentPolicy(ActorCriticPolicy):
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[np.ndarray[Any, Any], Any]:
-        """Mean actions for one observation or many, and the memory (rows, size) to give back."""
+        """Mean actions for one observation or many, and the memory (rows, size) to give back. Raises ValueError for another memory."""
         self._lost.notice(bool(self.memory) and state is None and not np.any(episode_start))
         seen, many = self.obs_to_tensor(observation)
-        memory = torch.zeros(_rows(seen), self.memory) if state is None else torch.as_tensor(state)
+        shape = _rows(seen), self.memory
+        memory = torch.zeros(shape) if state is None else torch.as_tensor(state)
+        if memory.shape != shape:
+            raise ValueError(f"state should be what predict gave for these rows, of shape {shape}, not {tuple(memory.shape)}")
         if episode_start is not None:
             memory = memory * torch.as_tensor(~np.atleast_1d(episode_start).astype(bool))[:, None]
         with torch.no_grad():

@@ -55,6 +55,12 @@ def test_lost_states_are_told(policy, seen):
             policy.predict(seen[0])
 
 
+def test_a_state_of_other_rows_is_refused(policy, seen):
+    _, state = policy.predict(seen[0], None, BEGINS)
+    with pytest.raises(ValueError, match=r"for these rows, of shape \(1, 5\), not \(3, 5\)"):
+        policy.predict(seen[0, 0], state)
+
+
 @pytest.mark.cases("given", [{"memory": -1}, {"posture": 6}, {"posture": -2}])
 def test_sizes_that_cannot_be_are_refused(given):
     with pytest.raises(ValueError, match="they should be at least 0, and posture less than the size of an observation, 6"):
