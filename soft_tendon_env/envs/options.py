@@ -194,7 +194,9 @@ def check_fit(options: Options, task: Task, scene: Scene) -> None:
 
 
 def check_target(target: Target, task: Task, scene: Scene) -> None:
-    """Raises ConfigurationError where a target does not fit the task or the scene."""
+    """Raises ConfigurationError where a target, or one of those that it draws from, does not fit the task or the scene."""
+    for one in getattr(target, "of", ()):
+        check_target(one, task, scene)
     if task.shapes and not target.gives_shapes:
         kind = target.type
         _fail("target", f"is {kind!r}, which is a pose alone: {task.name} needs one that is made of tensions, such as random or ramp")

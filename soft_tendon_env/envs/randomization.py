@@ -44,7 +44,7 @@ Amount = Annotated[Interval, AfterValidator(_not_negative)]
 
 
 class Randomization(Configuration):
-    """Drawn at every reset, uniformly from (least, greatest); a plain number is always taken.
+    """Drawn at every reset, uniformly from (least, greatest); a plain number is a constant.
 
     Attributes:
         numbers: of the scene by dotted keys, see `scene_parameters`, which can stand beside the other attributes:

@@ -24,7 +24,6 @@ from soft_tendon_env.envs.targets import (
     register_target,
 )
 from soft_tendon_env.envs.targets.statics import Tensions, shape_course
-from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.types import Array, Positive
 
@@ -221,10 +220,6 @@ class Either(Target):
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         return self.of[int(generator.integers(len(self.of)))].draw(generator, setting)
-
-    def check(self, scene: Scene) -> None:
-        for target in self.of:
-            target.check(scene)
 
 
 @register_target
