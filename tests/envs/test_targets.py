@@ -252,6 +252,7 @@ def test_every_episode_draws_one_of_several_targets():
         ({"type": "either", "of": [{"type": "hold", "position": [0.2, 0.0, 0.1]}]}, r"target\.position is a position alone: TipPose needs"),
         ({"type": "circles", "radius": [0.3, 0.1]}, r"target\.radius.* should be a number greater than 0"),
         ({"type": "circles", "tilt": [0.0, 100.0]}, r"target\.tilt"),
+        ({"type": "circles", "tilt": [45.0, 0.0]}, r"target\.tilt is .* should be \(least, greatest\), least before greatest"),
     ],
 )
 def test_targets_that_cannot_be_drawn_are_refused(target, said):

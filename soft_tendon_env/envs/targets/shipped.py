@@ -186,6 +186,13 @@ class Circles(Target):
     tilt: tuple[Angle, Angle] = (0.0, 45.0)
     period: Amount = (2.0, 8.0)
 
+    @field_validator("tilt")
+    @classmethod
+    def _ordered(cls, tilt: tuple[float, float]) -> tuple[float, float]:
+        if tilt[0] > tilt[1]:
+            raise ValueError("should be (least, greatest), least before greatest")
+        return tilt
+
     @property
     def is_random(self) -> bool:
         return True
