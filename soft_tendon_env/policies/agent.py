@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field, field_validator
 
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
-from soft_tendon_env.envs.options import resolved_scene
+from soft_tendon_env.envs.options import given_scene, resolved_scene
 from soft_tendon_env.policies.integral import IntegralPolicy
 from soft_tendon_env.policies.network import ALGORITHMS, OF_PACKAGE, WEIGHTS, new_network, read_weights
 from soft_tendon_env.policies.normalization import STATISTICS, Normalization, read_normalization, save_normalization
@@ -189,9 +189,29 @@ def layout_of(episodes: Episodes) -> dict[str, int]:
     return {group: where.stop - where.start for group, where in episodes.layout.slices.items()}
 
 
-def _physics(scene: Scene, drawn: set[str]) -> dict[str, Any]:
-    """Physical arm of a scene by the names of PHYSICS, without effects whose numbers a training drew."""
-    effects = {name: effect for name, effect in scene.effects.chosen().items() if name not in drawn}
+def disturbances(options: Options) -> set[str]:
+    """Names of effects that a training draws from nothing on, or from the least that there is: an arm has them or not."""
+    found = dict[str, bool]()
+    for drawn in options.randomize.ranges(given_scene(options.scene)):
+        for key, value in zip(drawn.keys, drawn.values, strict=True):
+            table, name, *_ = key.split(".")
+            if table == "effects":
+                found[name] = found.get(name, True) and value in (0.0, drawn.least)
+    return {name for name, holds in found.items() if holds}
+
+
+def undisturbed(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of a training with the arm alone: without what it draws, and changes of the scene by which there are disturbances."""
+    scene, names = options.get("scene"), disturbances(Options.parse(options, "options"))
+    if not isinstance(scene, Mapping) or "segments" in scene:
+        return {**options, "randomize": {}}
+    left = {key: value for key, value in scene.items() if not (key.startswith("effects.") and key.split(".")[1] in names)}
+    return {**options, "randomize": {}, "scene": left["scene"] if left.keys() == {"scene"} else left}
+
+
+def _physics(scene: Scene, names: set[str]) -> dict[str, Any]:
+    """Physical arm of a scene by the names of PHYSICS, without effects of these names."""
+    effects = {name: effect for name, effect in scene.effects.chosen().items() if name not in names}
     return {**{key: getattr(scene, key) for key in PHYSICS}, "effects": effects}
 
 
@@ -199,8 +219,8 @@ def _check_agent(name: str, config: AgentConfig, episodes: Episodes, other_effec
     """Raises ValueError where an agent was trained on another arm, with another control period, or with another meaning of observations or
     actions. other_effects: those of the arm may be others. Warns (TrainingWarning) of another task, or arm as it is computed."""
     now, scene, layout, trained = episodes.options, episodes.model.scene, layout_of(episodes), Options(**config.options)
-    before, drawn = resolved_scene(trained), {name.split(".")[1] for name in trained.randomize.numbers if name.startswith("effects.")}
-    there, known = _physics(scene, drawn), _physics(before, drawn)
+    before, names = resolved_scene(trained), disturbances(trained)
+    there, known = _physics(scene, names), _physics(before, names)
     for key in PHYSICS:
         if known[key] != there[key] and not (other_effects and key == "effects"):
             text = f"{name} was trained on an arm with other {key} (scene {before.name!r}) than this environment's ({scene.name!r})"
@@ -212,7 +232,8 @@ def _check_agent(name: str, config: AgentConfig, episodes: Episodes, other_effec
     for key, (one, other) in values.items():
         if one != other:
             raise ValueError(f"{name} was trained with {key} = {one!r}, this environment has {other!r}")
-    same = before.replace({"name": "arm"}) == scene.replace({"name": "arm"})
+    alike = before, resolved_scene(Options(**undisturbed(config.options)))
+    same = scene.replace({"name": "arm"}) in [one.replace({"name": "arm"}) for one in alike]
     soft = {"task": (config.task or episodes.task.name, episodes.task.name)}
     soft |= {key: (getattr(trained, key), getattr(now, key)) for key in ARM if key != "control_period" and not same}
     if not other_effects and (other := [f"{key} = {one!r}, judged with {two!r}" for key, (one, two) in soft.items() if one != two]):

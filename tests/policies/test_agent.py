@@ -179,19 +179,19 @@ def test_an_agent_is_refused_elsewhere(ppo, task, options, said):
 
 
 LOOKS = {"observation": ["target_error"]}
-GRAVITY = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, 0.0]}
+DRAWN = {"randomize": {"effects.gravity.acceleration": [[-9.0, 9.0]] * 3}}
+
+
+def gravity(acceleration):
+    return {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, acceleration]}
 
 
 @pytest.mark.cases(
     "task, trained, judged, said",
     [
         ("TipPose", {}, {}, None),
-        (
-            "TipPose",
-            {**LOOKS, "scene": GRAVITY, "randomize": {"effects.gravity.acceleration": [[-9.0, 9.0]] * 3}},
-            LOOKS,
-            "trained with scene =",
-        ),
+        ("TipPose", {**LOOKS, "scene": gravity(0.0), **DRAWN}, LOOKS, None),  # whether it is drawn or not there
+        ("TipPose", {**LOOKS, "scene": gravity(0.0), **DRAWN}, {**LOOKS, "scene": gravity(-9.81)}, "trained with scene = "),
         ("TipPose", LOOKS, {**LOOKS, "fidelity": "standard"}, "trained with fidelity = 'fast', judged with"),
         ("TipPose", {}, {"scene": load_scene("three_tendon")}, None),  # the same in other words
         ("Shape", {}, {}, "trained with task = 'Shape', judged with 'TipPose'"),
