@@ -40,7 +40,7 @@ class APGSettings:
         n_steps: control periods of a window, after which the policy's weights move once.
         position_scale, angle_scale: errors [m], [rad] from which on the cost grows slower than their squares.
         far_weight: weight of the distance, which leads arms back that are far off.
-        smoothness: weight of the mean square change of actions; unknown latency needs 10 to 20.
+        smoothness: weight of the mean square change of actions; unknown latency needs 10 to 20, or 6 with a memory.
         max_grad_norm: greatest norm of a gradient.
         max_row_gradient: greatest gradient by a row's action, in those of the median row: arms that oscillate would lead all others.
         cost: function of Trajectories to a scalar, in place of TrackingCost.
