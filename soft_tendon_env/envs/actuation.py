@@ -84,7 +84,11 @@ class Actuation:
         drawn, self.command[row] = self._randomize, command
         self.gain[row] = generator.uniform(*drawn.tension_gain, command.size)
         self.offset[row] = self._share * generator.uniform(*drawn.tension_offset, command.size)
-        self._periods_late[row], rest = whole_periods(generator.uniform(*drawn.latency), self._period)
+        latency = generator.uniform(*drawn.latency)
+        if drawn.omit:
+            gain, offset, late = generator.random(3) >= drawn.omit
+            self.gain[row], self.offset[row], latency = (self.gain[row] if gain else 1.0), offset * self.offset[row], late * latency
+        self._periods_late[row], rest = whole_periods(latency, self._period)
         self._durations[row] = rest, self._period - rest
         if self.in_transit is not None:
             self.in_transit[row] = command

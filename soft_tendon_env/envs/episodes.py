@@ -79,8 +79,8 @@ class Episodes:
         if task.goal is None:
             given = options.reward if isinstance(options.reward, dict) else weights_of(task.reward)
             self._reward_terms = Reward(given, task.terms, self._strongest, model.length)
-        noise = options.randomize.noise
-        self._sensors = Sensors(noise, rows, model.tendon_count, self.sensors.size) if noise != SensorNoise() else None
+        noise, sizes = options.randomize.noise, (rows, model.tendon_count, self.sensors.size)
+        self._sensors = Sensors(noise, *sizes, options.randomize.omit) if noise != SensorNoise() else None
         self._all, self._transmits, self._simulated = np.arange(rows, dtype=np.int64), model.arm.effects.transmission.acts, True
         self.arms.place(self._all, np.tile(starts.q, (rows, 1)), self.start_tension)
         reading = self.arms.reading

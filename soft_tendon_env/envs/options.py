@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal, NoReturn, Self
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, InstanceOf, SerializeAsAny, field_validator
+from pydantic import AfterValidator, Field, InstanceOf, field_validator
 
 from soft_tendon_env.accuracy.fidelity import at_fidelity, checked_fidelity
 from soft_tendon_env.envs.observation import Group
 from soft_tendon_env.envs.randomization import Randomization
-from soft_tendon_env.envs.targets import TARGETS, DrawnShapes, Target
+from soft_tendon_env.envs.targets import TARGETS, DrawnShapes, NamedTarget, Target, file  # noqa: F401 (registers its target)
 from soft_tendon_env.envs.targets.shipped import Hold
 from soft_tendon_env.envs.tasks import Task
 from soft_tendon_env.envs.tracking import GoalReward, Weight, weights_of
@@ -19,21 +19,12 @@ from soft_tendon_env.model.state import State
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene, TensionLimits, extrapolation_columns, rod_length, scene_to_dict
 from soft_tendon_env.tools.checks import checked_count
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, not_registered, shown
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, shown
 from soft_tendon_env.tools.types import Array, NotNegative, Positive
 
 MOST_AHEAD = 10_000  # control periods by which a preview looks ahead: every row keeps its target for that long
 GOAL_BOUND = 2.0  # largest distance of goals from the base along the world's axes, in lengths of the rod
 MASK = "reset_mask"  # key of the rows that a vector environment resets, (rows,) bool; the others go on
-
-
-def _target_by_name(target: Any) -> Any:
-    settings = {"type": target} if isinstance(target, str) else target
-    if not isinstance(settings, dict):
-        return target
-    if (kind := str(settings.get("type"))) not in TARGETS:
-        raise ConfigurationError([Problem(("type",), f"is {shown(settings.get('type'))}: {not_registered(kind, TARGETS)}")])
-    return TARGETS[kind](**settings)
 
 
 DIFFICULTIES: Mapping[str, Mapping[str, float]] = {
@@ -46,15 +37,14 @@ Difficulty = Literal["easy", "medium", "hard"]
 
 
 def at_difficulty(target: Target, difficulty: Difficulty | None) -> Target:
-    """The target with the settings of a difficulty that it leaves open; the same object where there are none."""
-    if difficulty is None or not target.is_random or not isinstance(target, DrawnShapes):
+    """The target, or those that it draws from, with the settings of a difficulty that it leaves open; the same where there are none."""
+    if difficulty is None or not target.is_random:
         return target
     given: dict[str, Any] = {name: getattr(target, name) for name in target.model_fields_set}
-    more = {name: value for name, value in DIFFICULTIES[difficulty].items() if name in type(target).model_fields and name not in given}
+    more: dict[str, Any] = {"of": [at_difficulty(one, difficulty) for one in given["of"]]} if "of" in given else {}
+    if isinstance(target, DrawnShapes):
+        more = {name: value for name, value in DIFFICULTIES[difficulty].items() if name in type(target).model_fields and name not in given}
     return type(target)(**given | more) if more else target
-
-
-NamedTarget = Annotated[SerializeAsAny[Target], BeforeValidator(_target_by_name)]
 
 
 class Options(Configuration):
@@ -71,7 +61,7 @@ class Options(Configuration):
         action: "increment" maps [-1, 1] to changes of the tensions, of at most `tension_rate` times the control period, 2 N by default,
             from those asked for before; "tension" maps it to the tension limits.
         tension_rate: largest rate of change [N/s] of actions that are increments. Actions that are tensions may jump.
-        target: name of a target ("random", "hold", "circle", "ramp", "steps", "out_of_reach" or a registered one), a table with that
+        target: name of a target ("random", "hold", "circle", "ramp", "steps", "out_of_reach" or another of TARGETS), a table with that
             `type` and its settings, or a target object. None takes the task's default.
         difficulty: "easy", "medium" or "hard" sets what a drawn target leaves open: `fraction` to 0.25, 0.4 or 0.6, and `knot_period`, of
             random motions, to 1.0, 0.6 or 0.3 s. None leaves it to the target, whose defaults are easy.
@@ -264,6 +254,8 @@ def checked_target(given: Target | None, options: Options, task: Task, scene: Sc
     """A target, by default that of the options or the task, at their difficulty. Raises ConfigurationError where it does not fit the task
     or the scene."""
     target = at_difficulty(given or options.target or usual_target(task), options.difficulty)
+    for one in getattr(target, "of", ()):
+        checked_target(one, options, task, scene)
     if task.shapes and not target.gives_shapes:
         kind = target.type
         _fail("target", f"is {kind!r}, which is a pose alone: {task.name} needs one that is made of tensions, such as random or ramp")

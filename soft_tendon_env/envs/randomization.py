@@ -53,7 +53,7 @@ Amount = Annotated[Interval, AfterValidator(_not_negative)]
 
 
 class Randomization(Configuration):
-    """Drawn at every reset, uniformly from (least, greatest); a plain number is always taken.
+    """Drawn at every reset, uniformly from (least, greatest); a plain number is a constant.
 
     Attributes:
         numbers: of the scene by dotted keys, see `scene_parameters`, which can stand beside the other attributes:
@@ -63,6 +63,8 @@ class Randomization(Configuration):
         tension_gain, tension_offset: of every tendon's actuator, factor and [N].
         latency: delay of the commands [s], of any length.
         noise: of sensors.
+        omit: probability with which an episode leaves out each of the above: a number is as the scene says, gains are 1, offsets,
+            latency and noise 0. Without it nearly all arms differ in every way.
     """
 
     numbers: dict[str, Any] = Field(default_factory=dict)
@@ -70,6 +72,7 @@ class Randomization(Configuration):
     tension_offset: Interval = (0.0, 0.0)
     latency: Amount = (0.0, 0.0)
     noise: SensorNoise = Field(default=SensorNoise())
+    omit: Annotated[float, Field(ge=0, le=1)] = 0.0
 
     def __init__(self, /, **values: Any):
         valid = [*type(self).model_fields, *SHORT, *TABLES]
@@ -138,23 +141,26 @@ class Measured(NamedTuple):
 class Sensors:
     """Rows of noisy sensors."""
 
-    def __init__(self, noise: SensorNoise, rows: int, tendons: int, sensors: int) -> None:
+    def __init__(self, noise: SensorNoise, rows: int, tendons: int, sensors: int, omit: float) -> None:
+        """omit: probability with which an episode has no noise."""
         of_pose, of_lengths = np.repeat([noise.position, noise.rotation], 3), np.full(tendons, noise.length)
         self._deviation = np.concatenate([of_pose, of_lengths, noise.of_strains(sensors), noise.of_strain_rates(sensors)])
         ends = np.cumsum([3, 3, tendons, 6 * sensors, 6 * sensors]).tolist()
         self._parts = [slice(start, end) for start, end in pairwise([0, *ends])]
         self._noise = np.zeros((rows, CHUNK, self._deviation.size))
         self._generator = [np.random.default_rng(0) for _ in range(rows)]
+        self._omit, self._is_noisy = omit, np.ones((rows, 1), dtype=bool)
 
     def begin(self, row: int, seed: int) -> None:
         """A new episode of a row."""
-        self._generator[row] = np.random.default_rng(seed)
+        self._generator[row] = generator = np.random.default_rng(seed)
+        self._is_noisy[row] = not self._omit or generator.random() >= self._omit
 
     def measured(self, reading: Reading, step_count: Indices, members: Indices) -> Measured:
         """Sensor readings of true ones; `members` have moved on."""
         for row in members[step_count[members] % CHUNK == 0]:
             self._noise[row] = self._generator[row].standard_normal(self._noise.shape[1:]) * self._deviation
-        noise = self._noise[np.arange(len(step_count)), step_count % CHUNK]
+        noise = self._noise[np.arange(len(step_count)), step_count % CHUNK] * self._is_noisy
         position, rotation, length, strain, rate = (noise[:, part] for part in self._parts)
         pose, turn = np.empty_like(reading.tip_pose), np.zeros((len(rotation), 1, 6))
         turn[:, 0, :3] = rotation

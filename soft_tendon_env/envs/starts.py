@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.contacts import ObstacleFreeSpace, why_inside
@@ -23,7 +24,7 @@ from soft_tendon_env.tools.checks import shown_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Key, Problem
 from soft_tendon_env.tools.types import Array
 
-BANK = 64  # arms of an environment that draws numbers of its scene
+BANK = 64  # arms of an environment that draws numbers of its scene, four times as many if it omits some
 REDRAWS = 20  # times that an arm of the bank is drawn again which begins inside of drawn obstacles
 DRAWS = 4  # numbers that an episode takes from its generator before anything else, of which the first chooses the arm
 
@@ -59,6 +60,7 @@ class Starts:
             if free.holds(self.q[None]).all():  # else the arm rests against an obstacle
                 self.setting = self.setting._replace(model=free.model, free=free)
         self._usual, self._ranges = Drawn(arms.model, self.q), options.randomize.ranges(arms.model.scene)
+        self._omit = options.randomize.omit
         self._bank, self.numbers = dict[int, Drawn](), dict[int, Mapping[str, float]]()
         self._make_bank()
 
@@ -70,7 +72,8 @@ class Starts:
         for drawn in self._ranges:
             for end in {drawn.least, drawn.greatest}:
                 self._model_with(drawn.changes(end), drawn.name)
-        self._size = BANK if any(drawn.least < drawn.greatest for drawn in self._ranges) else 1
+        size = 4 * BANK if self._omit else BANK
+        self._size = size if self._omit or any(drawn.least < drawn.greatest for drawn in self._ranges) else 1
         self._redraws = REDRAWS * any(key.startswith("effects.contact.obstacles.") for drawn in self._ranges for key in drawn.keys)
         soft = np.array([bool(re.search(r"\.(young_modulus|bending)\b", drawn.name)) for drawn in self._ranges])
         for shares in (np.zeros(soft.size), np.ones(soft.size), 1.0 - soft) if self._ranges and not self._redraws else ():
@@ -93,15 +96,17 @@ class Starts:
             random = np.random.default_rng([BANK, number])
             for left in range(self._redraws, -1, -1):
                 with contextlib.suppress(*[ConfigurationError] * (left > 0)):
-                    self._bank[number] = self._make_arm(random.random(len(self._ranges)))
+                    shares = random.random(len(self._ranges))
+                    self._bank[number] = self._make_arm(shares, random.random(shares.size) < self._omit if self._omit else None)
                     break
         return self._bank[number]
 
-    def _make_arm(self, shares: Array) -> Drawn:
-        """The arm with numbers so far, 0 to 1, between the ends of every range. Raises ConfigurationError."""
+    def _make_arm(self, shares: Array, omitted: NDArray[np.bool_] | None = None) -> Drawn:
+        """The arm with numbers so far, 0 to 1, between the ends of every range but omitted ones. Raises ConfigurationError."""
         changes: dict[str, float] = {}
-        for drawn, share in zip(self._ranges, shares.tolist(), strict=True):
-            changes |= drawn.changes(drawn.least + (drawn.greatest - drawn.least) * share)
+        for i, (drawn, share) in enumerate(zip(self._ranges, shares.tolist(), strict=True)):
+            if omitted is None or not omitted[i]:
+                changes |= drawn.changes(drawn.least + (drawn.greatest - drawn.least) * share)
         model = self._model_with(changes)
         q, reason = self._settle(model) if model.arm.effects.load or self.tension.any() or self._redraws else (self.q, "")
         if reason:

@@ -137,7 +137,7 @@ class TargetDraws:
     def fill_bank(self, target: Target | Course) -> None:
         """Compute all motions of a target in the bank ahead, so that no reset waits for them. Raises ConfigurationError."""
         if self._has_bank and isinstance(target, Target) and target.repeats is not None:
-            for number in range(BANK):
+            for number in range(BANK * target.kinds):
                 self._motion(target, number)
 
     def begin(self, row: int, target: Target | Course, generator: np.random.Generator, tip: Array, now: int = 0) -> None:
@@ -160,7 +160,8 @@ class TargetDraws:
         """A course, and the control period of it to begin at."""
         if not self._has_bank or target.repeats is None:
             return target.draw(generator, self._setting), 0
-        number, first = (int(generator.integers(most)) for most in (BANK, max(round(target.repeats / self._period), 1)))
+        mosts = BANK * target.kinds, max(round(target.repeats / self._period), 1)
+        number, first = (int(generator.integers(most)) for most in mosts)
         return self._motion(target, number), first
 
     def _motion(self, target: Target, number: int) -> Course:

@@ -103,6 +103,8 @@ class _ControlPeriod(torch.nn.Module):
             moved = unit * np.eye(3) if episodes.task.goal else integral._move_target(np.zeros(way.T.shape), np.eye(way.shape[1]))
             self.way, self.shift = as_tensors(way, moved)
             states["integral"] = torch.zeros(len(moved))
+        if size := getattr(self.network, "memory", 0):
+            states["memory"] = torch.zeros(size)
         measured = dict(zip(MEASUREMENTS, as_tensors(*measurements(episodes).values()), strict=True))
         self.inputs = {**measured, **{name: value.double() for name, value in states.items()}}
         self.outputs = ["action", *(f"next_{name}" for name in states)]
@@ -132,9 +134,15 @@ class _ControlPeriod(torch.nn.Module):
             for key, of in by.moments.items():
                 mean, deviation = as_tensors(of.mean, np.sqrt(of.variance + by.epsilon))
                 parts[key] = ((parts[key] - mean) / deviation).clamp(-by.clip, by.clip).float()
-        action = self.network._predict(parts.get(BOX, parts), deterministic=True).clamp(-1.0, 1.0).double()
+        seen, memory = parts.get(BOX, parts), given.get("memory")
+        if memory is None:
+            action = self.network._predict(seen, deterministic=True)
+        else:
+            action, remembered = self.network.act(seen, memory.float())
+            memory = remembered.double()
+        action = action.clamp(-1.0, 1.0).double()
         sent = torch.minimum(torch.maximum(self.scale.wanted(action, command), self.scale.least), self.scale.greatest)
-        found = [action, given["started"].clamp(min=1.0), sent, 1.0 * action, past, total]
+        found = [action, given["started"].clamp(min=1.0), sent, 1.0 * action, past, total, memory]
         return tuple(value[0] for value in found if value is not None)
 
 

@@ -6,6 +6,7 @@ Simulators Give Better Policy Gradients?", ICML 2022; Xu et al., "Accelerated Po
 ICLR 2022, whose terminal critic is not here.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -20,6 +21,7 @@ from soft_tendon_env.differentiable.accuracy import check_gradients
 from soft_tendon_env.envs.environments import TendonRodVectorEnv
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.learning.algorithm import ActorAlgorithm
+from soft_tendon_env.policies.recurrent import RecurrentPolicy
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 
 SQUARES: Mapping[str, Callable[[Trajectories, float, float], torch.Tensor]] = {
@@ -38,8 +40,9 @@ class APGSettings:
         n_steps: control periods of a window, after which the policy's weights move once.
         position_scale, angle_scale: errors [m], [rad] from which on the cost grows slower than their squares.
         far_weight: weight of the distance, which leads arms back that are far off.
-        smoothness: weight of the mean square change of actions; unknown latency needs 10 to 20.
+        smoothness: weight of the mean square change of actions; unknown latency needs 10 to 20, or 6 with a memory.
         max_grad_norm: greatest norm of a gradient.
+        max_row_gradient: greatest gradient by a row's action, in those of the median row: arms that oscillate would lead all others.
         cost: function of Trajectories to a scalar, in place of TrackingCost.
     """
 
@@ -49,6 +52,7 @@ class APGSettings:
     far_weight: float = 0.05
     smoothness: float = 3.0
     max_grad_norm: float = 1.0
+    max_row_gradient: float = math.inf
     cost: Callable[[Trajectories], torch.Tensor] | None = None
 
 
@@ -84,6 +88,8 @@ class APG(ActorAlgorithm):
     """
 
     settings_class: ClassVar[type] = APGSettings
+    policy_aliases: ClassVar[dict[str, Any]] = dict.fromkeys(("MlpPolicy", "MultiInputPolicy"), RecurrentPolicy)
+    policy: RecurrentPolicy
 
     def _prepare(self) -> None:
         self.rows.episodes.arms.check_adjoint()
@@ -93,16 +99,18 @@ class APG(ActorAlgorithm):
             check_gradients(self.rows.episodes)
         if self.num_timesteps == self._num_timesteps_at_start:
             self._returns, self._lengths = np.zeros(self.n_envs), np.zeros(self.n_envs, dtype=np.int64)
+            self._memory = torch.zeros(self.n_envs, self.policy.memory)
         callback.on_rollout_start()
         rows = self.rows
         statistics, settings, seen = self.get_vec_normalize_env(), self.settings, []
 
         def mean_action(observation: Any) -> torch.Tensor:
             seen.append(observation)
-            mean: torch.Tensor = self.policy.get_distribution(normalised(observation, statistics)).mode()
+            mean, self._memory = self.policy.act(normalised(observation, statistics), self._memory)
+            mean.register_hook(lambda gradient: clip_rows(gradient, settings.max_row_gradient))
             return mean
 
-        found = rollout(rows, mean_action, settings.n_steps)
+        found, self._memory = rollout(rows, mean_action, settings.n_steps), self._memory.detach()
         update_statistics(statistics, seen)
         cost = (settings.cost or TrackingCost(rows.episodes, settings))(found)
         self._update_learning_rate(self.policy.optimizer)
@@ -136,6 +144,7 @@ class APG(ActorAlgorithm):
             self.ep_info_buffer.append({"r": total, "l": length})  # type: ignore[union-attr]
         self._returns[over], self._lengths[over] = 0.0, 0
         if over.any():
+            self._memory[over] = 0.0
             rows.reset(options={"reset_mask": over})
 
     def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
@@ -151,6 +160,13 @@ def normalised(observation: Any, statistics: VecNormalize | None, moments: Any =
         return {key: normalised(value, statistics, moments[key]) for key, value in observation.items()}
     mean, deviation = torch.as_tensor(moments.mean), torch.as_tensor(np.sqrt(moments.var + statistics.epsilon))
     return torch.clamp((observation - mean) / deviation, -statistics.clip_obs, statistics.clip_obs).to(observation.dtype)
+
+
+def clip_rows(gradient: torch.Tensor, most: float) -> torch.Tensor:
+    """Gradient (rows, n_a) whose rows have at most `most` times the norm of the median row, unless that is zero."""
+    norm = gradient.norm(dim=1, keepdim=True)
+    greatest = most * norm.median()
+    return gradient * (greatest / norm).clamp(max=1.0) if greatest > 0.0 and math.isfinite(most) else gradient
 
 
 def update_statistics(statistics: VecNormalize | None, seen: list[Any]) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -19,6 +19,7 @@ from soft_tendon_env.tools.files import CONFIGS
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 Share = Annotated[float, Field(ge=0, le=1)]
+Rate = Annotated[float, Field(ge=1e-12, le=1)]
 
 
 class Normalisation(Configuration):
@@ -47,7 +48,8 @@ class Training(Configuration):
         arms: number of arms that move side by side.
         seconds: length of an episode.
         seed: seed of networks, arms and exploration.
-        learning_rate: a number, or (first, last) with a straight line between them.
+        learning_rate: a number, or (first, last) with a straight line between them, or with "geometric" behind them a straight line between
+            their logarithms.
         hyperparameters: further arguments of the algorithm, by Stable-Baselines3's names; `activation_fn` is a name in torch.nn.
         options: options of the environment, see `soft_tendon_env.envs.Options`.
         integral_time: [s], integral action around the agent once it acts and is evaluated, see policies/integral.py; None: none.
@@ -59,7 +61,7 @@ class Training(Configuration):
     arms: int = Field(default=64, ge=1, le=100_000)
     seconds: Positive = 10.0
     seed: int = Field(default=0, ge=0, lt=2**32)
-    learning_rate: Share | tuple[Share, Share] = 3e-4
+    learning_rate: Share | tuple[Share, Share] | tuple[Rate, Rate, Literal["geometric"]] = 3e-4
     hyperparameters: dict[str, Any] = Field(default={})
     options: dict[str, Any] = Field(default={}, validate_default=True)
     normalise: Normalisation = Normalisation()

@@ -23,7 +23,9 @@ NOT_IN_FILES = frozenset(
 """Arguments of algorithms and policies that a training gives, or that are objects, which no file can say."""
 RANGES: Mapping[str, tuple[float, float]] = {
     **dict.fromkeys(("gamma", "gae_lambda", "tau", "lead"), (0.0, 1.0)),
-    **dict.fromkeys(("clip_range", "max_grad_norm", "position_scale", "angle_scale", "settling_time"), (1e-9, math.inf)),
+    **dict.fromkeys(
+        ("clip_range", "max_grad_norm", "max_row_gradient", "position_scale", "angle_scale", "settling_time"), (1e-9, math.inf)
+    ),
     **dict.fromkeys(("vf_coef", "far_weight", "smoothness", "noise"), (0.0, math.inf)),
     **dict.fromkeys(("n_steps", "n_epochs", "batch_size", "rounds"), (1, math.inf)),
 }

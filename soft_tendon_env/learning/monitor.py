@@ -38,8 +38,8 @@ Watch = Callable[[Mapping[str, float]], None]
 
 
 def quality(row: Mapping[str, Any]) -> tuple[float, ...]:
-    """Sort key of rows, the smaller the better: fewer divergences, then more goals reached, then a smaller first error of the task."""
-    error = next(value for name, value in row.items() if name.endswith("_rms"))
+    """Sort key of rows, the smaller the better: fewer divergences, then more goals reached, then a smaller typical error."""
+    error = row["typical"]
     return row["diverged"], -row.get("reached", 0.0), np.inf if error is None or np.isnan(error) else error
 
 
@@ -105,8 +105,10 @@ class TrainingMonitor(ABC):
         row: dict[str, float] = {"steps": self.steps_done(), "seconds": self._seconds()}
         policy = acting_policy(NetworkPolicy(self.network(), self.normalise), self.envs, self.training.integral_time)
         seeds = VALIDATION_SEEDS[: self.envs.num_envs]
-        summary = summarise(evaluate_rows(policy, self.envs, seeds, self.training.evaluation.skip))
+        scores = evaluate_rows(policy, self.envs, seeds, self.training.evaluation.skip)
+        summary, first = summarise(scores), np.array([next(iter(score.errors.values())).rms for score in scores if score.diverged is None])
         row |= {"return": summary.mean_return, "diverged": summary.diverged}
+        row |= {"typical": float(np.exp(np.log(first).mean())) if first.size else np.nan}
         row |= {} if summary.reached is None else {"reached": summary.reached}
         for name, error in summary.errors.items():
             row |= {f"{name}_rms": error.rms, f"{name}_p95": error.percentile_95}

@@ -71,6 +71,7 @@ def make_config(training: Training, runners: int, done: int = 0) -> PPOConfig:
     unknown = sorted(training.hyperparameters.keys() - COUNTERPARTS.keys() - {*ELSEWHERE})
     strange: list[tuple[str, ...]] = [("algorithm",)] * (training.algorithm != "PPO") + [("hyperparameters", name) for name in unknown]
     strange += [("normalise", "observations")] * training.normalise.observations
+    strange += [("learning_rate",)] * (isinstance(training.learning_rate, tuple) and len(training.learning_rate) > 2)
     problems = [Problem(key, "has no counterpart in RLlib's PPO: leave it out, or train with Stable-Baselines3") for key in strange]
     if training.arms % max(runners, 1):
         problems.append(Problem(("arms",), f"is {training.arms}: it should be a multiple of the {runners} runners, which share them"))

@@ -128,5 +128,5 @@ def learning_rate(training: Training) -> float | Callable[[float], float]:
     """Learning rate: a number, or a function of the part of the training that remains."""
     if isinstance(training.learning_rate, float):
         return training.learning_rate
-    first, last = training.learning_rate
-    return lambda remains: last + (first - last) * remains
+    first, last, *kind = training.learning_rate
+    return (lambda remains: last * (first / last) ** remains) if kind else lambda remains: last + (first - last) * remains

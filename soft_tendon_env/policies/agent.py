@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field, field_validator
 
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
-from soft_tendon_env.envs.options import resolved_scene
+from soft_tendon_env.envs.options import given_scene, resolved_scene
 from soft_tendon_env.policies.integral import IntegralPolicy
 from soft_tendon_env.policies.network import ALGORITHMS, OF_PACKAGE, WEIGHTS, new_network, read_weights
 from soft_tendon_env.policies.normalization import STATISTICS, Normalization, read_normalization, save_normalization
@@ -31,6 +31,7 @@ SHIPPED = (AGENT, "ppo", "sac", "dagger", "apg")
 ARM = ("scene", "fidelity", "control_period", "tension_limits")  # options that define the arm
 INTERFACE = ("observation", "preview", "history", "sensors", "action", "tension_rate")
 """Options that say what a policy observes and how its actions are read."""
+SAME = (*INTERFACE[1:], "control_period")  # options that should be those of the training
 OF_TRAINING = (
     *("arms", "checkpoint_every", "checkpoint_seconds", "engine", "evaluated", "evaluation", "hindsight", "learning_rate", "record"),
     *("runners", "seconds", "seconds_learned", "seed", "start_from", "steps", "threads"),
@@ -193,25 +194,53 @@ def layout_of(episodes: Episodes) -> dict[str, int]:
     return {group: where.stop - where.start for group, where in episodes.layout.slices.items()}
 
 
+def disturbances(options: Options) -> set[str]:
+    """Names of effects that a training draws from nothing on, or from the least that there is: an arm has them or not."""
+    found = dict[str, bool]()
+    for drawn in options.randomize.ranges(given_scene(options.scene)):
+        for key, value in zip(drawn.keys, drawn.values, strict=True):
+            table, name, *_ = key.split(".")
+            if table == "effects":
+                found[name] = found.get(name, True) and value in (0.0, drawn.least)
+    return {name for name, holds in found.items() if holds}
+
+
+def undisturbed(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of a training with the arm alone: without what it draws, and changes of the scene by which there are disturbances."""
+    scene, names = options.get("scene"), disturbances(Options.parse(options, "options"))
+    if not isinstance(scene, Mapping) or "segments" in scene:
+        return {**options, "randomize": {}}
+    left = {key: value for key, value in scene.items() if not (key.startswith("effects.") and key.split(".")[1] in names)}
+    return {**options, "randomize": {}, "scene": left["scene"] if left.keys() == {"scene"} else left}
+
+
+def _physics(scene: Scene, names: set[str]) -> dict[str, Any]:
+    """Physical arm of a scene by the names of PHYSICS, without effects of these names."""
+    effects = {name: effect for name, effect in scene.effects.chosen().items() if name not in names}
+    return {**{key: getattr(scene, key) for key in PHYSICS}, "effects": effects}
+
+
 def _check_agent(name: str, config: AgentConfig, episodes: Episodes, other_effects: bool) -> None:
-    """Raises ValueError where an agent was trained on another arm, or with another meaning of observations or actions. other_effects:
-    those of the arm may be others. Warns (TrainingWarning) of another task, control period, or arm as it is computed."""
+    """Raises ValueError where an agent was trained on another arm, with another control period, or with another meaning of observations or
+    actions. other_effects: those of the arm may be others. Warns (TrainingWarning) of another task, or arm as it is computed."""
     now, scene, layout, trained = episodes.options, episodes.model.scene, layout_of(episodes), Options(**config.options)
-    before = resolved_scene(trained)
+    before, names = resolved_scene(trained), disturbances(trained)
+    there, known = _physics(scene, names), _physics(before, names)
     for key in PHYSICS:
-        if getattr(before, key) != getattr(scene, key) and not (other_effects and key == "effects"):
+        if known[key] != there[key] and not (other_effects and key == "effects"):
             text = f"{name} was trained on an arm with other {key} (scene {before.name!r}) than this environment's ({scene.name!r})"
             raise ValueError(f"{text}: an arm that differs from it is what `randomize` is for")
     groups = [", ".join(f"{group} ({size})" for group, size in of.items()) for of in (config.layout or layout, layout)]
-    values = {"observation": (groups[0], groups[1]), **{key: (getattr(trained, key), getattr(now, key)) for key in INTERFACE[1:]}}
+    values = {"observation": (groups[0], groups[1]), **{key: (getattr(trained, key), getattr(now, key)) for key in SAME}}
     if {"coordinates", "rates", "target_coordinates"} & layout.keys():
         values["strain"] = (config.strain or strain_of(before), strain_of(scene))
     for key, (one, other) in values.items():
         if one != other:
             raise ValueError(f"{name} was trained with {key} = {one!r}, this environment has {other!r}")
-    same = before.replace({"name": "arm"}) == scene.replace({"name": "arm"})
+    alike = before, resolved_scene(Options(**undisturbed(config.options)))
+    same = scene.replace({"name": "arm"}) in [one.replace({"name": "arm"}) for one in alike]
     soft = {"task": (config.task or episodes.task.name, episodes.task.name)}
-    soft |= {key: (getattr(trained, key), getattr(now, key)) for key in ARM if key == "control_period" or not same}
+    soft |= {key: (getattr(trained, key), getattr(now, key)) for key in ARM if key != "control_period" and not same}
     if not other_effects and (other := [f"{key} = {one!r}, judged with {two!r}" for key, (one, two) in soft.items() if one != two]):
         text = f"{name}: trained with {'; '.join(other)}. policy_options() has the options of its training"
         warnings.warn(text, TrainingWarning, stacklevel=5)

@@ -19,7 +19,7 @@ from soft_tendon_env.control.kalman import USUAL
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.options import Options, given_scene
-from soft_tendon_env.policies.agent import ARM, INTERFACE, SHIPPED, AgentConfig, find_agent, is_agent, load_agent, read_config
+from soft_tendon_env.policies.agent import ARM, INTERFACE, SHIPPED, AgentConfig, find_agent, is_agent, load_agent, read_config, undisturbed
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.estimators import ESTIMATORS
 from soft_tendon_env.policies.protocol import Policy
@@ -165,10 +165,10 @@ class Agent(PolicyName):
     @property
     def arm(self) -> dict[str, Any]:
         """Options of the arm that it was trained on, all of them. Raises ValueError, OSError."""
-        return Options.parse(self.config.options, "options").model_dump(mode="json", include=set(ARM))
+        return Options.parse(undisturbed(self.config.options), "options").model_dump(mode="json", include=set(ARM))
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        return {**{key: value for key, value in self.config.options.items() if key in (*ARM, *INTERFACE)}, **given}
+        return {**{key: value for key, value in undisturbed(self.config.options).items() if key in (*ARM, *INTERFACE)}, **given}
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
         return load_agent(self.text, env, other_effects)

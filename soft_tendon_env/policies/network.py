@@ -16,6 +16,7 @@ ALGORITHMS: dict[str, Any] = {"PPO": "stable_baselines3", "SAC": "stable_baselin
 """Algorithms of other packages to train with, by name: the module that has it, or the class that was registered."""
 OF_PACKAGE = {"APG": "PPO", "DAgger": "PPO"}
 """Algorithms of this package (learning.hyperparameters.MODULES), and the one of Stable-Baselines3 whose policy networks they train."""
+RECURRENT = ("APG",)  # algorithms whose policies are those of recurrent.py
 OF_TRAINING = ("optimizer_class", "optimizer_kwargs")  # arguments of policies that no longer matter
 Algorithm = TypeVar("Algorithm", bound=type)
 
@@ -37,8 +38,11 @@ def algorithm_class(algorithm: str) -> Any:
 
 def new_network(algorithm: str, arguments: Mapping[str, Any], observations: gym.Space[Any], actions: gym.Space[Any]) -> Any:
     """A policy network that has learned nothing. arguments: of the policy, see `policy_arguments`. Raises ValueError for others."""
-    aliases = algorithm_class(OF_PACKAGE.get(algorithm, algorithm)).policy_aliases
-    kind = aliases["MultiInputPolicy" if isinstance(observations, gym.spaces.Dict) else "MlpPolicy"]
+    if algorithm in RECURRENT:
+        kind = importlib.import_module("soft_tendon_env.policies.recurrent").RecurrentPolicy
+    else:
+        aliases = algorithm_class(OF_PACKAGE.get(algorithm, algorithm)).policy_aliases
+        kind = aliases["MultiInputPolicy" if isinstance(observations, gym.spaces.Dict) else "MlpPolicy"]
     given = policy_arguments({key: value for key, value in arguments.items() if key not in OF_TRAINING})
     known = inspect.signature(kind.__init__).parameters
     if unknown := given.keys() - known.keys():

@@ -45,7 +45,8 @@ class SimulatedRobot:
         self._episodes, self._arms, self._actuation = episodes, episodes.arms, episodes.actuation
         self.command_unit: Unit = "m" if episodes.model.command_unit == "m" else "N"
         self.clock, first = Clock(real_time), episodes.start_command
-        self._sensors = Sensors(episodes.options.randomize.noise, 1, first.size, episodes.sensors.size)
+        drawn = episodes.options.randomize
+        self._sensors = Sensors(drawn.noise, 1, first.size, episodes.sensors.size, drawn.omit)
         self._readings = np.zeros(1, dtype=np.int64)
         self._arms.step(first[None, None], ROW)  # these two compile, so that no reading waits for that
         self._sensors.measured(self._arms.reading, self._readings, ROW)

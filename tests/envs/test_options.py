@@ -29,7 +29,7 @@ BAD = [
     (
         TipPoseEnv,
         {"target": "circel"},
-        r"target\.type is 'circel': did you mean 'circle'\? valid: circle, file, hold, out_of_reach, ramp, random",
+        r"target\.type is 'circel': did you mean 'circle'\? valid: circle, circles, either, file, hold, out_of_reach, ramp",
     ),
     (TipPoseEnv, {"target": 3}, "target is 3"),
     (TipPoseEnv, {"target": {"type": "random", "knot_period": 20.0}}, r"target\.knot_period is 20: it should be 0.001 to 2.5 s"),

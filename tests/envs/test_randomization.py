@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.envs import ShapeEnv, TipPoseEnv
+from soft_tendon_env.envs import ShapeEnv, TipPoseEnv, TipPoseVectorEnv
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast", "action": "tension"}
 STEPS = 25
@@ -125,3 +125,23 @@ def test_columns_are_those_of_the_least_damping_ratio_that_can_be_drawn(drawn):
     env = TipPoseEnv(**options, randomize=UNDAMPED[drawn])
     assert env.model.scene.integrator.columns == 2
     assert env.episodes.arms._scheme.method.columns == 2
+
+
+def test_what_is_omitted_is_as_the_scene_says():
+    """Of numbers, gains, latency and noise about half each, independently; without noise for the whole episode."""
+    drawn = {"stiffness": [1.2, 1.3], "tension_gain": [0.8, 0.9], "latency": [0.01, 0.02], "noise": {"position": 1e-3}}
+    env = TipPoseVectorEnv(64, threads=1, **SMALL, randomize={**drawn, "omit": 0.5})
+    env.reset(seed=0)
+    episodes, none = env.episodes, np.zeros((64, 3))
+    modulus = np.array([episodes.arms.model_of(row).scene.segments[0].young_modulus for row in range(64)])
+    stiffness = modulus / episodes.model.scene.segments[0].young_modulus
+    late = np.array([episodes.actuation.delay(row) for row in range(64)])
+    noisy = np.zeros((2, 64), dtype=bool)
+    for k in range(2):
+        noisy[k] = (episodes.observed.tip_pose != episodes.arms.reading.tip_pose).any(axis=(1, 2))
+        env.step(none)
+    gain = episodes.actuation.gain
+    assert ((gain == 1.0).all(axis=1) | (gain < 0.9).all(axis=1)).all() and (noisy[0] == noisy[1]).all()
+    usual = np.array([stiffness == 1.0, gain[:, 0] == 1.0, late == 0.0, ~noisy[0]])
+    assert (usual | np.array([stiffness >= 1.2, gain[:, 0] >= 0.8, late >= 0.01, noisy[0]])).all()
+    assert (np.abs(usual.mean(axis=1) - 0.5) < 0.2).all() and (np.abs(np.corrcoef(usual)[~np.eye(4, dtype=bool)]) < 0.4).all()

@@ -77,7 +77,7 @@ class Near(Target):
 
 
 def test_a_target_from_outside_is_an_option(forgotten):
-    with pytest.raises(ConfigurationError, match="target.type is 'near': valid: circle, file, hold, out_of_reach, ramp, random"):
+    with pytest.raises(ConfigurationError, match="target.type is 'near': valid: circle, circles, either, file, hold, out_of_reach, ramp"):
         Options(target="near")
     assert register_target(Near) is Near and register_target(Near) is Near
     for given in ({"type": "near", "distance": 0.2}, Near(distance=0.2)):

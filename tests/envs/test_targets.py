@@ -277,3 +277,40 @@ def test_files_without_poses_are_refused(tmp_path, row, said):
     (tmp_path / "path.csv").write_text("\n".join([*PATH[:2], row] if row else PATH[1:]))
     with pytest.raises(ConfigurationError, match=said.replace("(", r"\(")):
         TipPoseEnv(**SMALL, target={"type": "file", "path": str(tmp_path / "path.csv")})
+
+
+EITHER = {"type": "either", "of": ["hold", {"type": "circles", "radius": [0.1, 0.2], "distance": [0.7, 0.9]}]}
+
+
+def test_every_episode_draws_one_of_several_targets():
+    """As often as another; circles within their ranges, at every seed the same."""
+    env, kinds, found = TipPoseEnv(**SMALL, target=EITHER), [], []
+    for seed in range(40):
+        course, _ = course_of(env, seed)
+        kinds.append(isinstance(course, CircleCourse))
+        if kinds[-1]:
+            found.append([course.radius / 0.3, course.centre[0] / 0.3, course.circle.tilt, course.circle.period])  # the rod has 0.3 m
+    assert 10 < sum(kinds) < 30
+    least, greatest = np.array([[0.1, 0.7, 0.0, 2.0], [0.2, 0.9, 45.0, 8.0]])
+    assert ((least <= found) & (found <= greatest)).all() and (np.ptp(found, axis=0) > 0.5 * (greatest - least)).all()
+    assert len(course_of(TipPoseEnv(**SMALL, target=EITHER), 39)[0].sample(TIMES).tip_pose if kinds[-1] else TIMES) == len(TIMES)
+
+
+@pytest.mark.cases(
+    "target, said",
+    [
+        ({"type": "either", "of": []}, r"target\.of"),
+        ({"type": "either", "of": ["random", "orbit"]}, r"target\.of\[1\]\.type is 'orbit'"),
+        (
+            {"type": "either", "of": [{"type": "random", "knot_period": [0.5, 3.0]}]},
+            r"knot_period is \[0\.5, 3\.0\]: it should",
+        ),
+        ({"type": "either", "of": [{"type": "hold", "position": [0.2, 0.0, 0.1]}]}, r"target\.position is a position alone: TipPose needs"),
+        ({"type": "circles", "radius": [0.3, 0.1]}, r"target\.radius.* should be a number greater than 0"),
+        ({"type": "circles", "tilt": [0.0, 100.0]}, r"target\.tilt"),
+        ({"type": "circles", "tilt": [45.0, 0.0]}, r"target\.tilt is .* should be \(least, greatest\), least before greatest"),
+    ],
+)
+def test_targets_that_cannot_be_drawn_are_refused(target, said):
+    with pytest.raises(ConfigurationError, match=said):
+        TipPoseEnv(**SMALL, target=target)

@@ -35,6 +35,7 @@ CASES = [
     {"algorithm": "TQC", "task": "Shape", "integral_time": 0.3, "history": 1},
     {"algorithm": "SAC", "task": "Reach", "normalised": True, "integral_time": 0.3, **INCREMENTS},
     {"observation": ["tip_position", "strain_rate", "last_action"], "sensors": 1},
+    {"algorithm": "APG", "policy": {"memory": 8, "fine": 10.0, "posture": 9}, "integral_time": 0.3, **MEASURABLE, "action": "increment"},
     {"task": "Shape", "observation": ["tendon_lengths", "target_lengths", "command"], "scene": ELASTIC, "action": "increment"},
 ]
 

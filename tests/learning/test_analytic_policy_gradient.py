@@ -9,7 +9,7 @@ import torch
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.learning.analytic_policy_gradient import APG, APGSettings, TrackingCost, normalised
+from soft_tendon_env.learning.analytic_policy_gradient import APG, APGSettings, TrackingCost, clip_rows, normalised
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 from soft_tendon_env.tools.configuration import ConfigurationError
 
@@ -46,6 +46,24 @@ def test_observations_are_normalised_as_vec_normalize_does(task, policy):
     for moments in env.obs_rms.values() if task == "Reach" else [env.obs_rms]:
         assert 512 < moments.count < 600, "of learning, and of resets"
     assert np.isfinite(agent.predict(wanted)[0]).all()
+
+
+def test_a_policy_remembers_from_one_window_to_the_next_and_forgets_at_resets():
+    env = envs(rows=4, observation=OBSERVED, max_episode_steps=12)
+    small = {"policy_kwargs": {"net_arch": [32], "memory": 4}, "seed": 0}
+    agent = APG("MlpPolicy", env, settings=APGSettings(n_steps=8, max_row_gradient=2.0), **small).learn(32)
+    assert (agent._memory != 0.0).any(dim=1).all() and not agent._memory.requires_grad
+    agent.learn(32, reset_num_timesteps=False)
+    assert not agent._memory.any(), "all episodes have timed out"
+
+
+def test_gradients_of_rows_are_clipped_at_those_of_the_median_row():
+    gradient = torch.tensor([[1.0, 0.0], [0.0, -2.0], [30.0, 40.0], [0.0, 0.0], [0.0, 3.0]])
+    clipped = clip_rows(gradient, 2.0)
+    np.testing.assert_allclose(clipped[2], [2.4, 3.2])
+    np.testing.assert_array_equal(clipped[[0, 1, 3, 4]], gradient[[0, 1, 3, 4]])
+    few = torch.tensor([[0.0], [0.0], [5.0]])
+    assert torch.equal(clip_rows(few, 2.0), few) and torch.equal(clip_rows(gradient, np.inf), gradient)
 
 
 def error_of(agent, options):

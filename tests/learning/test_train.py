@@ -149,7 +149,7 @@ def test_the_best_agent_stays_the_best_when_the_training_goes_on(training, tmp_p
     train.train(training(), tmp_path)
     found = json.loads(path.read_text())
     assert monitor.quality(found["evaluated"]) == pytest.approx(min(map(monitor.quality, curve(tmp_path))), rel=1e-6)
-    unbeatable = {**found, "evaluated": {**found["evaluated"], "position_error_rms": 1e-9}}
+    unbeatable = {**found, "evaluated": {**found["evaluated"], "typical": 1e-9}}
     path.write_text(json.dumps(unbeatable))
     more = training(steps=512)
     (tmp_path / "last").rename(tmp_path / "last.new")
@@ -209,6 +209,8 @@ def test_arguments_go_before_the_file(table, tmp_path):
     chosen = config.read_training(path, changes, seed=7)
     assert (chosen.options["scene"], chosen.hyperparameters["gamma"], chosen.steps, chosen.seed) == ("paper", 0.9, 5000, 7)
     assert [train.learning_rate(chosen)(remains) for remains in (1.0, 0.5, 0.0)] == pytest.approx([1e-3, 5e-4, 0.0])
+    falls = chosen.model_copy(update={"learning_rate": (1e-3, 1e-5, "geometric")})
+    assert [train.learning_rate(falls)(remains) for remains in (1.0, 0.5, 0.0)] == pytest.approx([1e-3, 1e-4, 1e-5])
 
 
 @pytest.mark.cases("path", [config.find_config(name) for name in config.config_names()])

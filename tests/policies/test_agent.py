@@ -169,6 +169,7 @@ def ppo(tmp_path):
         ("TipPose", {"scene": "paper"}, "was trained on an arm with other segments"),
         ("TipPose", {"scene": {"scene": "three_tendon", "segments[0].young_modulus": 1e5}}, "was trained on an arm with other segments"),
         ("TipPose", {"scene": {"scene": "three_tendon", "effects.gravity.acceleration": [0, 0, -9.81]}}, "with other effects"),
+        ("TipPose", {"control_period": 0.01}, "was trained with control_period = 0.02, this environment has 0.01"),
     ],
 )
 def test_an_agent_is_refused_elsewhere(ppo, task, options, said):
@@ -178,14 +179,19 @@ def test_an_agent_is_refused_elsewhere(ppo, task, options, said):
 
 
 LOOKS = {"observation": ["target_error"]}
+DRAWN = {"randomize": {"effects.gravity.acceleration": [[-9.0, 9.0]] * 3}}
+
+
+def gravity(acceleration):
+    return {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, acceleration]}
 
 
 @pytest.mark.cases(
     "task, trained, judged, said",
     [
         ("TipPose", {}, {}, None),
-        ("TipPose", {"control_period": 0.01}, {}, "trained with control_period = 0.01, judged with 0.02"),
-        ("TipPose", {}, {"control_period": 0.005}, "trained with control_period = 0.02, judged with 0.005"),
+        ("TipPose", {**LOOKS, "scene": gravity(0.0), **DRAWN}, LOOKS, None),  # whether it is drawn or not there
+        ("TipPose", {**LOOKS, "scene": gravity(0.0), **DRAWN}, {**LOOKS, "scene": gravity(-9.81)}, "trained with scene = "),
         ("TipPose", LOOKS, {**LOOKS, "fidelity": "standard"}, "trained with fidelity = 'fast', judged with"),
         ("TipPose", {}, {"scene": load_scene("three_tendon")}, None),  # the same in other words
         ("Shape", {}, {}, "trained with task = 'Shape', judged with 'TipPose'"),

@@ -10,14 +10,14 @@ from abc import ABC, abstractmethod
 from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, SerializeAsAny
 
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.contacts import ObstacleFreeSpace
 from soft_tendon_env.mechanics.types import Implicit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_registered, shown
 from soft_tendon_env.tools.types import Array
 
 FARTHEST = 1e6  # largest coordinate [m] of a target: a thousand kilometres, whose square is a number still
@@ -84,6 +84,7 @@ class Target(Configuration):
         is_random: whether episodes differ in it; one that does not is drawn once for all of them.
         gives_shapes: whether its course is a ShapeCourse, which tasks that compare shapes need.
         repeats: time [s] after which a drawn course repeats; None: it does not.
+        kinds: number of targets of which it is one.
         begins_at_rest: whether its courses begin where the arm rests, so that no other draw would begin elsewhere.
     """
 
@@ -102,6 +103,10 @@ class Target(Configuration):
     def repeats(self) -> float | None:
         return None
 
+    @property
+    def kinds(self) -> int:
+        return 1
+
     def check(self, scene: Scene) -> None:
         """Raises ConfigurationError with keys from `target` on, where the target does not fit the scene."""
 
@@ -110,18 +115,32 @@ class Target(Configuration):
         raise NotImplementedError(f"{type(self).__name__} needs a method draw()")
 
 
-def _fraction(value: Any) -> Any:
-    ends = value if isinstance(value, tuple) and len(value) == 2 else (value, value)
-    if not all(type(end) in (int, float) for end in ends) or not 0.0 < ends[0] <= ends[1] <= 1.0:
-        raise ValueError("should be a number greater than 0 and at most 1, or (least, greatest)")
-    return value
+def drawn(value: float | tuple[float, float], generator: np.random.Generator) -> float:
+    """A number, or one that is drawn from a range (least, greatest)."""
+    return generator.uniform(*value) if isinstance(value, tuple) else value
+
+
+def _up_to(greatest: float) -> BeforeValidator:
+    """Validator of positive numbers up to a greatest, and of ranges of them."""
+
+    def checked(value: Any) -> Any:
+        ends = value if isinstance(value, tuple) and len(value) == 2 else (value, value)
+        if not all(type(end) in (int, float) for end in ends) or not 0.0 < ends[0] <= ends[1] <= greatest:
+            raise ValueError(f"should be a number greater than 0 and at most {greatest:g}, or (least, greatest)")
+        return value
+
+    return BeforeValidator(checked)
+
+
+Fraction = Annotated[float | tuple[float, float], _up_to(1.0)]
+Amount = Annotated[float | tuple[float, float], _up_to(FARTHEST)]
 
 
 class DrawnShapes(Target):
     """Base of targets that are shapes at rest, under random tensions within `fraction` of their limits, which may be a range (least,
     greatest) from which every episode draws it."""
 
-    fraction: Annotated[float | tuple[float, float], BeforeValidator(_fraction)] = 0.25
+    fraction: Fraction = 0.25
 
     @property
     def is_random(self) -> bool:
@@ -164,6 +183,19 @@ def register_target(target: Class) -> Class:
         raise ValueError(f"the target {kind!r} is registered twice: {present.__module__}, {target.__module__}")
     TARGETS[kind] = target
     return target
+
+
+def _by_name(target: Any) -> Any:
+    settings = {"type": target} if isinstance(target, str) else target
+    if not isinstance(settings, dict):
+        return target
+    if (kind := str(settings.get("type"))) not in TARGETS:
+        raise ConfigurationError([Problem(("type",), f"is {shown(settings.get('type'))}: {not_registered(kind, TARGETS)}")])
+    return TARGETS[kind](**settings)
+
+
+NamedTarget = Annotated[SerializeAsAny[Target], BeforeValidator(_by_name)]
+"""A target, or its name, or a table with that as `type`."""
 
 
 def pose_samples(pose: Array, twist: Array) -> TargetSamples:

@@ -1,36 +1,33 @@
-"""The targets that ship: poses or shapes to hold, one or several, a circle and a ramp of tensions as in the paper's Section IV, smooth
-random motions, and paths from a file."""
+"""Targets that ship: poses or shapes to hold, a circle and a ramp of tensions as in the paper's Section IV, and random motions."""
 
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
-from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation, RotationSpline
 
 from soft_tendon_env.envs.targets import (
     FARTHEST,
+    Amount,
     Course,
     Distance,
     DrawnShapes,
     GivenShapes,
+    NamedTarget,
     PoseCourse,
     Setting,
     ShapeCourse,
     Target,
     TargetSamples,
+    drawn,
     pose_samples,
     register_target,
 )
 from soft_tendon_env.envs.targets.statics import Tensions, shape_course
-from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.types import Array, Positive
 
+Angle = Annotated[float, Field(ge=-90, le=90)]
 MOST_KNOTS = 10_000  # points that a random motion can be drawn with
-COLUMNS = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")  # of a file of poses
-ROUNDED = 1e-3  # by which the length of a quaternion in a file may be off
-FARTHEST_POSE = 2.0  # largest coordinate of a file's poses, in lengths of the rod: more is not in metres
 
 
 @register_target
@@ -147,7 +144,7 @@ class Circle(Target):
     type: Literal["circle"] = "circle"
     radius: float | None = Field(default=None, gt=0, le=FARTHEST)
     centre: tuple[Distance, Distance, Distance] | None = None
-    tilt: float = Field(default=37.8, ge=-90, le=90)
+    tilt: Angle = 37.8
     period: Positive = 4.0
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
@@ -183,56 +180,59 @@ class CircleCourse(PoseCourse):
 
 
 @register_target
-class File(Target):
-    """The tip follows poses of a CSV file, joined by cubic splines, the first held before and the last after them. `path`: a file with the
-    columns time [s], x, y, z [m], qw, qx, qy, qz in the world frame; Reach ignores the orientation."""
+class Circles(Target):
+    """A circle that every episode draws, see `Circle`: ranges of its `radius` and of the `distance` of its centre from the base, both in
+    lengths of the rod, of `tilt` [degrees] and `period` [s]. The paper's arm can hold the positions of most and the orientations of few."""
 
-    type: Literal["file"] = "file"
-    path: str
+    type: Literal["circles"] = "circles"
+    radius: Amount = (0.05, 0.26)
+    distance: Amount = (0.8, 0.95)
+    tilt: tuple[Angle, Angle] = (0.0, 45.0)
+    period: Amount = (2.0, 8.0)
 
-    @field_validator("path")
+    @field_validator("tilt")
     @classmethod
-    def _has_poses(cls, path: str) -> str:
-        FileCourse(path)
-        return path
+    def _ordered(cls, tilt: tuple[float, float]) -> tuple[float, float]:
+        if tilt[0] > tilt[1]:
+            raise ValueError("should be (least, greatest), least before greatest")
+        return tilt
 
-    def check(self, scene: Scene) -> None:
-        course, bound = FileCourse(self.path), FARTHEST_POSE * rod_length(scene)
-        farthest = np.abs(course.place(course.times)).max()
-        if farthest > bound:
-            allowed = f"within ±{bound:g} m, {FARTHEST_POSE:g} lengths of the rod"
-            raise ConfigurationError([Problem(("target", "path"), f"has a pose at {farthest:g} m: it should lie {allowed}")], "environment")
+    @property
+    def is_random(self) -> bool:
+        return True
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        return FileCourse(self.path)
+        radius, distance, tilt, period = (drawn(of, generator) for of in (self.radius, self.distance, self.tilt, self.period))
+        length, base = setting.arms.model.length, setting.model.scene.base.pose
+        centre = tuple((base[:3, 3] + distance * length * base[:3, 0]).tolist())
+        return CircleCourse(Circle(radius=radius * length, centre=centre, tilt=tilt, period=period), length, base)
 
 
-class FileCourse(PoseCourse):
-    """Poses of a file as splines of time. Raises OSError, and ValueError for a table without poses or times that grow."""
+@register_target
+class Either(Target):
+    """One of several targets, `of`, that every episode draws, each as often."""
 
-    def __init__(self, path: str) -> None:
-        try:
-            table = np.genfromtxt(path, delimiter=",", names=True, ndmin=1, encoding="utf-8-sig")
-        except ValueError as error:
-            raise ValueError(f"should be a table with commas between the columns {', '.join(COLUMNS)}") from error
-        if missing := [name for name in COLUMNS if name not in (table.dtype.names or ())]:
-            raise ValueError(f"has no column {missing[0]!r}: it should have {', '.join(COLUMNS)}")
-        rows = np.stack([table[name] for name in COLUMNS], axis=1)
-        if len(rows) < 2 or not np.isfinite(rows).all() or np.diff(rows[:, 0]).min() <= 0.0:
-            raise ValueError("should have at least two rows of numbers, with times that grow")
-        if (off := np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1.0)).max() > ROUNDED:
-            raise ValueError(f"has a quaternion of length 1 ± {off.max():.2g} in row {off.argmax() + 1}: it should be 1 ± {ROUNDED:g}")
-        self.times = rows[:, 0]
-        self.place = CubicSpline(self.times, rows[:, 1:4], bc_type="clamped")
-        self._turn = RotationSpline(self.times, Rotation.from_quat(rows[:, 4:], scalar_first=True))
+    type: Literal["either"] = "either"
+    of: tuple[NamedTarget, ...] = Field(min_length=1)
 
-    def sample(self, times: Array) -> TargetSamples:
-        held = np.clip(times, self.times[0], self.times[-1])
-        R = self._turn(held).as_matrix()
-        pose = np.tile(np.eye(4), (times.size, 1, 1))
-        pose[:, :3, :3], pose[:, :3, 3] = R, self.place(held)
-        linear = (R * self.place(held, 1)[:, :, None]).sum(axis=1)
-        return pose_samples(pose, (held == times)[:, None] * np.concatenate([self._turn(held, 1), linear], axis=1))
+    @property
+    def is_random(self) -> bool:
+        return True
+
+    @property
+    def gives_shapes(self) -> bool:
+        return all(target.gives_shapes for target in self.of)
+
+    @property
+    def repeats(self) -> float | None:
+        return max((target.repeats for target in self.of if target.repeats is not None), default=None)
+
+    @property
+    def kinds(self) -> int:
+        return len(self.of)
+
+    def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
+        return self.of[int(generator.integers(len(self.of)))].draw(generator, setting)
 
 
 @register_target
@@ -267,17 +267,20 @@ class Rise(Tensions):
 @register_target
 class Random(DrawnShapes):
     """A smooth random motion: tensions along a closed cubic B-spline with a random point within `fraction` of their limits every
-    `knot_period` [s], or a little less or more to make them a whole number of at least 4; it repeats after `period` [s]."""
+    `knot_period` [s], which may be a range too, or a little less or more to make them a whole number of at least 4; it repeats after
+    `period` [s]."""
 
     type: Literal["random"] = "random"
-    knot_period: float = Field(default=1.0, gt=0)
+    knot_period: Amount = 1.0
     period: Positive = 10.0
 
     @model_validator(mode="after")
     def _enough_knots(self) -> "Random":
-        if not 4 * self.knot_period <= self.period <= MOST_KNOTS * self.knot_period:
-            allowed = f"{self.period / MOST_KNOTS:g} to {self.period / 4:g} s, for 4 to {MOST_KNOTS} in a period of {self.period:g} s"
-            raise ConfigurationError([Problem(("knot_period",), f"is {self.knot_period:g}: it should be {allowed}")])
+        least, greatest = self.period / MOST_KNOTS, self.period / 4
+        if not least <= np.min(self.knot_period) <= np.max(self.knot_period) <= greatest:
+            allowed = f"{least:g} to {greatest:g} s, for 4 to {MOST_KNOTS} in a period of {self.period:g} s"
+            given = shown(self.knot_period) if isinstance(self.knot_period, tuple) else f"{self.knot_period:g}"
+            raise ConfigurationError([Problem(("knot_period",), f"is {given}: it should be {allowed}")])
         return self
 
     @property
@@ -285,7 +288,7 @@ class Random(DrawnShapes):
         return self.period
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        count = round(self.period / self.knot_period)
+        count = round(self.period / drawn(self.knot_period, generator))
         return shape_course(self, generator, setting, lambda points: ClosedSpline(points, self.period), count)
 
 

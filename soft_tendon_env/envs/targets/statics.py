@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from soft_tendon_env.envs.targets import DrawnShapes, Setting, ShapeCourse
+from soft_tendon_env.envs.targets import DrawnShapes, Setting, ShapeCourse, drawn
 from soft_tendon_env.mechanics.workspace import Workspace
 from soft_tendon_env.model.equilibrium_residual import Balance
 from soft_tendon_env.model.load_continuation import LoadPath
@@ -70,8 +70,7 @@ def shape_course(
     """
     if (given := getattr(target, "tension", None)) is not None:
         return _given_course(np.array([given]), setting, motion)
-    middle, fraction, free = setting.tension, target.fraction, setting.free
-    share = generator.uniform(*fraction) if isinstance(fraction, tuple) else fraction
+    middle, share, free = setting.tension, drawn(target.fraction, generator), setting.free
     reach = share * (setting.limits - middle[:, None])
     offset = generator.uniform(reach[:, 0], reach[:, 1], (count, middle.size))
     for halvings in range(HALVINGS + 1):

@@ -1,0 +1,80 @@
+"""A policy that remembers: its memory goes with the state, row by row, and begins anew with an episode."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("stable_baselines3")
+
+from soft_tendon_env.policies.network import new_network  # noqa: E402
+
+SPACES = gym.spaces.Box(-1.0, 1.0, (6,), np.float32), gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
+BEGINS, GOES_ON = np.ones(3, dtype=bool), np.zeros(3, dtype=bool)
+
+
+@pytest.fixture(scope="module")
+def policy():
+    torch.manual_seed(0)
+    return new_network("APG", {"net_arch": [16], "memory": 5, "fine": 10.0, "posture": 2}, *SPACES)
+
+
+@pytest.fixture(scope="module")
+def seen():
+    return np.random.default_rng(0).uniform(-1.0, 1.0, (4, 3, 6)).astype(np.float32)
+
+
+def played(policy, seen, starts):
+    """Actions (periods, ..) of a policy that gets its state back."""
+    actions, state = [], None
+    for observation, start in zip(seen, starts, strict=True):
+        action, state = policy.predict(observation, state, start)
+        actions.append(action)
+    return np.array(actions)
+
+
+def test_rows_act_as_they_would_alone(policy, seen):
+    together = played(policy, seen, [BEGINS, *[GOES_ON] * 3])
+    for row in range(3):
+        alone = played(policy, seen[:, row], [BEGINS[:1], *[GOES_ON[:1]] * 3])
+        np.testing.assert_allclose(together[:, row], alone, atol=1e-6)
+
+
+def test_the_memory_matters_and_begins_anew_where_an_episode_does(policy, seen):
+    once, one = played(policy, seen, [BEGINS, *[GOES_ON] * 3]), np.array([False, True, False])
+    again = played(policy, seen, [BEGINS, GOES_ON, one, GOES_ON])
+    fresh = played(policy, seen[2:], [BEGINS, GOES_ON])
+    np.testing.assert_allclose(again[2:, 1], fresh[:, 1], atol=1e-6)
+    np.testing.assert_array_equal(again[:, [0, 2]], once[:, [0, 2]])
+    assert (np.abs(again[2:, 1] - once[2:, 1]) > 1e-6).any()
+
+
+def test_lost_states_are_told(policy, seen):
+    with pytest.warns(UserWarning, match="without the state of what the policy remembers"):
+        for _ in range(11):
+            policy.predict(seen[0])
+
+
+def test_a_state_of_other_rows_is_refused(policy, seen):
+    _, state = policy.predict(seen[0], None, BEGINS)
+    with pytest.raises(ValueError, match=r"for these rows, of shape \(1, 5\), not \(3, 5\)"):
+        policy.predict(seen[0, 0], state)
+
+
+@pytest.mark.cases("given", [{"memory": -1}, {"posture": 6}, {"posture": -2}])
+def test_sizes_that_cannot_be_are_refused(given):
+    with pytest.raises(ValueError, match="they should be at least 0, and posture less than the size of an observation, 6"):
+        new_network("APG", given, *SPACES)
+
+
+def test_where_nothing_is_away_from_rest_only_layers_without_gains_act(policy):
+    """Gains by which the way to the target is multiplied add nothing where there is none."""
+    at_rest = torch.tensor([[0.3, -0.2, 0.0, 0.0, 0.0, 0.0]])
+    with torch.no_grad():
+        before, _ = policy.act(at_rest, torch.zeros(1, 5))
+        policy.gain.weight += 1.0
+        after, _ = policy.act(at_rest, torch.zeros(1, 5))
+        moved, _ = policy.act(at_rest + 0.1, torch.zeros(1, 5))
+        policy.gain.weight -= 1.0
+        unmoved, _ = policy.act(at_rest + 0.1, torch.zeros(1, 5))
+    assert torch.equal(before, after) and not torch.allclose(moved, unmoved)
