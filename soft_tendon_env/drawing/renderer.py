@@ -4,7 +4,6 @@ The floor is painted once; a frame restores it and paints over it what moves. Ev
 flat collection from far to near.
 """
 
-import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -208,7 +207,7 @@ def paint_floor(figure: Any, scene: Scene, turn: Array) -> Any:
     from matplotlib.collections import LineCollection
 
     lower, upper, vertical, upright = shapes.view_box(scene)
-    corners = np.array([*itertools.product(*zip(lower, upper, strict=True))]) @ turn[:2].T
+    corners = shapes.corners_of_box(lower, upper) @ turn[:2].T
     size, middle = figure.bbox.size, 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     half = 0.5 * np.max(np.ptp(corners, axis=0) / (ROOM * size)) * size
     middle[1] += 0.3 * (1.0 - ROOM[1]) * half[1]

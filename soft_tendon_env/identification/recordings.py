@@ -66,7 +66,7 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
         raise ValueError(f"{rows[row]}: {sources[[*commands][tendon]][0]} is empty: it should be a number")
     placed = placed.reshape(len(rows), -1, 3)
     placed[(placed == 0.0).all(axis=2) & (markers.arc_lengths > 0.0)] = np.nan  # as some trackers write what was not seen
-    positions = markers.frame.to_scene(placed)
+    positions = placed @ markers.frame.rotation.T + markers.frame.translation
     _check_reach(positions - scene.base.position, rod_length(scene), path, next(iter(markers.markers)))
     names = [cells[table.header.index(sources["hold"][0])] if "hold" in sources else path.stem for _, cells in table.rows]
     found = list[Recording]()
