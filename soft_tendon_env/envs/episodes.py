@@ -97,7 +97,8 @@ class Episodes:
         return starts
 
     def _settled(self, target: Target | None) -> Target | Course:
-        return self._draws.settle(checked_target(target, self.options, self.task, self.model.scene))
+        found = checked_target(target, self.options, self.task, self.model.scene)
+        return found if found.is_random else found.draw(np.random.default_rng(0), self.starts.setting)
 
     def _make_actuation(self, options: Options, rows: int) -> None:
         """Make the actuators, and what they did last."""

@@ -82,8 +82,7 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
 
 
 def _table(path: Path, markers: MarkerSet, units: Mapping[str, str]) -> tuple[Table, dict[str, tuple[str, float]]]:
-    """Table of a file, and names and factors of the columns of quantities, which are given with their SI units. Raises ValueError for
-    units and keys that `[columns]` should not have, and for columns that are not there, or twice."""
+    """Table of a file; and by quantity, given with its SI unit, name and factor of its column. Raises ValueError for wrong columns."""
     wanted, found = {quantity: (quantity, 1.0) for quantity in units}, dict[str, tuple[str, float]]()
     for key, column in sorted(markers.columns.items(), key=lambda item: "*" not in item[0]):  # a whole name beats a pattern
         matches = [match for quantity in units if (match := re.fullmatch(re.escape(key).replace(r"\*", "(.+)"), quantity))]
