@@ -77,9 +77,8 @@ def identify(
     placed = markers if isinstance(markers, MarkerSet) else load_markers(markers, scene)
     check_places(placed, scene, "markers")
     chosen = read_parameters(parameters, scene, placed)
-    recordings = read_recordings([Path(file) for file in files], scene, placed)
-    is_file = str(held_out).endswith(".csv")
-    parts = [recordings, read_recordings([Path(held_out)], scene, placed)] if is_file else split(recordings, str(held_out))
+    recordings, judge = read_recordings([Path(file) for file in files], scene, placed), str(held_out)
+    parts = [recordings, read_recordings([Path(judge)], scene, placed)] if judge.endswith(".csv") else split(recordings, judge)
     if fit_to is not None and checked_count("fit_to", fit_to, 1) < (count := len(parts[0])):
         parts[0] = [parts[0][int(i)] for i in (np.arange(fit_to) + 0.5) * count / fit_to]
     accurate = at_fidelity(scene, fidelity)
