@@ -24,6 +24,6 @@ def test_a_page_keeps_what_stands_around_a_block(tmp_path):
     Page(str(path), ["own"]).write("own", "| table |")
     text = path.read_text()
     assert text.startswith("before\n<!-- own -->\n<!-- made ") and text.endswith("\n\n| table |\n<!-- /own -->\nafter\n")
-    assert "old" not in text
+    assert "\nold\n" not in text
     with pytest.raises(ValueError, match="should have the lines <!-- other --> and <!-- /other -->"):
         Page(str(path), ["other"])
