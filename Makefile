@@ -7,7 +7,7 @@ PYTEST := $(PYTHON) -m pytest $(OPTIONS)
 # Tests that run on other versions too: the compiler and its cache, arms and environments; agents that are loaded and trained.
 OF_CORE := tests/compiler tests/scene \
 	tests/mechanics/algebra $(addprefix tests/envs/test_,gymnasium.py registration.py rewards.py actuation.py) \
-	$(addprefix tests/control/test_,allocation.py dynamics.py predictive.py tip_tracking.py)
+	$(addprefix tests/control/test_,dynamics.py predictive.py tip_tracking.py)
 OF_AGENTS := tests/policies tests/export $(addprefix tests/learning/test_,train.py vec_env.py)
 # A Python 3.x that runs: `$(call python,11)`; on the PATH, or one of pyenv's.
 python = $(shell for found in python3.$(1) $(wildcard $(HOME)/.pyenv/versions/3.$(1).*/bin/python); do $$found -c '' 2>/dev/null && echo $$found && break; done)

@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.input_motions import MOTIONS, USUAL, motion_tensions
-from soft_tendon_env.accuracy.reference import distance, reference_motions, trajectory
+from soft_tendon_env.accuracy.reference import distance, reference_motions, tip_path
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.scene.file import SHIPPED
 from soft_tendon_env.scene.passive_fields import find_fields, read_fields
@@ -87,7 +87,7 @@ def measured(name: str, scene: Scene, seeds: range, seconds: float) -> Iterator[
 
 def largest_error(model: ste.Model, inputs: list[np.ndarray], exact: tuple) -> float:
     """Largest error over the motions that the reference completes; inf where the model does not complete one of them."""
-    errors = [distance(trajectory(model, tensions), reference) for tensions, reference in zip(inputs, exact, strict=True)]
+    errors = [distance(tip_path(model, tensions), reference) for tensions, reference in zip(inputs, exact, strict=True)]
     return max((error for error in errors if not np.isnan(error)), default=np.nan)
 
 

@@ -83,12 +83,12 @@ def attributes(configuration: type) -> dict[str, str]:
 
 def presets() -> str:
     """What the presets of `fidelity` ask for."""
-    rows = [["fidelity", "passive fields", "one time step", "quadrature", "intervals at least"], ["---"] * 5]
+    rows = [["fidelity", "tip", "passive fields that ship", "one time step", "quadrature", "intervals at least"], ["---"] * 6]
     for name, preset in PRESETS.items():
-        shares = (preset.fields, preset.tolerance, preset.quadrature["tolerance"])
-        rows.append([f'`"{name}"`', *(f"{100 * share:.3g} %" for share in shares), preset.quadrature["least"]])
+        shares = (preset.share, preset.fields, preset.tolerance, preset.quadrature)
+        rows.append([f'`"{name}"`', *(f"{100 * share:.3g} %" for share in shares), preset.least])
     own = Quadrature()
-    rows.append(['`"scene"`, unless the scene says', "-", "-", f"{100 * own.tolerance:.3g} %", own.least])
+    rows.append(['`"scene"`, unless the scene says', "-", "-", "-", f"{100 * own.tolerance:.3g} %", own.least])
     return table(rows)
 
 

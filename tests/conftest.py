@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from soft_tendon_env import Model, load_scene
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.envs import IDS, TARGETS, TASKS
@@ -16,8 +17,6 @@ from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
 from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.build import build_model
-from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.file import load_scene
 
 DATA = Path(__file__).parent / "data"
 STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]

@@ -4,18 +4,14 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from soft_tendon_env import ConfigurationError, Simulation, load_scene, simulate, static_equilibrium, tension_for_tip_pose
 from soft_tendon_env.control import CONTROLLERS, Reference
 from soft_tendon_env.control.kalman import ExtendedKalmanFilter, Setting
 from soft_tendon_env.control.protocol import ControllerInput, Measurement
 from soft_tendon_env.drawing.shapes import backbones, base_poses, view_box
-from soft_tendon_env.model.inverse_statics import tension_for_tip_pose
 from soft_tendon_env.model.model import model_on
-from soft_tendon_env.model.simulation import Simulation, simulate
-from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.policies.agent import load_agent
-from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Base
-from soft_tendon_env.tools.configuration import ConfigurationError
 
 BASE = Base(position=(0.3, -1.2, 0.7), quaternion=(0.6, -0.48, 0.6401, 0.0), rotation=(20.0, -35.0, 50.0))
 VECTORS = ("acceleration", "force", "moment", "current", "velocity", "amplitude", "axis")

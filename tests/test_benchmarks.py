@@ -10,7 +10,6 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 TINY = {
-    "evaluation_cost": ("--quick", "--repeats", "1"),
     "evaluation": ("--arms", "1", "--evaluations", "5", "--repeats", "2", "--no-start"),
     "accuracy_against_time": ("--quick", "--repeats", "1"),
     "derivatives": ("--quick",),
@@ -24,6 +23,7 @@ TINY = {
     "peer_learning": ("--quick", "--ways", "ours", "apg"),
     "robot_loop": ("--seconds", "0.5"),
     "scaling": ("--quick",),
+    "own_arms": ("--quick",),
     "paired": (str(ROOT), "--scenes", "three_tendon", "--turns", "1", "--calls", "1"),
 }
 

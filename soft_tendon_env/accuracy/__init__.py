@@ -1,1 +1,1 @@
-"""Accuracy against computing time: test motions, converged references, passive fields from snapshots, Pareto fronts, calibrations."""
+"""Accuracy against computing time: test motions, converged references, passive fields from snapshots, trials of an arm."""

@@ -1,19 +1,26 @@
-"""Fidelity: presets of accuracy against time, strain field, quadrature and integrator together, see docs/appendix/speed.md."""
+"""Fidelity: presets of accuracy against time, strain field, quadrature and integrator together, see docs/appendix/speed.md.
+
+A preset is an error: the largest distance of the tip from full physics, as a share of the rod's length, at rest under tensions within
+limits and in the usual motions, see input_motions.
+"""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
-from soft_tendon_env.accuracy.calibration import calibrated
+import numpy as np
+
 from soft_tendon_env.accuracy.input_motions import USUAL
+from soft_tendon_env.accuracy.trial import Accuracy, Choice, bare_rod, choose, known_fields, snapshots
 from soft_tendon_env.model import build
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.passive_fields import FieldsWarning, fields_of, find_fields
+from soft_tendon_env.scene.passive_fields import FidelityWarning, PassiveFields
 from soft_tendon_env.scene.scene import TIP_TOLERANCE, Integrator, Quadrature, Scene, rod_length
-from soft_tendon_env.scene.strain import STRAINS, Snapshots, StaticsBased
+from soft_tendon_env.scene.strain import StaticsBased
 from soft_tendon_env.tools.checks import checked_type
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import is_length, read_length
 
 AS_SCENE = "scene"  # the fidelity that leaves a scene as it is
@@ -21,23 +28,10 @@ UNSAID: Any = type("Unsaid", (), {"__repr__": lambda self: "UNSAID"})()
 """The fidelity of a model for which none is given: AS_SCENE, with a warning where that leaves the strain open."""
 
 
-class FidelityWarning(UserWarning):
-    """A model has other coordinates than an environment of its scene, and nobody said that it should."""
-
-
-class Preset(NamedTuple):
-    """Accuracy of each part of a simulation, as shares of the rod's length."""
-
-    fields: float  # error of the passive fields on motions of the usual kinds: as many of the arm's own are taken, or all there are
-    moments: int  # Legendre order of the passive moments over the rod, for an arm that has no fields of its own
-    quadrature: Mapping[str, Any]
-    tolerance: float  # of a time step
-
-
-PRESETS: Mapping[str, Preset] = {
-    "fast": Preset(8e-3, 1, {"tolerance": 5.0 * TIP_TOLERANCE, "least": 4}, 5e-4),
-    "standard": Preset(1e-3, 2, {"tolerance": 5.0 * TIP_TOLERANCE, "least": 6}, 2.5e-5),
-    "fine": Preset(2e-4, 6, {"tolerance": 0.4 * TIP_TOLERANCE, "least": 8}, 3e-6),
+PRESETS: Mapping[str, Accuracy] = {
+    "fast": Accuracy(1e-2, fields=8e-3, quadrature=5.0 * TIP_TOLERANCE, least=4, tolerance=5e-4),
+    "standard": Accuracy(2e-3, fields=1e-3, quadrature=5.0 * TIP_TOLERANCE, least=6, tolerance=2.5e-5),
+    "fine": Accuracy(5e-4, fields=2e-4, quadrature=0.4 * TIP_TOLERANCE, least=8, tolerance=3e-6),
 }
 """On the paper's arm of 1 m, with steps of 20 ms: 6 passive fields and 2 to 4 evaluations a step; 12 and 4 to 7; 24 and 7 to 10."""
 
@@ -45,10 +39,10 @@ PRESETS: Mapping[str, Preset] = {
 def build_model(scene: Scene, fidelity: str | None = UNSAID) -> Model:
     """Model of a scene at a fidelity: chooses its quadrature and prepares the arrays of its kernels.
 
-    fidelity: "fast", "standard" or "fine" are presets. "scene" takes strain, quadrature and integrator from the scene; a strain that it
-    leaves open has one coordinate per tension and no others. A length such as "1mm" takes the result of a calibration for this tip error.
-    None is "standard" for all that the scene leaves open, as in `gym.make`. Without the argument it is "scene", with a FidelityWarning if
-    the scene leaves its strain open.
+    fidelity: "fast", "standard" or "fine" are presets: an error of the tip of 1, 0.2 or 0.05 % of the length. A length such as "1mm" is
+    this error. "scene" takes strain, quadrature and integrator from the scene; a strain that it leaves open has one coordinate per tension
+    and no others. None is "standard" for all that the scene leaves open, as in `gym.make`. Without the argument it is "scene", with a
+    FidelityWarning if the scene leaves its strain open.
 
     Raises TypeError, ValueError for another fidelity, ConfigurationError for an arm that cannot be computed.
     """
@@ -68,19 +62,64 @@ def build_model(scene: Scene, fidelity: str | None = UNSAID) -> Model:
 
 
 def at_fidelity(scene: Scene, fidelity: str | None) -> Scene:
-    """The scene with the strain, quadrature and integrator of a fidelity, see `build_model`."""
+    """The scene with the strain, quadrature and integrator of a fidelity, see `build_model`.
+
+    They are found by a short trial of the arm, once, unless it has passive fields of its own that were made for its loads: the errors of
+    these are known. Raises ConfigurationError where nothing keeps within a length; warns where nothing reaches a preset.
+    """
     if fidelity == AS_SCENE:
         return scene
-    if fidelity is not None and is_length(fidelity):
-        return calibrated(scene, read_length(fidelity))
-    preset, everything, changes = PRESETS[fidelity or "standard"], fidelity is not None, dict[str, Any]()
-    if everything or _leaves_strain_open(scene):
-        changes["strain"] = {**_rod_of(scene), "passive": _passive(scene, preset)}
-    if everything or scene.quadrature == Quadrature():
-        changes["quadrature"] = preset.quadrature
-    if everything or scene.integrator == Integrator():
-        changes["integrator"] = {"tolerance": preset.tolerance * rod_length(scene)}
-    return scene.replace(changes)
+    asked, everything = accuracy_of(scene, fidelity or "standard"), fidelity is not None
+    chosen = {
+        "quadrature": {"tolerance": asked.quadrature, "least": asked.least},
+        "integrator": {"tolerance": asked.tolerance * rod_length(scene)},
+    }
+    is_open = {
+        "strain": _leaves_strain_open(scene),
+        "quadrature": scene.quadrature == Quadrature(),
+        "integrator": scene.integrator == Integrator(),
+    }
+    if everything or is_open["strain"]:
+        fields = known_fields(scene)
+        if fields is None or not _are_measured(fields, scene) or is_length(fidelity or ""):
+            found = choose(scene, asked)
+            _check(scene, found, asked, fidelity or "standard")
+            chosen = {name: getattr(found, name) for name in is_open}
+        else:
+            needed = fields.needed(asked.fields * rod_length(scene), USUAL)
+            chosen["strain"] = snapshots(scene, fields, len(fields.coefficients) if needed is None else needed)
+    return scene.replace({name: table for name, table in chosen.items() if everything or is_open[name]})
+
+
+def accuracy_of(scene: Scene, fidelity: str) -> Accuracy:
+    """The accuracy that a preset or a length asks for: its parts are those of the coarsest preset that is fine enough."""
+    if not is_length(fidelity):
+        return PRESETS[fidelity]
+    share = read_length(fidelity) / rod_length(scene)
+    near = next((preset for preset in PRESETS.values() if preset.share <= share), PRESETS["fine"])
+    finer = min(share / near.share, 1.0)
+    return near._replace(share=share, quadrature=finer * near.quadrature, tolerance=finer * near.tolerance)
+
+
+def _are_measured(fields: PassiveFields, scene: Scene) -> bool:
+    """Whether the errors of passive fields hold for this arm: they were measured under its loads, or it has none."""
+    loads = scene.effects.everywhere()
+    sizes = [getattr(effect, key) for effect in loads.chosen().values() for key in effect.strengths]
+    return not fields.misfit(scene) and (loads == fields.effects or not any(map(np.any, sizes)))
+
+
+def _check(scene: Scene, found: Choice, asked: Accuracy, fidelity: str) -> None:
+    """Raises ConfigurationError where a choice does not keep within a length, warns where it does not reach a preset."""
+    if found.error <= asked.share:
+        return
+    if np.isfinite(found.error):
+        text = f"{scene.name!r} has no coordinates that keep its tip as near to full physics as {fidelity!r} asks, "
+        text += f"{100 * asked.share:.3g} % of the length: the best there are, {found.describe(scene)}"
+    else:
+        text = f"the accuracy of {scene.name!r} is not known: full physics has no motion under its loads and tensions"
+    if is_length(fidelity):
+        raise ConfigurationError([Problem((), text)])
+    warnings.warn(text, FidelityWarning, stacklevel=3)
 
 
 def checked_fidelity(fidelity: str) -> str:
@@ -94,28 +133,4 @@ def checked_fidelity(fidelity: str) -> str:
 
 def _leaves_strain_open(scene: Scene) -> bool:
     """True where the scene says nothing of coordinates besides those of the tensions."""
-    return scene.strain == StaticsBased(**_rod_of(scene))
-
-
-def _rod_of(scene: Scene) -> dict[str, Any]:
-    """Strain table of the bare rod, without what is a matter of accuracy."""
-    if isinstance(scene.strain, StaticsBased):
-        return scene.strain.model_dump(include={"type", "strains", "borders", "rank_tolerance", "include_loads"})
-    free = [strain for strain in STRAINS if strain in scene.strain.free]
-    return {"type": "statics_based", "strains": free, "borders": scene.strain.borders}
-
-
-def _passive(scene: Scene, preset: Preset) -> Any:
-    """Table of the passive fields: the arm's own, those of the file that its scene names if it does, or Legendre moments."""
-    named = scene.strain.passive if isinstance(scene.strain, StaticsBased) and isinstance(scene.strain.passive, Snapshots) else None
-    fields = fields_of(scene) if named else find_fields(scene.replace({"strain": _rod_of(scene)}))
-    if fields is not None:
-        needed = fields.needed(preset.fields * rod_length(scene), USUAL)
-        count = len(fields.coefficients) if needed is None else needed
-        file = {"file": named.file} if named and named.file else {}
-        return {"type": "snapshots", "fields": count, "digest": fields.digest, **file} if count else ()
-    text = f"{scene.name!r} has no passive fields of its own, so that its accuracy is not known: Legendre moments up to order"
-    text += f" {preset.moments} take their place; `soft-tendon fields SCENE` makes them in a minute"
-    warnings.warn(text, FieldsWarning, stacklevel=2)
-    angular = [strain for strain in STRAINS[:3] if strain in scene.strain.free]
-    return [{"strains": angular, "order": preset.moments, "span": "rod"}] if angular else ()
+    return scene.strain == StaticsBased(**bare_rod(scene))

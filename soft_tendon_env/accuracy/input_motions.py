@@ -17,7 +17,6 @@ Motion = Literal["redrawn", "increments", "smooth", "wild", "step", "noisy"]
 
 MOTIONS: tuple[Motion, ...] = get_args(Motion)
 USUAL: tuple[Motion, ...] = MOTIONS[:3]  # of agents and controllers, for which errors of passive fields and presets are stated
-CALIBRATED: tuple[Motion, ...] = (*USUAL, "noisy")  # on which scenes are calibrated, those of an agent that explores among them
 HOLD = 0.02  # [s], for which each row of a table of tensions is held: the environments' control period
 REDRAWN_EVERY = 5  # rows
 INCREMENT = 0.1  # of the band, the largest change from row to row

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from soft_tendon_env.accuracy.input_motions import MOTIONS, USUAL, Motion, motion_tensions
-from soft_tendon_env.accuracy.reference import LEVELS, distance, full_physics, reference_motions, trajectory
+from soft_tendon_env.accuracy.reference import distance, reference_motions, step_tolerance, tip_path, trajectory
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.coordinates import actuation_columns
+from soft_tendon_env.model.full_physics import LEVELS, full_physics
 from soft_tendon_env.model.grid import Grid, screw_matrices, tendon_geometry
 from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, arm_of
@@ -60,13 +61,15 @@ def fields_path(scene: Scene) -> Path:
 def snapshots(scene: Scene) -> tuple[Array, Grid]:
     """Residual wrenches (samples, 6 points) of RUNS motions of every kind, times their weights, and the grid of their points."""
     trial = [motion_tensions(scene, kind, FIRST_SEED, 0.5) for kind in USUAL]
-    level = reference_motions(scene, trial, RESOLVED * rod_length(scene)).level
+    tolerance = RESOLVED * rod_length(scene)
+    level = reference_motions(scene, trial, tolerance).level
     level = LEVELS[LEVELS.index(level) - 1]  # the coarsest full physics whose motion the next one hardly changes
+    steps = step_tolerance(scene, level, tolerance)
 
     def residuals(which: tuple[Motion, int]) -> Array | None:
         kind, run = which
         effects = scene.effects if run % 2 == 0 else scene.effects.sample_smaller(np.random.default_rng([run, MOTIONS.index(kind)]))
-        model = full_physics(scene.replace({"effects": effects.model_dump(mode="json", exclude_none=True)}), level)
+        model = full_physics(scene.replace({"effects": effects.model_dump(mode="json", exclude_none=True)}), level, steps)
         found = trajectory(model, motion_tensions(scene, kind, FIRST_SEED + run))
         weight = WILD if kind == "wild" else 1.0
         return None if found is None else weight * residual_wrenches(model, found.q[1:]).reshape(len(found.q) - 1, -1)
@@ -156,7 +159,7 @@ def tip_errors(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ..
         def largest(count: int) -> Array:
             passive = {"type": "snapshots", "fields": count, "file": str(path)} if count else []
             model = model_on(scene.replace({"strain.passive": passive, "integrator": {"step": 0.005, "columns": 4}}), 16)
-            errors = [distance(trajectory(model, tensions), tips) for tensions, tips in zip(inputs, exact, strict=True)]
+            errors = [distance(tip_path(model, tensions), tips) for tensions, tips in zip(inputs, exact, strict=True)]
             return np.array(errors).reshape(len(USUAL), TESTS).max(axis=1)
 
         found = np.array(run_all(largest, counts, processors(), "tests of the fields", unit="model", threads=True)).T.tolist()

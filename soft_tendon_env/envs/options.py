@@ -64,8 +64,8 @@ class Options(Configuration):
         scene: name of a shipped scene, path of a TOML file, a `Scene`, or a table. A table is a whole scene as `scene_to_dict` gives it, or
             dotted overrides of a scene, such as `{"scene": "paper", "effects.gravity.acceleration": [0, 0, -9.81]}`.
         fidelity: accuracy of the simulation. "fast", "standard" and "fine" are presets of strain field, quadrature and integrator; "scene"
-            keeps the scene's own settings; a length such as "1mm" takes the settings that a calibration of the arm finds, once. None keeps
-            what the scene sets and takes the rest from "standard".
+            keeps the scene's own settings; a length such as "1mm" is an error of the tip. An arm that does not ship gets a trial, once.
+            None keeps what the scene sets and takes the rest from "standard".
         control_period: time [s] between actions. The scene's integrator takes equal steps within it.
         tension_limits: (minimum, maximum) tension [N] of every tendon; None takes the scene's. With a negative minimum tendons push.
         action: "increment" maps [-1, 1] to changes of the tensions, of at most `tension_rate` times the control period, 2 N by default,

@@ -24,7 +24,6 @@ from soft_tendon_env.evaluation.settings import episode_steps
 from soft_tendon_env.policies.agent import TrainingWarning
 from soft_tendon_env.policies.names import Controller, PolicyName, UserPolicy
 from soft_tendon_env.policies.protocol import Policy
-from soft_tendon_env.scene.passive_fields import FieldsWarning
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.files import PACKAGE, digest, read_json, replacing, sources_digest
 from soft_tendon_env.tools.parallel import run_all
@@ -58,8 +57,6 @@ class Cell(NamedTuple):
         policy = PolicyName.parse(self.policy, self.task)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", TrainingWarning)  # what the commands print says it once
-            if self.controller_scene is not None:  # fields made for other loads are taken as they are
-                warnings.simplefilter("ignore", FieldsWarning)
             rows: dict[str, Any] = {"num_envs": len(self.seeds), "threads": 1}
             env: Any = gym.make_vec(IDS[self.task], **rows, **given) if self.rows else gym.make(IDS[self.task], **given)
             return policy.load(env, believed_scene(policy, self.controller_scene), other_effects=self.controller_scene is not None), env

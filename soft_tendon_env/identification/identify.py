@@ -88,10 +88,11 @@ def identify(
     fitted, unseen = (Readings(plants, part) for part in parts)
     try:
         found = fit(fitted, noise)
-    except NoHoldError as error:
+        (error_fit, error_held_out), before = ([part.errors(x) for part in (fitted, unseen)] for x in (found.x, 0.0 * found.x))
+        spread, measurement = intervals(found, fitted), plants.measurement(found.x)
+        told = findings(found, spread.unseen, fitted, noise)
+    except NoHoldError as error:  # of the arm as it is given, or of one at the edge of those that hold the data
         raise NoHoldError(f"{str(error).rstrip('.')}. {misread_text(fitted, None, noise) or LOOK}") from error
-    spread, measurement = intervals(found, fitted), plants.measurement(found.x)
-    (error_fit, error_held_out), before = ([part.errors(x) for part in (fitted, unseen)] for x in (found.x, 0.0 * found.x))
     return Estimate(
         parameters=chosen,
         value=np.array([one.at(x) for one, x in zip(chosen, found.x, strict=True)]),
@@ -102,7 +103,7 @@ def identify(
         error_held_out=error_held_out,
         before=(mean_of_finite(before[0].values()), mean_of_finite(before[1].values())),
         noise=found.sigma,
-        findings=tuple(findings(found, spread.unseen, fitted, noise)),
+        findings=tuple(told),
         data=tuple(os.fspath(file) for file in files),
     )
 

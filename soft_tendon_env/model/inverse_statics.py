@@ -129,8 +129,8 @@ class _TipSearch:
 
     def derivative(self, u: Array) -> Array:
         """d error / du (6, n_a): minus the inverse left Jacobian of SO(3) on the body's turn, minus R on its shift."""
-        q, tip, *_ = self.equilibrium(u)
-        near = ChordSolver(self.model, q, u)
+        found = self.equilibrium(u)
+        tip, near = found.tip_pose, ChordSolver(self.model, found.q, u)
         motion = near.terms.tip_jacobian @ near.answer
         x, y, z = k = self.distance(tip)[0]
         c = coefficients(k @ k)

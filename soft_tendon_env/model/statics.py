@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import warnings
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +14,7 @@ from soft_tendon_env.mechanics.algebra.linear import solve_bounded
 from soft_tendon_env.mechanics.types import Explicit, Implicit
 from soft_tendon_env.model.coordinates import with_every_tension
 from soft_tendon_env.model.equilibrium_residual import At, Balance
+from soft_tendon_env.model.full_physics import equilibrium_error
 from soft_tendon_env.model.load_continuation import MOST_SETTLINGS, RESIDUAL, LoadPath
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.strain_limits import StrainLimitError
@@ -28,12 +31,12 @@ class RedundancyWarning(UserWarning):
     """Redundant tendons do something to the bent arm that its coordinates do not have."""
 
 
-class Equilibrium(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
     """A static equilibrium, n coordinates; if not `converged`, the last one on the path from the unloaded arm to the full load.
 
     `residual` is the angle by which the unbalanced force would bend a rod as stiff as this one: sqrt(f^T G^-1 f / (E_1 + q^T G q)), with
-    E_1 from a rod bent by one radian. `tip_error` is what redundant tendons, which share coordinates, do besides: the distance from
-    tip_pose to the tip with all of their tensions in the strain.
+    E_1 from a rod bent by one radian.
     """
 
     q: Array  # (n,)
@@ -44,7 +47,16 @@ class Equilibrium(NamedTuple):
     iterations: int  # linearisations of the balance on the way
     stable: bool  # the energy has a minimum, maybe a flat one; for loads without a potential M q_ddot + D q_dot + S q = 0 does not grow
     load: float  # the part of the load, tensions and effects, that q balances: 1 when converged
-    tip_error: float  # [m], 0 where tendons are not redundant, infinite where no strain balances all of their tensions
+    model: Model = field(repr=False)
+    tension: Array = field(repr=False)  # (n_a,) [N] of the full load
+
+    @cached_property
+    def tip_error(self) -> float:
+        """Estimated distance [m] of the tip from that of the rod itself: error of coordinates and quadrature, computed when first read.
+
+        The equilibrium is solved again with full physics, see full_physics.equilibrium_error. Infinite where that has none near.
+        """
+        return equilibrium_error(self.model, self.q, self.tension, self.load, self.stable)
 
 
 def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None = None, *, settle: bool = False) -> Equilibrium:
@@ -86,19 +98,21 @@ def rests_at_tensions(model: Model) -> bool:
 
 def _found(balance: Balance, at: At, stable: bool, reason: str) -> Equilibrium:
     tip, loaded = balance.model.tip_pose(at.q), balance.at(at.q, 1.0) if reason else at
-    residual, error = np.inf if loaded is None else loaded.residual, _tip_error(balance, at, tip)
-    return Equilibrium(at.q, tip, not reason, residual, reason, balance.linearisations, stable, at.part, error)
+    residual = np.inf if loaded is None else loaded.residual
+    _warn_of_redundancy(balance, at, tip)
+    model, tension = balance.model, balance.tension
+    return Equilibrium(at.q, tip, not reason, residual, reason, balance.linearisations, stable, at.part, model, tension)
 
 
-def _tip_error(balance: Balance, at: At, tip: Array) -> float:
-    """How far the tip is off for tensions that have no coordinate; warns of them."""
+def _warn_of_redundancy(balance: Balance, at: At, tip: Array) -> None:
+    """Warns where tensions that have no coordinate would move the tip."""
     model, strain, u = balance.model, balance.model.arm.strain, at.part * balance.tension
     if isinstance(strain, Explicit) or not strain.law.mixed:
-        return 0.0
+        return
     rest = model.rest_coordinates(u)
     left_out = u - strain.law.tensions(rest)
     if np.abs(left_out).max() <= 1e-12 * np.abs(u).max():
-        return 0.0
+        return
     q = rest if rests_at_tensions(model) else at.q
     try:
         every = np.concatenate([strain.law.tensions(q) + left_out, q[strain.law.active :]])
@@ -108,8 +122,7 @@ def _tip_error(balance: Balance, at: At, tip: Array) -> float:
         error = np.inf
     if error > SEEN * model.length:
         text = f"redundant tendons of {model.scene.name!r} strain the bent arm in ways that have no coordinate: at rest its tip is off"
-        warnings.warn(f"{text} by Equilibrium.tip_error", RedundancyWarning, stacklevel=4)
-    return error
+        warnings.warn(f"{text} by {1e3 * error:.2g} mm", RedundancyWarning, stacklevel=4)
 
 
 def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium, Array]:
@@ -131,13 +144,13 @@ def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium
         wanted = np.clip(path.stiffness * (given - shortening), 0.0, path.strength)
         same = SAME_TENSION * (np.abs(wanted).max() + np.abs(u).max() + model.length * path.stiffness)
         if not found.converged or (np.abs(wanted - u) <= same).all():
-            return found._replace(iterations=found.iterations + iteration), u
+            return dataclasses.replace(found, iterations=found.iterations + iteration), u
         near, guess = ChordSolver(model, found.q, u), found.q
         compliance = np.diag(1.0 / path.stiffness) + near.terms.actuation.T @ near.answer
         missing = given - shortening - u / path.stiffness
         u = u.copy()
         solve_bounded(compliance, missing + compliance @ u, np.zeros(n_a), path.strength, u, *scratch)
-    return found._replace(converged=False, reason="tensions and displacements do not come to agree"), u
+    return dataclasses.replace(found, converged=False, reason="tensions and displacements do not come to agree"), u
 
 
 class ChordSolver:

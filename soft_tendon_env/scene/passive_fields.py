@@ -1,7 +1,7 @@
 """Passive fields from snapshots (proper orthogonal decomposition): their file, and which of those there are fit a scene.
 
 They are wrenches along the rod that its tendons cannot make, see accuracy/proper_orthogonal_fields.py. For another material or load than a
-file says they stay a basis, and lose accuracy, which is warned of.
+file says they stay a basis, and lose accuracy: how much, a trial finds, see accuracy/trial.py.
 """
 
 import functools
@@ -25,12 +25,12 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.files import data_folders, read_json, replacing
 from soft_tendon_env.tools.types import Array
 
-MATERIAL, ALIKE = ("young_modulus", "density", "damping"), 2.0  # of a segment, and the factor up to which it may differ from the fields'
+MATERIAL, ALIKE = ("young_modulus", "density", "damping"), 1.25  # of a segment, and the factor up to which it may differ from the fields'
 ARRAYS, SUFFIX = ("tension_limits", "borders", "singular_values", "coefficients"), ".fields.json"
 
 
-class FieldsWarning(UserWarning):
-    """Passive fields were made for something else than the scene, or there are none, so that its accuracy is not known."""
+class FidelityWarning(UserWarning):
+    """A model is less accurate than its fidelity says, or nobody said how accurate it should be."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +150,7 @@ def fields_of(scene: Scene) -> PassiveFields:
         key, problem = "fields", f"is {table.fields}: there are {len(found.coefficients)} of this arm"
     if found is None or problem:
         raise ConfigurationError([Problem(("strain", "passive", key), problem)])
-    if misfit := found.misfit(scene):
-        text = f"the passive fields of {scene.name!r} were made for {misfit}: `soft-tendon fields` makes those of this scene"
-        warnings.warn(text, FieldsWarning, stacklevel=2)
+    if table.digest is None and (misfit := found.misfit(scene)):  # else they were chosen as they are
+        text = f"the passive fields of {scene.name!r} were made for {misfit}: fidelity='standard' finds what its accuracy takes"
+        warnings.warn(text, FidelityWarning, stacklevel=2)
     return found

@@ -1,6 +1,6 @@
 """Independent runs side by side: in processes of this machine, by joblib, or as tasks of a Ray cluster.
 
-Cells of an experiment, trainings of a sweep, trials of a search and motions of a calibration all go through `run_all`. In each process come
+Cells of an experiment, trainings of a sweep, trials of a search and motions of a reference all go through `run_all`. In each process come
 first the user's own modules that register effects, tasks, controllers, metrics.
 """
 

@@ -4,9 +4,9 @@ import warnings
 
 import pytest
 
-from soft_tendon_env.accuracy.fidelity import PRESETS, FidelityWarning, at_fidelity, build_model
+from soft_tendon_env.accuracy.fidelity import PRESETS, FidelityWarning, accuracy_of, at_fidelity, build_model
 from soft_tendon_env.accuracy.input_motions import motion_tensions
-from soft_tendon_env.accuracy.reference import distance, reference_motions, trajectory
+from soft_tendon_env.accuracy.reference import distance, reference_motions, tip_path
 from soft_tendon_env.scene.file import load_scene, scene_names
 from soft_tendon_env.scene.scene import rod_length
 
@@ -44,9 +44,9 @@ def test_standard_is_near_full_physics_and_fast_not_far(name):
     tensions = motion_tensions(scene, "smooth", 11, 1.0)
     length = rod_length(scene)
     (exact,) = reference_motions(scene, [tensions], 5e-5 * length).tips
-    for fidelity, allowed in (("fast", 1e-2), ("standard", 2e-3), ("fine", 2e-4)):
+    for fidelity, asked in PRESETS.items():
         model = build_model(scene, fidelity)
-        assert distance(trajectory(model, tensions), exact) < allowed * length, fidelity
+        assert distance(tip_path(model, tensions), exact) < asked.share * length, fidelity
 
 
 def test_a_fidelity_that_nobody_said_is_told_where_it_matters():
@@ -60,10 +60,12 @@ def test_a_fidelity_that_nobody_said_is_told_where_it_matters():
         build_model(load_scene("paper_19dof"))
 
 
-def test_a_length_takes_the_calibrated_scene_and_others_are_refused(monkeypatch):
-    scene, asked = load_scene("three_tendon"), []
-    monkeypatch.setattr("soft_tendon_env.accuracy.fidelity.calibrated", lambda scene, tolerance: asked.append(tolerance) or scene)
-    assert at_fidelity(scene, "0.2mm") == scene and asked == [2e-4]
+def test_a_length_is_an_accuracy_and_others_are_refused():
+    scene = load_scene("three_tendon")
+    for length, share, near in (("6mm", 0.02, "fast"), ("0.6mm", 2e-3, "standard"), ("0.06mm", 2e-4, "fine")):
+        asked, preset = accuracy_of(scene, length), PRESETS[near]
+        assert asked.share == pytest.approx(share) and asked.least == preset.least
+        assert asked.tolerance == pytest.approx(preset.tolerance * min(share / preset.share, 1.0))
     for name in ("quick", "", "Standard", "1 inch", "0mm", "-1mm"):
         with pytest.raises(ValueError, match=f"fidelity is '{name}': should be"):
             build_model(scene, name)

@@ -56,10 +56,7 @@ OPTIONS = [
     ("fields three_tendon --out fields.txt", "--out is fields.txt: it should be the path of a .json file, such as"),
     ("accuracy three_tendon --set segments.0.radios=1", "--set: segments[0].radios is an unknown key"),
     (" ".join((*IDENTIFY, "segments.*.dens")), "segments.*.dens is no number of the scene: did you mean 'segments.*.density'?"),
-    (
-        "export three_tendon",
-        "three_tendon should be the folder of an agent, or agent, ppo, sac, dagger, apg, which ship; for a",
-    ),
+    ("export three_tendon", "three_tendon should be the folder of an agent, or agent, ppo, sac, dagger, apg, which ship; for a"),
     ("export agent --mjcf", "'agent': is neither the path of a .toml file nor a scene that ships"),
     ("export agent --links 3", "--links cannot be given without --mjcf"),
     ("tune predictive --trials 0", "--trials is 0: it should be greater than or equal to 1"),
@@ -76,6 +73,7 @@ FILES = [
     ("evaluate {folder}", "it should be the folder of an agent (of a training: {best})"),
     ("compare --config {model}", "model.zip: is not valid TOML"),
 ]
+DAMAGES = [lambda path: path.write_bytes(path.read_bytes()[:-20]), lambda path: path.write_bytes(b"[]"), lambda path: path.unlink()]
 
 
 @pytest.mark.cases("arguments, said", OPTIONS)
@@ -95,9 +93,6 @@ def test_files_and_what_stands_in_them(refused, config, finished, arguments, sai
 def test_missing_extras_come_with_the_command_that_installs_them(refused, monkeypatch, arguments, missing):
     monkeypatch.setattr(errors, "find_spec", lambda module: None)
     assert f'pip install "soft_tendon_env[{missing}]"' in refused(*arguments.split())
-
-
-DAMAGES = [lambda path: path.write_bytes(path.read_bytes()[:-20]), lambda path: path.write_bytes(b"[]"), lambda path: path.unlink()]
 
 
 @pytest.mark.cases("damage", DAMAGES)

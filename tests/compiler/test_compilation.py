@@ -23,6 +23,16 @@ from soft_tendon_env.tools.files import PACKAGE
 jitted = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is compiled")
 PUBLIC = {"numba", "numba.extending", "numba.core.cgutils", "numba.core.event", "numba.core.typing.templates.AttributeTemplate"}
 """What the package may import of numba: what its manual describes."""
+INNER = "from soft_tendon_env.compiler.compilation import kernel\n\n\n@kernel{}\ndef inner(x):\n    return {} * x\n"
+OUTER = """
+from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.mechanics.inner import inner
+
+@kernel
+def outer(x):
+    return inner(x) + inner(2.0 * x)
+"""
+MAIN = "from soft_tendon_env.mechanics.outer import outer\nprint(outer(1.0))"
 
 
 def fresh_kernel(function: Callable, **options) -> Callable:
@@ -71,18 +81,6 @@ def test_a_phase_is_compiled_when_it_is_first_called():
         with pytest.raises(error, match=reason):
             called(True, out)
     assert out[0] == 2.0
-
-
-INNER = "from soft_tendon_env.compiler.compilation import kernel\n\n\n@kernel{}\ndef inner(x):\n    return {} * x\n"
-OUTER = """
-from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.inner import inner
-
-@kernel
-def outer(x):
-    return inner(x) + inner(2.0 * x)
-"""
-MAIN = "from soft_tendon_env.mechanics.outer import outer\nprint(outer(1.0))"
 
 
 def test_a_second_process_compiles_nothing_until_a_kernel_in_another_file_changes(tmp_path):

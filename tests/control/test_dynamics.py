@@ -1,10 +1,12 @@
-"""Targets between instants, the implicit step against its formula and the simulation's, gains by the poles that were asked for."""
+"""The implicit step against its formula, gains by the poles that were asked for, the quadratic program against another solver."""
 
 import itertools
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
+from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.dynamics import DECADES, discrete_gains, implicit_inertia, implicit_step
 
 STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
@@ -22,16 +24,12 @@ PERIODS = [1e-4, 1e-3, 0.02, 0.2]
 INTEGRAL_TIMES = [None, 0.1, 0.5, 3.0]
 
 
-@pytest.fixture(params=ARMS)
-def arm(request, build):
-    """arm(period): the model whose simulation takes one linearly implicit Euler step of this length."""
-    name, changes = ARMS[request.param]
-    return lambda period: build(name, {**changes, "integrator.columns": 1, "integrator.step": period})
-
-
 @pytest.mark.parametrize("period", [0.002, 0.02])
-def test_the_step_is_the_formula(arm, random_state, period):
-    model = arm(period)
+@pytest.mark.parametrize("arm", ARMS)
+def test_the_step_is_the_formula(build, random_state, arm, period):
+    """Of a model whose simulation takes one linearly implicit Euler step a period."""
+    name, changes = ARMS[arm]
+    model = build(name, {**changes, "integrator.columns": 1, "integrator.step": period})
     q, q_dot = random_state(model, 0)
     terms = model.terms(q, q_dot)
     step = implicit_step(terms, q_dot, period)
@@ -66,3 +64,27 @@ def test_the_loop_has_the_poles_of_the_continuous_one(period, integral_time):
         for z in (0.0, 1.0, 1.0j, -3.0):
             found = np.linalg.det(z * scale * np.eye(len(matrix)) - (matrix - np.eye(len(matrix))) / period)
             assert found == pytest.approx(np.prod(z * scale - np.expm1(poles * period) / period), rel=1e-6, abs=1e-9 * scale ** len(matrix))
+
+
+@pytest.fixture(params=range(12))
+def problem(request):
+    """A random full-rank task |A x - b|^2 with bounds: A (m + 2, m), b, least, greatest."""
+    rng = np.random.default_rng(request.param)
+    size = rng.integers(1, 13)
+    A, b = rng.normal(size=(size + 2, size)), 3.0 * rng.normal(size=size + 2)
+    unit = 10.0 ** rng.uniform(-3.0, 3.0)
+    return unit * A, unit * b, rng.uniform(-1.0, 0.0, size), rng.uniform(0.0, 1.0, size)
+
+
+def test_another_solver_agrees_and_the_conditions_of_an_optimum_hold(problem):
+    """Where bounds are loose the slope is zero, at the least it does not fall inwards, at the greatest neither."""
+    A, b, least, greatest = problem
+    found = allocate(A.T @ A, -A.T @ b, least, greatest)
+    assert found.solved
+    np.testing.assert_allclose(found.x, lsq_linear(A, b, (least, greatest), method="bvls", tol=1e-14).x, atol=1e-7)
+    slope = A.T @ (A @ found.x - b) / np.trace(A.T @ A)
+    at_least, at_greatest = found.x - least < 1e-9, greatest - found.x < 1e-9
+    assert (found.x >= least).all() and (found.x <= greatest).all()
+    assert (slope[at_least] > 0.0).all() and (slope[at_greatest] < 0.0).all()
+    np.testing.assert_allclose(slope[~at_least & ~at_greatest], 0.0, atol=1e-9)
+    np.testing.assert_allclose(found.multipliers, -slope * slope.size, atol=1e-9)  # what the bounds push back with

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from soft_tendon_env import static_equilibrium, tension_for_tip_pose
 from soft_tendon_env.control import CONTROLLERS, ControllerInput, Reference
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.objectives import TipPose, TipPosition
 from soft_tendon_env.control.paper_laws import PaperTipPose
-from soft_tendon_env.model.inverse_statics import tension_for_tip_pose
-from soft_tendon_env.model.statics import static_equilibrium
 
 PERIOD = 0.02
 HEAVY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
@@ -81,14 +80,12 @@ def miss(objective, model, target, tip):
 
 def least_miss(objective, model, target, limits):
     """That of the nearest tip at rest, by a search that no controller uses."""
-    least, greatest = limits.T
 
     def cost(tension):
         return miss(objective, model, target, model.tip_pose(model.rest_coordinates(tension)))
 
-    starts = (least + share * (greatest - least) for share in (0.01, 0.3))
-    found = [minimize(cost, start, method="L-BFGS-B", bounds=limits) for start in starts]
-    return min(each.fun for each in found)
+    starts = (limits[:, 0] + share * np.ptp(limits, axis=1) for share in (0.01, 0.3))
+    return min(minimize(cost, start, method="L-BFGS-B", bounds=limits).fun for start in starts)
 
 
 @pytest.mark.parametrize("scene", ["three_tendon", *LONG])

@@ -7,27 +7,27 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import soft_tendon_env  # noqa: F401
+from soft_tendon_env import Simulation
 from soft_tendon_env.control import ControllerInput, InputError, Reference
 from soft_tendon_env.control.objectives import Shape, TipPose, TipPosition
 from soft_tendon_env.control.predictive import Predictive, Tuning
 from soft_tendon_env.evaluation import evaluate, summarise
-from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.policies import make_policy, observation_options
 
 PERIOD = 0.02
 OBJECTIVES = {"pose": lambda model: TipPose(0.1 * model.length), "position": lambda model: TipPosition(), "shape": Shape}
 WIDE = np.tile([-100.0, 100.0], (10, 1))
+LATE = {
+    "a disturbance": {"effects.disturbance.loads": [{"at": 0.3, "force": [0.0, 0.05, 0.02], "signal": {"type": "sine", "frequency": 1.5}}]},
+    "a moving base": {"effects.moving_base": {"amplitude": [0.0, 0.02, 0.01], "angular_amplitude": 0.1, "frequency": 1.5}},
+    "memory": {"effects.viscoelastic_memory.branches": [{"modulus": 1.0, "relaxation_time": 0.3}]},
+}
+CABLES = {"scene": "three_tendon", "effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": [-0.03, 0.05]}}
 
 
 @pytest.fixture(scope="module")
 def model(build):
     return build("paper")
-
-
-@pytest.fixture
-def objective(model, request):
-    return OBJECTIVES[request.param](model)
 
 
 def near(model, holding, seed):
@@ -55,11 +55,11 @@ def predicted_cost(model, objective, now, plan, settling_time=0.3):
     return cost
 
 
-@pytest.mark.parametrize("objective", OBJECTIVES, indirect=True)
+@pytest.mark.parametrize("kind", OBJECTIVES)
 @pytest.mark.parametrize("seed", range(3))
-def test_the_plan_improves_along_the_slope_of_the_simulation(model, objective, holding, seed):
+def test_the_plan_improves_along_the_slope_of_the_simulation(model, kind, holding, seed):
     """The Jacobians of a rollout are not those of the simulation: the slopes agree within a tenth. The inputs may err."""
-    now = near(model, holding, seed)
+    now, objective = near(model, holding, seed), OBJECTIVES[kind](model)
     controller, simulation = Predictive(model, WIDE, PERIOD, objective), Simulation(model)
     plan = np.tile(now.tension, (controller.horizon, 1))
     error = InputError(1.0 + 0.2 * seed * np.cos(np.arange(10.0)), 0.5 * seed * np.sin(np.arange(10.0)))
@@ -67,10 +67,8 @@ def test_the_plan_improves_along_the_slope_of_the_simulation(model, objective, h
     _, gradient = controller._program(simulation.rollout(error.gain * plan + error.offset, PERIOD), error.gain, now)
     apart = 0.05
     slope = []
-    for k in range(plan.size):
-        aside = np.zeros(plan.size)
-        aside[k] = apart
-        aside = aside.reshape(plan.shape)
+    for unit in np.eye(plan.size):
+        aside = apart * unit.reshape(plan.shape)
         costs = [predicted_cost(model, objective, now, error.gain * (plan + sign * aside) + error.offset) for sign in (1.0, -1.0)]
         slope.append((costs[0] - costs[1]) / (2.0 * apart))
     off = np.linalg.norm(gradient - slope) / np.linalg.norm(slope)
@@ -92,22 +90,11 @@ def test_constant_disturbances_are_found_and_allowed_for(model, holding, drive, 
     assert off[0.25] < 1e-3
 
 
-LATE = {
-    "a disturbance": {"effects.disturbance.loads": [{"at": 0.3, "force": [0.0, 0.05, 0.02], "signal": {"type": "sine", "frequency": 1.5}}]},
-    "a moving base": {"effects.moving_base": {"amplitude": [0.0, 0.02, 0.01], "angular_amplitude": 0.1, "frequency": 1.5}},
-    "memory": {"effects.viscoelastic_memory.branches": [{"modulus": 1.0, "relaxation_time": 0.3}]},
-}
-
-
-@pytest.fixture(params=LATE)
-def affected(request, build):
-    return build("three_tendon", {"quadrature.intervals": 6, **LATE[request.param]})
-
-
-def test_what_is_predicted_is_what_happens(affected):
+@pytest.mark.parametrize("kind", LATE)
+def test_what_is_predicted_is_what_happens(build, kind):
     """Rates and internal states of the next period, by a controller that has followed the arm from the beginning to a target."""
-    model, simulation, limits = affected, Simulation(affected), np.tile([0.0, 5.0], (3, 1))
-    controller = Predictive(model, limits, PERIOD, TipPosition())
+    model = build("three_tendon", {"quadrature.intervals": 6, **LATE[kind]})
+    simulation, controller = Simulation(model), Predictive(model, np.tile([0.0, 5.0], (3, 1)), PERIOD, TipPosition())
     target = simulation.tip_pose[None, :3, 3] + [-0.01, 0.03, 0.02]
     memory, tension = None, np.zeros(3)
     for _ in range(25):
@@ -119,9 +106,6 @@ def test_what_is_predicted_is_what_happens(affected):
         np.testing.assert_allclose(memory.rates, simulation.state.q_dot, atol=1e-6 * np.abs(simulation.state.q_dot).max())
         np.testing.assert_allclose(memory.effects, simulation.state.effects, atol=1e-9)
     assert np.abs(memory.disturbance).max() < 1e-3
-
-
-CABLES = {"scene": "three_tendon", "effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": [-0.03, 0.05]}}
 
 
 @pytest.mark.parametrize("controller, greatest", [("tracking", 5e-4), ("predictive", 1e-3)])

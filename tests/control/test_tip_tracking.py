@@ -1,4 +1,4 @@
-"""Feedback linearisation of the tip: the paper's law at short periods, the exponential of its gains at those that there are."""
+"""Tracking of tips and shapes: the paper's laws at short periods, errors that fall as the gains say at long ones."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,7 @@ from soft_tendon_env.control import ControllerInput, Reference, tip_tracking
 from soft_tendon_env.control.objectives import TipPose, TipPosition
 from soft_tendon_env.control.paper_laws import Gains, TipPoseTarget, accelerating_tension, energy_left_inverse, tip_pose_tension
 from soft_tendon_env.control.rigid_motions import adjoint, inverse_pose, moved_pose
+from soft_tendon_env.control.shape_tracking import ShapeTracking
 from soft_tendon_env.control.tip_tracking import TipTracking
 
 PERIOD = 0.02
@@ -15,6 +16,14 @@ SETTLING = 0.2
 HELD = 12.0 + 4.0 * np.sin(np.arange(10.0))
 TWIST = np.array([8.0, -6.0, 4.0, 1.0, -2.0, 1.5])
 PAPER_GAINS = Gains(400.0, 40.0)  # of a double pole at -4 / SETTLING
+PASSIVE = {"strain.passive": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 1, "span": "rod"}]}
+INSIDE = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "strain.include_loads": True}
+ARMS = {
+    "full": ("paper", None),
+    "passive": ("three_tendon", PASSIVE),
+    "redundant": ("four_tendon", None),
+    "loads inside": ("three_tendon", {**PASSIVE, **INSIDE}),
+}
 
 
 @pytest.fixture(scope="module")
@@ -71,3 +80,41 @@ def test_errors_fall_as_the_gains_say(model, near, drive, objective, settling_ti
     took = PERIOD * (1 + np.flatnonzero(away > 0.02 * away[0])[-1])
     assert away[0] > 0.05 * model.length and away[-1] < 1e-4 * model.length
     assert 0.5 * settling_time < took < 1.46 * settling_time + 3.0 * PERIOD
+
+
+def controller_input(model, random_state, period):
+    """In motion, towards a target in motion, and the target's rates."""
+    q, q_dot = random_state(model, 0)
+    goal, rates = random_state(model, 1)
+    path = np.stack([goal, goal + period * rates])
+    return ControllerInput(q, q_dot, model.tip_pose(q), np.zeros(model.tendon_count), Reference(np.array([0.0, period]), q=path)), rates
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_short_periods_give_the_paper_s_law_of_shapes(build, arm, random_state):
+    """u = q_a_bar + B^+ G (kd (q_bar_dot - q_dot) + kp (q_bar - q)), up to what a period changes: in its tenth a tenth."""
+    shaped, off = build(*ARMS[arm]), []
+    wide = np.tile([-1e6, 1e6], (shaped.tendon_count, 1))
+    for period in (1e-8, 1e-9):
+        now, rates = controller_input(shaped, random_state, period)
+        controller = ShapeTracking(shaped, wide, period, settling_time=0.2, damping=1.0)
+        held = np.stack([shaped.rest_coordinates(unit) for unit in np.eye(shaped.tendon_count)], axis=1)
+        push = controller.kd * (rates - now.q_dot) + controller.kp * (now.reference.q[0] - now.q)
+        terms = shaped.terms(now.q, now.q_dot)
+        law = np.linalg.pinv(held) @ now.reference.q[0] + energy_left_inverse(terms) @ terms.stiffness @ push
+        forces = terms.actuation @ np.stack([controller.act(now).tension, law], axis=1)  # of redundant tendons only these are determined
+        off.append(np.abs(forces[:, 0] - forces[:, 1]).max() / np.abs(forces[:, 1]).max())
+    assert off[0] < 1e-3 and off[1] < 0.11 * off[0]
+
+
+@pytest.mark.parametrize("settling_time, damping", [(0.4, 10.0), (0.2, 1.0)])
+def test_the_loop_is_stable_and_settles_at_twenty_milliseconds(build, drive, holding, settling_time, damping):
+    """The paper's gains (0.4 s, 10) too, within limits."""
+    model = build("paper")
+    controller = ShapeTracking(model, np.tile([0.0, 60.0], (10, 1)), 0.02, settling_time=settling_time, damping=damping)
+    target = holding(model, [20.0, 5.0, 2.0, 2.0, 2.0, 10.0, 2.0, 2.0, 2.0, 2.0])
+    motion = drive(controller, model, target, 150)
+    off = np.linalg.norm(motion.tip[:, :3, 3] - target.tip_position[0], axis=1)
+    took = 0.02 * np.flatnonzero(off > 0.02 * off[0])[-1]
+    assert off[0] > 0.05 * model.length and off[-10:].max() < 1e-3 * model.length
+    assert took < 2.5 * settling_time

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from soft_tendon_env import build_model
-from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, simulate
-from soft_tendon_env.model.statics import commanded_equilibrium, static_equilibrium
-from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env import Scene, Simulation, SimulationDiverged, build_model, commanded_equilibrium, simulate, static_equilibrium
 
 FINE = {"integrator.step": 0.005, "integrator.columns": 4, "quadrature.intervals": 4}
 ROUND_OFF = {"rtol": 1e-12, "atol": 1e-12}
+RAMP = {"effects.actuators.rate_limit": 0.02}
+"""Actuators that take their time: a spring that is stretched by millimetres at once pulls as hard as it is stiff."""
+MU = 0.15
 
 
 def limited_lag(u, c, time_constant, rate, times):
@@ -83,10 +83,6 @@ def test_an_arm_that_is_held_at_rest_stays(build):
     assert np.abs(simulation.state.q - rest.q).max() > 1e-2, "which they are not by default"
 
 
-RAMP = {"effects.actuators.rate_limit": 0.02}
-"""Actuators that take their time: a spring that is stretched by millimetres at once pulls as hard as it is stiff."""
-
-
 def springs(stiffness=5e3, **more):
     return {"effects.tendon_elasticity": {"stiffness": stiffness, "displacement_limits": [0.0, 0.05]}, **more}
 
@@ -118,7 +114,7 @@ def test_a_slack_tendon_does_not_pull(build):
     np.testing.assert_array_equal(straight.q, 0.0)
 
 
-@pytest.mark.parametrize("fidelity", ["fast", "standard", pytest.param("fine", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("fidelity", ["fast", *(pytest.param(name, marks=pytest.mark.slow) for name in ("standard", "fine"))])
 def test_a_wire_that_cables_drive_by_displacement_never_diverges(fidelity):
     """Steel cables 6 mm off a Nitinol wire of 1 mm: jumps and ramps of 8 mm, and rest where the statics has it."""
     offsets = [[6e-3 * np.cos(angle), 6e-3 * np.sin(angle)] for angle in np.deg2rad([0.0, 120.0, 240.0])]
@@ -134,9 +130,6 @@ def test_a_wire_that_cables_drive_by_displacement_never_diverges(fidelity):
         rest, _ = commanded_equilibrium(model, 0.5 * end)
         held = simulate(model, 0.5 * end, 20.0, 1.0).tip_pose[-1]
         assert rest.converged and np.linalg.norm(held[:3, 3] - rest.tip_pose[:3, 3]) < 1e-9 * model.length
-
-
-MU = 0.15
 
 
 def friction(coefficient=MU, **more):

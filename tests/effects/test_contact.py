@@ -19,6 +19,13 @@ KINDS = [
     {"type": "cylinder", "position": [0.1, 0.2, 0.3], "axis": [1.0, -2.0, 0.5], "radius": 0.1, "length": 0.4},
     {"type": "box", "position": [0.1, 0.2, 0.3], "size": [0.2, 0.3, 0.4], "rotation": [20.0, -30.0, 40.0]},
 ]
+SOLIDS = {
+    "floor": {"type": "plane", "position": [0.0, 0.0, -0.05]},
+    "incline": {"type": "plane", "position": [0.0, 0.0, -0.03], "axis": [0.0, -0.3, 1.0]},
+    "ball": {"type": "sphere", "position": [0.2, 0.0, -0.08], "radius": 0.05},
+}
+RISE = {0.02: 1e-4, 0.005: 1e-3, 0.001: 1e-9}
+"""Step [s]: largest part of the energy lost that 20 ms may bring back; extrapolated steps across the beginning of slip bring some."""
 
 
 def three_tendon(build, obstacles, friction=0.0, *, changes=()):
@@ -112,15 +119,6 @@ def test_friction_sticks_below_its_limit_and_slides_above(build, step):
     assert 0.0 < places[-1][1] - places[-51][1] < 3.0 * STICTION_SPEED  # creep in a second
     slid = simulate_to_rest(pressed_arm(build, 1.1 * mu, mu, **{"integrator.step": step}))
     assert slid.tip_pose[1, 3] > 0.05
-
-
-SOLIDS = {
-    "floor": {"type": "plane", "position": [0.0, 0.0, -0.05]},
-    "incline": {"type": "plane", "position": [0.0, 0.0, -0.03], "axis": [0.0, -0.3, 1.0]},
-    "ball": {"type": "sphere", "position": [0.2, 0.0, -0.08], "radius": 0.05},
-}
-RISE = {0.02: 1e-4, 0.005: 1e-3, 0.001: 1e-9}
-"""Step [s]: largest part of the energy lost that 20 ms may bring back; extrapolated steps across the beginning of slip bring some."""
 
 
 @pytest.mark.parametrize("step", RISE)

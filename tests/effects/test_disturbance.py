@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
+from soft_tendon_env import Simulation, simulate, static_equilibrium
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.mechanics.workspace import make_workspace
-from soft_tendon_env.model.simulation import Simulation, simulate
-from soft_tendon_env.model.statics import static_equilibrium
 
 LENGTH, RADIUS, YOUNG = 0.3, 0.01, 5e5
 Q = np.random.default_rng(0).uniform(0.0, 5.0, 10)
 FORCE = [0.1, 0.2, 0.3]
+STIFF = {"integrator.step": 0.01, "quadrature.intervals": 12, "integrator.columns": 4}
 
 
 def loads(*tables):
@@ -61,9 +61,6 @@ def test_a_sine_swings_as_a_forced_oscillator(uniform):
     np.testing.assert_allclose(0.5 * np.ptp(settled), expected.item(), rtol=5e-3)
     start = np.sin(np.deg2rad(40.0)) * terms.external_force
     np.testing.assert_allclose(model.terms([0.0], [0.0]).external_force, start, rtol=1e-12)
-
-
-STIFF = {"integrator.step": 0.01, "quadrature.intervals": 12, "integrator.columns": 4}
 
 
 def moving(build, name="three_tendon", **motion):

@@ -6,14 +6,11 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from soft_tendon_env import ConfigurationError, Simulation, State, load_scene, simulate
 from soft_tendon_env.effects import EFFECTS, Effect, register_effect
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.model.build import build_model
-from soft_tendon_env.model.simulation import Simulation, simulate
-from soft_tendon_env.model.state import State
-from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene, scene_to_dict
-from soft_tendon_env.tools.configuration import ConfigurationError
 
 GRAVITY = {"effects.gravity.acceleration": [9.81, 0.0, 0.0]}
 CASES = {
@@ -112,8 +109,8 @@ def test_rows_are_like_simulations(name, build):
     segment = build("three_tendon").scene.segments[0]
     factors = {"young_modulus": 1.5, "damping": 0.8, "density": 0.9}
     other = {f"segments.0.{key}": factor * getattr(segment, key) for key, factor in factors.items()}
-    changes = {"quadrature.intervals": 6, "strain": {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z"], "order": 1}]}}
-    changes["strain"]["modes"][0]["span"] = "rod"
+    modes = [{"strains": ["bend_y", "bend_z"], "order": 1, "span": "rod"}]
+    changes = {"quadrature.intervals": 6, "strain": {"type": "explicit", "modes": modes}}
     models = [build("three_tendon", {**changes, **CASES[name], **more}) for more in ({}, other)]
     arms = Arms(models[0], 3, 0.02, np.array([0.3]), np.array([0.1]), 1)
     arms.set_model(2, models[0].with_numbers(other))

@@ -11,6 +11,11 @@ LENGTH, RADIUS, YOUNG, DENSITY = 0.3, 0.01, 5e5, 1070.0
 AREA, INERTIA = np.pi * RADIUS**2, np.pi * RADIUS**4 / 4
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 NO_DRAG = {"effects.fluid.normal_drag": 0.0, "effects.fluid.tangential_drag": 0.0}
+FLAT = {
+    "segments.0.radius": None,
+    "segments.0.section": {"type": "rectangle", "width": 0.004, "height": 0.02},
+    "segments.0.discs": {"mass": 1e-3, "radius": 0.02, "thickness": 0.002, "number": 3},
+}
 
 
 @pytest.mark.no_jit
@@ -46,13 +51,6 @@ def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(
     expected = -(momentum @ v - v @ momentum - potential)
     found = model.terms(q, v).external_force
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
-
-
-FLAT = {
-    "segments.0.radius": None,
-    "segments.0.section": {"type": "rectangle", "width": 0.004, "height": 0.02},
-    "segments.0.discs": {"mass": 1e-3, "radius": 0.02, "thickness": 0.002, "number": 3},
-}
 
 
 def test_a_flat_section_with_discs(uniform):

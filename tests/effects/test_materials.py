@@ -10,6 +10,8 @@ RADIUS, YOUNG, SHEAR = 0.01, 5e5, 5e5 / 3
 AREA, INERTIA = np.pi * RADIUS**2, np.pi * RADIUS**4 / 4
 ALL = ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")
 LAW = {"effects.nonlinear_elasticity": {"torsion": 6.0, "bending": 4.0, "stretch": 0.1, "shear": 0.2}}
+ONE = {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}]}
+TWO = {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}, {"modulus": 2.0, "relaxation_time": 0.01}]}
 
 
 def loaded(stiffness, strain, scale):
@@ -39,10 +41,6 @@ def test_force_is_the_gradient_of_the_energy_and_stiffness_its_derivative(unifor
     add_implicit(model.arm, work)
     expected = -slope(lambda at: model.terms(at, 0 * at).external_force, q, 1e-5)
     np.testing.assert_allclose(work.G - G, expected, rtol=1e-5, atol=1e-7 * np.abs(expected).max())
-
-
-ONE = {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}]}
-TWO = {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}, {"modulus": 2.0, "relaxation_time": 0.01}]}
 
 
 @pytest.mark.no_jit

@@ -7,6 +7,7 @@ from soft_tendon_env.envs import TipPoseEnv
 from soft_tendon_env.model.statics import commanded_equilibrium
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
+LIMITS = np.array([-0.002, 0.012])  # [m]
 
 
 def tension_after(env, *actions):
@@ -46,9 +47,6 @@ def test_increments_add_up_within_their_rate_and_the_limits():
     np.testing.assert_allclose(tension_after(env, *[[9.0, 0.1, 0.0]] * 7), [5.0, 0.7, 0.0])
     np.testing.assert_allclose(tension_after(env, *[[1.0] * 3] * 9, [-1.0] * 3), 4.0)
     np.testing.assert_array_equal(tension_after(env), 0.0)
-
-
-LIMITS = np.array([-0.002, 0.012])  # [m]
 
 
 def test_an_action_that_is_held_leads_to_the_equilibrium_of_its_displacements():

@@ -4,11 +4,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import soft_tendon_env  # noqa: F401
+from soft_tendon_env import ConfigurationError, State
 from soft_tendon_env.envs import ReachEnv, ShapeEnv
 from soft_tendon_env.model.contact_forces import contact_forces
-from soft_tendon_env.model.state import State
-from soft_tendon_env.tools.configuration import ConfigurationError
 
 BALL = {"type": "sphere", "position": [0.2, 0.0, 0.08], "radius": 0.04}
 

@@ -36,6 +36,7 @@ COPIES = {
     "pickle": lambda env: pickle.loads(pickle.dumps(env)),
     "cloudpickle": lambda env: cloudpickle.loads(cloudpickle.dumps(env)),
 }
+ROWS = 24
 
 
 def play(env, seed, steps, reset=True):
@@ -99,9 +100,6 @@ def test_what_is_recorded_is_not_copied(tmp_path):
             copied(env)
     copy.deepcopy(env.unwrapped).step(np.zeros(3))
     env.close()
-
-
-ROWS = 24
 
 
 def run_in_a_fork(act):

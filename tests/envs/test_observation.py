@@ -10,6 +10,8 @@ from soft_tendon_env.envs.observation import GROUPS
 
 SMALL = {"scene": "three_tendon", "fidelity": "standard"}  # 3 tendons, 12 coordinates or fewer
 KINDS = {"TipPose": TipPoseEnv, "Shape": ShapeEnv, "Reach": ReachEnv}
+HISTORY = {"observation": ["tip_position", "target_error", "tendon_lengths", "last_action", "command"], "history": 3}
+NOISY = {"noise": {"position": 1e-3, "rotation": 0.01, "length": 5e-4}, "latency": 0.03, "tension_gain": [0.9, 1.1]}
 
 
 @pytest.mark.parametrize("task", KINDS)
@@ -30,7 +32,7 @@ def log(g):
 
 def test_groups_are_what_they_say(arm):
     sensors = [0.0, 0.1, 0.3]
-    env = ShapeEnv(**arm, action="tension", observation=[*GROUPS], sensors=sensors, preview=[0.1])
+    env = ShapeEnv(**{**arm, "fidelity": "fine"}, action="tension", observation=[*GROUPS], sensors=sensors, preview=[0.1])
     env.reset(seed=0)
     action = np.array([0.4, -0.9, 0.1])
     for _ in range(12):
@@ -82,15 +84,6 @@ def units(model):
     return np.sqrt(bending / model.length / np.diag(model.terms(np.zeros(n), np.zeros(n)).stiffness))
 
 
-HISTORY = {"observation": ["tip_position", "target_error", "tendon_lengths", "last_action", "command"], "history": 3}
-NOISY = {"noise": {"position": 1e-3, "rotation": 0.01, "length": 5e-4}, "latency": 0.03, "tension_gain": [0.9, 1.1]}
-
-
-def frames(observations, slices, names):
-    """What groups of the arm were observed as (times, size)."""
-    return np.concatenate([np.array(observations)[:, slices[name]] for name in names], axis=1)
-
-
 def test_history_is_what_was_observed_before_with_its_noise_and_at_reset_as_if_always_so(arm):
     env = TipPoseEnv(**arm, **HISTORY, randomize=NOISY)
     generator, slices = np.random.default_rng(0), env.episodes.layout.slices
@@ -101,7 +94,7 @@ def test_history_is_what_was_observed_before_with_its_noise_and_at_reset_as_if_a
         for _ in range(6):
             seen.append(env.step(generator.uniform(-1, 1, env.action_space.shape))[0])
         assert all(env.observation_space.contains(observation) for observation in seen)
-        now = frames(seen, slices, kept)
+        now = np.concatenate([np.array(seen)[:, slices[name]] for name in kept], axis=1)
         assert len(np.unique(now[:, 0])) == len(now)  # of noise at least
         for time, observation in enumerate(seen):
             past = observation[slices["history"]].reshape(3, -1)

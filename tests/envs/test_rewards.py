@@ -13,6 +13,8 @@ WEIGHTS = {
     TipPoseEnv: {"graded_position": 1.0, "graded_angle": 0.25, "effort": 0.02, "smoothness": 0.1},
     ShapeEnv: {"graded_backbone": 1.0, "effort": 0.02, "smoothness": 0.1},
 }
+DRAWN = {"stiffness": [0.5, 2.0], "payload": [0.0, 0.02]}
+HANGING = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 
 
 def steps(env, count=30, seed=0):
@@ -100,10 +102,7 @@ def test_a_term_of_a_users_own_is_a_function_of_the_tracking(forgotten):
         assert {*env.episodes.terms} == {"straightness", "position"} and many[4]["reward_straightness"][0] == info["reward_straightness"]
 
 
-@pytest.mark.cases(
-    "value",
-    [lambda tracking: 0.5, lambda tracking: tracking.distance + 1.0, lambda tracking: np.nan * tracking.distance],
-)
+@pytest.mark.cases("value", [lambda tracking: 0.5, lambda tracking: tracking.distance + 1.0, lambda tracking: np.nan * tracking.distance])
 def test_terms_of_a_users_own_have_values_between_0_and_1(forgotten, value):
     value.__name__ = "wrong"
     register_reward_term(value)
@@ -138,10 +137,6 @@ def test_scales_of_terms_that_have_none_are_refused(forgotten, name, scale, show
         ConfigurationError, match=rf"reward\.{name}\.scale is {shown}: .*; those with a scale are position, graded_position"
     ):
         TipPoseEnv(**SMALL, reward={"position": 1.0, name: {"scale": scale}})
-
-
-DRAWN = {"stiffness": [0.5, 2.0], "payload": [0.0, 0.02]}
-HANGING = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 
 
 @pytest.mark.slow

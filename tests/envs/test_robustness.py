@@ -1,13 +1,30 @@
-"""Saturated random actions for long: nothing raises, nothing is NaN, nothing grows."""
+"""Saturated random actions for long: nothing raises, nothing is NaN; where no time step succeeds, episodes end in order."""
 
 import numpy as np
 import pytest
 
 from soft_tendon_env.effects import EFFECTS
-from soft_tendon_env.envs import ReachVectorEnv, ShapeVectorEnv, TipPoseVectorEnv
+from soft_tendon_env.envs import ReachVectorEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.model.contact_forces import contact_forces
 
 KINDS = (TipPoseVectorEnv, ShapeVectorEnv, ReachVectorEnv)
+DIVERGED = {"three_tendon": 0, "loaded": 0, "explicit": 0, "loads inside": 4}
+"""Kinds of arms: the most episodes of which the arm may buckle, as soft ones do under the loads inside."""
+WILD = {
+    "pushing": {"tension_limits": [-600.0, 0.0]},
+    "pulling": {"tension_limits": [0.0, 3000.0]},
+    "far too soft": {"randomize": {"stiffness": [0.01, 0.1], "payload": [0.0, 1.0], "density": [0.1, 10.0]}},
+    "heavy errors": {"randomize": {"tension_gain": [0.0, 5.0], "tension_offset": [-100.0, 100.0], "latency": [0.0, 1.0]}},
+    "few halvings": {"scene": {"scene": "paper", "integrator.max_halvings": 1}, "fidelity": None, "tension_limits": [-100.0, 300.0]},
+    "long periods": {"control_period": 2.5},
+}
+# Tendons that push or pull far past what the section holds, and no second try at smaller steps.
+SATURATED = {
+    "scene": {"scene": "three_tendon", "integrator.max_halvings": 0},
+    "fidelity": None,
+    "tension_limits": [-600.0, 600.0],
+    "control_period": 0.05,
+}
 
 
 def saturate(vector, steps, seed=0):
@@ -33,10 +50,6 @@ def test_saturated_actions_at_the_limits_of_the_paper_s_arm(kind):
     assert saturate(kind(16, 60, fidelity="fast", action="tension", tension_limits=[0.0, 60.0]), 130) == (32, 0)
 
 
-DIVERGED = {"three_tendon": 0, "loaded": 0, "explicit": 0, "loads inside": 4}
-"""Kinds of arms: the most episodes of which the arm may buckle, as soft ones do under the loads inside."""
-
-
 @pytest.mark.parametrize(
     "name", ["explicit", *(pytest.param(name, marks=pytest.mark.slow) for name in ("three_tendon", "loaded", "loads inside"))]
 )
@@ -44,16 +57,6 @@ DIVERGED = {"three_tendon": 0, "loaded": 0, "explicit": 0, "loads inside": 4}
 def test_saturated_actions_on_random_arms(kind, name, arms, everything):
     options = {**arms[name], "action": "tension", "randomize": everything, "observation": "measurable", "sensors": [0.1, 0.3]}
     assert saturate(kind(16, 40, **options), 100)[1] <= DIVERGED[name]
-
-
-WILD = {
-    "pushing": {"tension_limits": [-600.0, 0.0]},
-    "pulling": {"tension_limits": [0.0, 3000.0]},
-    "far too soft": {"randomize": {"stiffness": [0.01, 0.1], "payload": [0.0, 1.0], "density": [0.1, 10.0]}},
-    "heavy errors": {"randomize": {"tension_gain": [0.0, 5.0], "tension_offset": [-100.0, 100.0], "latency": [0.0, 1.0]}},
-    "few halvings": {"scene": {"scene": "paper", "integrator.max_halvings": 1}, "fidelity": None, "tension_limits": [-100.0, 300.0]},
-    "long periods": {"control_period": 2.5},
-}
 
 
 @pytest.mark.parametrize("how", [pytest.param(how, marks=[pytest.mark.slow] * (how in ("pushing", "pulling"))) for how in WILD])
@@ -120,3 +123,64 @@ def test_every_effect_at_once():
     """Nobody sinks in by half of the radius, nor flies off."""
     deepest, fastest = live_among(150, scene=EVERY_EFFECT, fidelity="scene")
     assert deepest < 0.005 and fastest < 10.0
+
+
+def test_a_divergence_ends_the_episode():
+    env = TipPoseEnv(**SATURATED)
+    env.reset(seed=0)
+    rng, steps, terminated, truncated = np.random.default_rng(0), 0, False, False
+    while not (terminated or truncated):
+        observation, reward, terminated, truncated, info = env.step(rng.choice([-1.0, 1.0], env.action_space.shape))
+        steps += 1
+        assert steps < 200, "nothing diverged"
+    assert (terminated, truncated) == (True, False)
+    assert reward == 0.0 and info["diverged"] is True and isinstance(info["cause"], str) and info["cause"]
+    assert env.observation_space.contains(observation) and np.isfinite(observation).all()
+    assert all(np.isfinite(value) for value in info.values() if not isinstance(value, str))
+    observation, info = env.reset()
+    assert info["diverged"] is False and "cause" not in info
+
+
+@pytest.mark.parametrize("mode", ["next_step", "same_step"])
+def test_other_rows_go_on(mode, same):
+    """Rows 0 and 2 are gentle, row 1 is not: the gentle ones are as alone."""
+    vector, alone = TipPoseVectorEnv(3, None, mode, **SATURATED), TipPoseEnv(**SATURATED)
+    vector.reset(seed=3)
+    alone.reset(seed=5)
+    rng, ends = np.random.default_rng(0), 0
+    for _ in range(60):
+        action = 0.001 * rng.uniform(-1, 1, (3, 3))
+        action[1] = rng.choice([-1.0, 1.0], 3)
+        observation, reward, terminated, truncated, info = vector.step(action)
+        expected = alone.step(action[2])
+        assert same(observation[2], expected[0]) and reward[2] == expected[1] and not terminated[[0, 2]].any() and not truncated.any()
+        if terminated[1]:
+            ends += 1
+            final = info["final_info"] if mode == "same_step" else info
+            assert reward[1] == 0.0 and final["diverged"].tolist() == [False, True, False]
+            assert isinstance(final["cause"][1], str) and final["_cause"].tolist() == [False, True, False]
+    assert ends > 1
+
+
+def test_an_episode_whose_tip_is_too_fast_ends_as_one_that_diverged():
+    """At the first step at which it is faster, and with the speed in its cause; without a limit it goes on."""
+    options = {"scene": "three_tendon", "fidelity": "fast", "observation": ["tip_twist"]}
+    pull = np.array([1.0, -1.0, -1.0], dtype=np.float32)
+
+    def speeds(**more):
+        env = TipPoseEnv(**options, **more)
+        env.reset(seed=0)
+        found = []
+        for _ in range(20):
+            _, reward, terminated, _, info = env.step(pull)
+            found.append(float(np.linalg.norm(env.episodes.arms.reading.tip_twist[0, 3:])))
+            if terminated:
+                return found, reward, info
+        return found, None, None
+
+    free, _, ended = speeds()
+    assert ended is None
+    limit = 0.5 * (free[0] + max(free))
+    found, reward, info = speeds(tip_speed_limit=limit)
+    assert found == free[: len(found)] and found[-1] > limit >= max(found[:-1])
+    assert reward == 0.0 and info["diverged"] and f"tip_speed_limit is {limit:g}" in info["cause"]

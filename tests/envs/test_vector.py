@@ -9,6 +9,11 @@ from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, ShapeVector
 KINDS = {"TipPose": (TipPoseEnv, TipPoseVectorEnv), "Shape": (ShapeEnv, ShapeVectorEnv), "Reach": (ReachEnv, ReachVectorEnv)}
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 LONGEST = 9
+MORE = {
+    "elastic": {"effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": [-0.002, 0.012]}, "effects.actuators.delay": 0.033},
+    "contact": {"effects.contact": {"obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.04]}], "friction": 0.4}},
+}
+SEED, MASK = "seed should be", "reset_mask should be a bool array of shape"
 
 
 def row_of(values, row):
@@ -78,12 +83,6 @@ def test_rows_are_single_environments(task, mode, same):
     compare(lambda: single(**SMALL), vector(3, LONGEST, mode, **SMALL), 10, 3, mode, same)
 
 
-MORE = {
-    "elastic": {"effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": [-0.002, 0.012]}, "effects.actuators.delay": 0.033},
-    "contact": {"effects.contact": {"obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.04]}], "friction": 0.4}},
-}
-
-
 @pytest.mark.parametrize("kind", [*(pytest.param(kind, marks=pytest.mark.slow) for kind in ("loaded", "explicit", "elastic")), "contact"])
 def test_rows_are_single_environments_with_everything_random(kind, arms, everything, same):
     """On threads, with more rows than fill a share of them."""
@@ -105,9 +104,6 @@ def test_ended_rows_must_be_reset_where_nothing_resets_them():
         vector.step(np.zeros((2, 3)))
     vector.reset(options={"reset_mask": np.array([True, True])})
     vector.step(np.zeros((2, 3)))
-
-
-SEED, MASK = "seed should be", "reset_mask should be a bool array of shape"
 
 
 @pytest.mark.slow

@@ -46,10 +46,6 @@ def benchmark(*policies, **more):
     return Benchmark(**{"entrants": tuple({"policy": policy} for policy in policies), **SHORT, **more})
 
 
-def parse_policy(policy):
-    return PolicyName.parse(policy, "TipPose")
-
-
 def test_everybody_plays_all_settings_on_the_same_episodes():
     found = benchmark(STILL, "filtered:tracking", regimes=("tip",)).cells()[0]
     assert {(label.regime, label.setting) for label in found if label.policy == STILL} == {("tip", setting) for setting in SETTINGS}
@@ -68,7 +64,7 @@ def test_everybody_plays_all_settings_on_the_same_episodes():
 )
 def test_policies_observe_what_a_regime_has(observed, regime, reason):
     """Coordinates are in none: they mean other shapes on a finer arm."""
-    assert misfit(parse_policy(STILL), {"scene": "three_tendon", **observed}, regime) == reason
+    assert misfit(PolicyName.parse(STILL, "TipPose"), {"scene": "three_tendon", **observed}, regime) == reason
 
 
 @pytest.mark.cases(
@@ -117,9 +113,8 @@ def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
     main([*command, "--write-docs", str(docs)])
     said = capsys.readouterr().out
     assert "3 cells, 2 of them to be played" in said
-    assert re.search(r"\| filtered:tracking@fast +\| controller, kalman estimator \| - +\| [0-9.]+ / ", said), (
-        "it does not play in the nominal setting"
-    )
+    absent = r"\| filtered:tracking@fast +\| controller, kalman estimator \| - +\| [0-9.]+ / "
+    assert re.search(absent, said), "it does not play in the nominal setting"
     assert re.search(r"\| best learned minus best controller \| - +\| - +\| -?[0-9.]+ \(", said), "where both kinds play"
     assert re.search(r"against the best controller: (ahead in|behind in|not separated in) latency\.", said)
     main(command)

@@ -9,19 +9,11 @@ from scipy.stats import trim_mean
 
 from soft_tendon_env.evaluation import summaries
 from soft_tendon_env.evaluation.metrics import METRICS, Episode, EpisodeScore, ErrorScore, Metric, chatter, has_settled, score
-from soft_tendon_env.evaluation.summaries import (
-    CHATTER_COST,
-    WORST,
-    Standing,
-    bootstrap_interval,
-    difference,
-    interquartile_mean,
-    summarise,
-    tracking_cost,
-)
+from soft_tendon_env.evaluation.summaries import Standing, bootstrap_interval, difference, interquartile_mean, summarise, tracking_cost
 from soft_tendon_env.evaluation.tables import records, summary_cells, write_csv
 
 PERIOD = 0.5  # [s]
+KEY = "own_rms"
 
 
 def episode(position=(0.3, 0.3, 0.04, 0.03, 0.005), **changes):
@@ -111,15 +103,12 @@ def test_tuning_costs_are_of_errors_and_chatter_within_the_worst():
     fast[::2] += 0.5
     judged = lambda error, tension, **more: score(episode(np.full(151, error), tension=tension, period=0.02, **more))  # noqa: E731
     assert tracking_cost([judged(2e-3, still)]) == pytest.approx(2e-3)
-    assert tracking_cost([judged(2e-3, still), judged(0.5, still)]) == pytest.approx((2e-3 + WORST) / 2)
-    assert tracking_cost([judged(2e-3, still, cause="diverged")]) == WORST
+    assert tracking_cost([judged(2e-3, still), judged(0.5, still)]) == pytest.approx((2e-3 + summaries.WORST) / 2)
+    assert tracking_cost([judged(2e-3, still, cause="diverged")]) == summaries.WORST
     assert tracking_cost([score(episode(np.full(5, 2e-3), period=0.02), 0.0)]) == 2e-3, "too short for chatter"
     shaken = judged(2e-3, fast)
     found = shaken.metrics["chatter"]
-    assert found == pytest.approx(0.5, rel=1e-3) and tracking_cost([shaken]) == 2e-3 + CHATTER_COST * found
-
-
-KEY = "own_rms"
+    assert found == pytest.approx(0.5, rel=1e-3) and tracking_cost([shaken]) == 2e-3 + summaries.CHATTER_COST * found
 
 
 def standing(values, shared=False):

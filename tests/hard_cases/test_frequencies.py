@@ -13,7 +13,7 @@ from soft_tendon_env.effects.base import EFFECTS
 from soft_tendon_env.model.step_control import CommandWarning
 
 DURATION, SAMPLES = 0.21, 0.014  # [s]
-FIDELITIES = ("scene", "fast", "standard", "fine")
+FIDELITIES = ("scene", "standard", *(pytest.param(preset, marks=pytest.mark.slow) for preset in ("fast", "fine")))
 
 
 def wrong_share(scene, fidelity):
@@ -44,7 +44,6 @@ def rock(frequency):
 SWINGS = [*map(sine, (2.0, 9.0, 150.0, 1000.0)), *map(swing, (13.0, 400.0)), rock(200.0)]
 
 
-@pytest.mark.filterwarnings("ignore:the passive fields")
 @pytest.mark.parametrize("cases", [[sine(50.0), swing(50.0)], pytest.param(SWINGS, marks=pytest.mark.slow)], ids=["50 Hz", "others"])
 @pytest.mark.parametrize("fidelity", FIDELITIES)
 def test_periods_that_fit_into_a_step(fidelity, cases, measured):

@@ -1,12 +1,10 @@
-"""Motions from rest: where `simulate` begins under loads, and what calibrations promise from there."""
+"""Motions from rest: where `simulate` begins under loads, and what trials are made of."""
 
 import numpy as np
 import pytest
 
 import soft_tendon_env as ste
-from soft_tendon_env.accuracy.calibration import calibrated
 from soft_tendon_env.accuracy.fidelity import at_fidelity
-from soft_tendon_env.tools.configuration import ConfigurationError
 
 LOADED = {
     "two_segment_six": {"effects.gravity.acceleration": [2.0, -6.0, 5.0], "effects.tip_load.mass": 0.015},
@@ -45,12 +43,9 @@ def test_an_arm_that_rests_nowhere(build):
     assert np.isfinite(ste.simulate(model, np.zeros(3), 0.1, 0.02, ste.Simulation(model).state).q).all()
 
 
-def test_obstacles_are_not_calibrated():
-    """Reference motions that touch do not converge: a calibration stood still for a quarter of an hour, and would have said little.
-    Expected: refused at once, by the name of the table, from `calibrated` and as a fidelity."""
+def test_trials_leave_obstacles_out():
+    """Reference motions that touch do not converge: a calibration stood still for a quarter of an hour. Expected: the same coordinates as
+    without the obstacle, in seconds."""
+    arm = ste.load_scene("three_tendon")
     plate = {"effects.contact.obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.05], "axis": [0.0, 0.0, 1.0]}]}
-    for scene in (ste.load_scene("helical").replace(plate), ste.load_scene("paper_among_obstacles")):
-        with pytest.raises(ConfigurationError, match=r"effects.contact cannot be calibrated.*preset"):
-            calibrated(scene, 1e-3)
-        with pytest.raises(ConfigurationError, match=r"effects.contact cannot be calibrated.*preset"):
-            at_fidelity(scene, "2mm")
+    assert at_fidelity(arm.replace(plate), "2mm").strain == at_fidelity(arm, "2mm").strain

@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 import tomli_w
 
+from soft_tendon_env import Simulation, load_scene, simulate, static_equilibrium
 from soft_tendon_env.identification import load_markers
 from soft_tendon_env.identification.readings import Plants
 from soft_tendon_env.model.build import build_model
-from soft_tendon_env.model.simulation import Simulation, simulate
-from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.scene.file import load_scene
 
 NOISE = 2e-4
 TURN = [0.5, 0.5, 0.5, 0.5]  # data (x, y, z) to scene (z, x, y)

@@ -73,7 +73,6 @@ def test_the_cost_grows_as_a_square_near_the_target_and_as_a_logarithm_far_off()
     assert of(10.0, 0.0, 0.0) == pytest.approx(np.log(1000.0), rel=1e-4)
 
 
-@pytest.mark.filterwarnings("ignore:the passive fields")
 def test_refusals():
     """Of environments that are no one's or whose gradients stop somewhere, each by name."""
     with pytest.raises(TypeError, match="make_sb3_vec_env"):

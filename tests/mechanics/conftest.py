@@ -7,6 +7,11 @@ from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, s
 from soft_tendon_env.mechanics.workspace import make_workspace
 
 TOLERANCE = 1e-12
+PAIRS = {
+    "mass": "mass", "bias": "coriolis_bias", "damping": "damping", "actuation": "actuation", "elastic_force": "elastic_force",
+    "external_force": "gravity_force", "stiffness": "drive_stiffness", "tip_jacobian": "tip_jacobian",
+}  # fmt: skip
+"""Keys of the reference numbers, by the field of Terms."""
 
 
 @pytest.fixture(scope="session")
@@ -40,13 +45,6 @@ def check_derivatives(workspace_at, at_points):
         np.testing.assert_allclose(at_points(model, alone.xi_dot)[0], xi_dot, rtol=1e-10, atol=1e-11 * np.abs(xi_dot).max())
 
     return check
-
-
-PAIRS = {
-    "mass": "mass", "bias": "coriolis_bias", "damping": "damping", "actuation": "actuation", "elastic_force": "elastic_force",
-    "external_force": "gravity_force", "stiffness": "drive_stiffness", "tip_jacobian": "tip_jacobian",
-}  # fmt: skip
-"""Keys of the reference numbers, by the field of Terms."""
 
 
 @pytest.fixture(scope="session")

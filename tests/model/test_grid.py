@@ -1,13 +1,16 @@
-"""From a scene to the rod's arrays: intervals and points, their layout, quadrature weights, sections, tendon geometry."""
+"""From a scene to the rod's arrays and its coordinates: intervals and points, weights, sections; passive and Legendre fields."""
 
 import numpy as np
 import pytest
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.model.grid import at_points, make_grid, make_rod, newton_cotes
+from soft_tendon_env.model.coordinates import actuation_columns, make_strain, mode_fields
+from soft_tendon_env.model.grid import STRAIGHT, at_points, make_grid, make_rod, newton_cotes, screw_matrices
 from soft_tendon_env.scene.file import load_scene, scene_names
 from soft_tendon_env.scene.scene import rod_length
-from soft_tendon_env.scene.strain import STRAINS
+from soft_tendon_env.scene.strain import STRAINS, Modes
+
+ANGULAR = ("torsion", "bend_y", "bend_z")
 
 
 def rod_of(scene, grid, free):
@@ -57,3 +60,58 @@ def test_packed_and_unpacked_are_inverse(name, lead):
     np.testing.assert_array_equal(grid.unpacked(packed), strain)
     empty = grid.at_points(packed, 6)[..., ~grid.real, :, :]
     np.testing.assert_array_equal(empty, np.broadcast_to(strain[..., None, -1:, :], empty.shape))
+
+
+def scene_and_grid(name, **changes):
+    scene = load_scene(name).replace(changes)
+    return scene, make_grid(scene, 4)
+
+
+def inner(left, right, scene, grid):
+    """int left^T Sigma^-1 right dX."""
+    compliance = 1 / screw_matrices(scene, grid.points.ravel())[0].reshape(*grid.points.shape, 6)
+    return np.einsum("imzc,mzc,jmzc->ij", left, compliance * grid.weights[..., None], right)
+
+
+def tendon_fields(scene, grid):
+    here = at_points(scene, grid)
+    return actuation_columns(here.geometry, here.curvature, STRAIGHT)
+
+
+def passive_fields(strain, grid):
+    return strain.passive.reshape(-1, grid.packs, 2, 6, LANES).transpose(0, 1, 4, 2, 3).reshape(-1, *grid.points.shape, 6)
+
+
+@pytest.mark.parametrize("name", ("paper_16dof", "paper_19dof", "paper_22dof"))
+def test_orthogonal_passive_fields(name):
+    """Orthogonal to every actuation field and to each other in compliance, each of unit energy."""
+    scene, grid = scene_and_grid(name)
+    strain, actuation = make_strain(scene, grid, at_points(scene, grid)), tendon_fields(scene, grid)
+    passive = passive_fields(strain, grid)
+    assert len(passive) == strain.size - strain.active == int(name[6:8]) - 10
+    np.testing.assert_allclose(inner(passive, passive, scene, grid), np.eye(len(passive)), atol=1e-11)
+    sizes = np.sqrt(np.diag(inner(actuation, actuation, scene, grid)))
+    np.testing.assert_allclose(inner(actuation, passive, scene, grid) / sizes[:, None], 0.0, atol=1e-11)
+
+
+def test_passive_fields_that_the_tendons_span_are_dropped():
+    """Three straight tendons span constant bending and stretch exactly; torsion is left."""
+    modes = [{"strains": list(ANGULAR), "order": 0, "span": "rod"}]
+    scene, grid = scene_and_grid("three_tendon", **{"strain.passive": modes})
+    strain = make_strain(scene, grid, at_points(scene, grid))
+    assert strain.size == 4
+    field = passive_fields(strain, grid)[0][grid.real]
+    assert field[..., 0].all() and np.abs(field[..., 1:]).max() < 1e-10 * np.abs(field[..., 0]).max()
+
+
+def test_mode_fields_are_legendre_polynomials_on_their_span():
+    scene, grid = scene_and_grid("paper")
+    over_rod = mode_fields((Modes(strains=("stretch",), order=2, span="rod"),), grid)
+    x = 2 * grid.points - 1
+    np.testing.assert_allclose(over_rod[:, ..., 3], [np.ones_like(x), x, (3 * x**2 - 1) / 2], atol=1e-15)
+    assert not over_rod[..., [0, 1, 2, 4, 5]].any()
+    by_piece = mode_fields((Modes(strains=("bend_y", "torsion"), order=1, span="piece"),), grid)
+    assert len(by_piece) == 8  # piece, then strain, then order
+    second_half = grid.points > 0.5
+    np.testing.assert_allclose(by_piece[7][..., 0], np.where(second_half, 4 * grid.points - 3, 0.0), atol=1e-15)
+    np.testing.assert_array_equal(by_piece[4][..., 1], second_half)

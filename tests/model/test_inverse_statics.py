@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from soft_tendon_env import load_scene, static_equilibrium, tension_for_tip_pose, tension_for_tip_position
 from soft_tendon_env.model.build import build_model
-from soft_tendon_env.model.inverse_statics import tension_for_tip_pose, tension_for_tip_position
-from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.scene.file import load_scene
 
 TILT = np.radians(37.8)
 

@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
-from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.model.strain_limits import StrainLimitError
+from soft_tendon_env import StrainLimitError, static_equilibrium
 
 INSIDE = {"strain.include_loads": True}
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 MOMENT = {"effects.tip_load.moment": [0.0, 0.02, 0.01]}
 PULL = np.linspace(0.0, 9.0, 10)
+HELD_STRAIGHT = {"effects.tip_load.force": [0.5, 0.0, 0.0]}
+BENT = np.array([10.0, 0.0, 0.0])
+"""[N] that turn the tip against the force that holds the arm straight, until the arm snaps out of its plane."""
 
 
 def test_equilibria_under_loads_agree_with_shooting(build, reference):
@@ -39,11 +41,6 @@ def test_an_arm_at_rest_stays_there(changes, build):
     simulation.step(PULL, 0.5)
     np.testing.assert_allclose(simulation.state.q, model.rest_coordinates(PULL), atol=1e-9)
     np.testing.assert_allclose(simulation.tip_pose, tip, atol=1e-12)
-
-
-HELD_STRAIGHT = {"effects.tip_load.force": [0.5, 0.0, 0.0]}
-BENT = np.array([10.0, 0.0, 0.0])
-"""[N] that turn the tip against the force that holds the arm straight, until the arm snaps out of its plane."""
 
 
 def test_tensions_that_buckle_a_loaded_arm_are_told(build):

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
+from soft_tendon_env import StrainLimitError, load_scene
 from soft_tendon_env.model.build import build_model
-from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.file import load_scene
 
 TEN = np.zeros(10)
 OF_Q = {  # every public method of coordinates

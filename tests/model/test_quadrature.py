@@ -5,10 +5,8 @@ import warnings
 import numpy as np
 import pytest
 
+from soft_tendon_env import ConfigurationError, load_scene, static_equilibrium
 from soft_tendon_env.model.build import QuadratureTest, QuadratureWarning, build_model, quadrature_estimate
-from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.tools.configuration import ConfigurationError
 
 LOADS = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.01}
 ANGULAR = ["torsion", "bend_y", "bend_z"]
@@ -23,12 +21,6 @@ def helices(turns):
 
 def three_tendon(**changes):
     return load_scene("three_tendon").replace({key.replace("__", "."): value for key, value in changes.items()})
-
-
-def radius_table(middle, width):
-    """The arm with another radius over `width` [m] in its middle."""
-    places = [0.0, *(0.15 + width * np.array([-1.0, -0.5, 0.5, 1.0])), 0.3]
-    return three_tendon(segments__0__radius={"type": "table", "arc_length": places, "radius": [0.01, 0.01, middle, middle, 0.01, 0.01]})
 
 
 def corners(scene, count=40):
@@ -79,7 +71,8 @@ def test_the_estimate_is_the_largest_error_and_a_margin(scene, intervals):
 
 def test_the_mass_of_a_disc_is_not_missed():
     """A disc on the arm strains nothing, and is all the more mass."""
-    scene = radius_table(0.02, 0.02).replace({"quadrature.tolerance": 1.0})
+    disc = {"type": "table", "arc_length": [0.0, 0.13, 0.14, 0.16, 0.17, 0.3], "radius": [0.01, 0.01, 0.02, 0.02, 0.01, 0.01]}
+    scene = three_tendon(segments__0__radius=disc, quadrature__tolerance=1.0)
     assert "the moment of the rod's mass is off by" in quadrature_estimate(scene, 6).problem
     counts = quadrature_estimate(scene).intervals, 400
     mass, exact = (build_model(scene.replace({"quadrature.intervals": count})).arm.rod.mass for count in counts)

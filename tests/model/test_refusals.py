@@ -11,6 +11,17 @@ from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.tension_limits import TensionLimitWarning, erring_actuators
 
 OK, BAD = np.zeros(10), np.full(10, float("nan"))
+MEMORY = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.05}]}
+SLOWER = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.5}]}
+BEND_Y, BEND_Z = ({"type": "explicit", "modes": [{"strains": [bend], "order": 1, "span": "rod"}]} for bend in ("bend_y", "bend_z"))
+LATE = {"effects.tendon_elasticity": {"stiffness": 2000.0, "displacement_limits": [0.0, 0.02]}}
+WAYS = {
+    "simulate": lambda model, u: ste.simulate(model, u, 0.04, 0.02, ste.Simulation(model).state),
+    "step": lambda model, u: ste.Simulation(model).step(u, 0.02),
+    "rollout": lambda model, u: ste.Simulation(model).rollout([u], 0.02),
+    "linearize": lambda model, u: ste.Simulation(model).linearize(u, 0.02),
+    "commanded_equilibrium": ste.commanded_equilibrium,
+}
 
 
 @pytest.fixture
@@ -63,11 +74,6 @@ def test_bad_input_is_named_and_changes_nothing(moving, call, message):
     assert message in str(caught.value) and numbers(moving) == before
 
 
-MEMORY = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.05}]}
-SLOWER = {"effects.viscoelastic_memory.branches": [{"modulus": 0.4, "relaxation_time": 0.5}]}
-BEND_Y, BEND_Z = ({"type": "explicit", "modes": [{"strains": [bend], "order": 1, "span": "rod"}]} for bend in ("bend_y", "bend_z"))
-
-
 @pytest.mark.cases(
     "theirs, ours, message",
     [
@@ -104,16 +110,6 @@ def test_files_that_hold_no_state_are_refused(moving, tmp_path):
         np.savez(path, **{**dataclasses.asdict(moving.state), **changes})
         with pytest.raises(ValueError, match="holds no state"):
             ste.State.load(path)
-
-
-LATE = {"effects.tendon_elasticity": {"stiffness": 2000.0, "displacement_limits": [0.0, 0.02]}}
-WAYS = {
-    "simulate": lambda model, u: ste.simulate(model, u, 0.04, 0.02, ste.Simulation(model).state),
-    "step": lambda model, u: ste.Simulation(model).step(u, 0.02),
-    "rollout": lambda model, u: ste.Simulation(model).rollout([u], 0.02),
-    "linearize": lambda model, u: ste.Simulation(model).linearize(u, 0.02),
-    "commanded_equilibrium": ste.commanded_equilibrium,
-}
 
 
 def said(way, model, command):

@@ -60,7 +60,7 @@ def test_what_redundant_tendons_leave_out_is_told():
     assert model.coordinate_count == 3
     for u in ([30.0, 0.0, 0.0, 0.0], [20.0, 0.0, 5.0, 0.0]):
         found, exact = static_equilibrium(model, u), static_equilibrium(explicit, u)
-        assert found.converged and exact.converged and exact.tip_error == 0.0
+        assert found.converged and exact.converged and exact.tip_error < 0.02 * found.tip_error
         off = np.linalg.norm(found.tip_pose[:3, 3] - exact.tip_pose[:3, 3])
         assert found.tip_error > 1e-4 and found.tip_error == pytest.approx(off, rel=0.02)
 

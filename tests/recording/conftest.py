@@ -17,10 +17,6 @@ def strain_of(model, bend):
     return strain
 
 
-def tips_of(model, strain):
-    return backbones(model, strain, model.grid.breakpoints[-1:])[:, 0]
-
-
 @pytest.fixture(scope="session")
 def model(build):
     return build("three_tendon")
@@ -33,7 +29,7 @@ def rollout(model):
     def make(samples=7, seed=0):
         rng = np.random.default_rng(seed)
         strain = strain_of(model, np.linspace(0.0, 3.0, samples))
-        tip = tips_of(model, strain)
+        tip = backbones(model, strain, model.grid.breakpoints[-1:])[:, 0]
         return Rollout(
             model,
             PERIOD,

@@ -9,6 +9,7 @@ from soft_tendon_env.registration import IDS
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast", "max_episode_steps": 5}
 ACTION = np.array([0.5, -0.5, 0.0], dtype=np.float32)
+STEPS = 6
 
 
 class MemoryFile:
@@ -104,9 +105,6 @@ def test_rows_are_recorded_in_every_mode(mode, samples, file):
     first = {arm: rollout for arm, rollout, _ in reversed(file.written)}
     assert [first[f"row_{row}"].title for row in range(2)] == [f"episode 0, target random, seed {7 + row}" for row in range(2)]
     np.testing.assert_array_equal(first["row_1"].action[1:], np.tile(-ACTION, (samples[0] - 1, 1)))
-
-
-STEPS = 6
 
 
 @pytest.fixture

@@ -2,9 +2,8 @@
 
 import pytest
 
-from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env import ConfigurationError, load_scene
 from soft_tendon_env.scene.parameters import ranges_of, scene_parameters
-from soft_tendon_env.tools.configuration import ConfigurationError
 
 
 @pytest.fixture(scope="module")

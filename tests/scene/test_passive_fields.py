@@ -11,7 +11,7 @@ import tomli_w
 from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.file import load_scene, save_scene
-from soft_tendon_env.scene.passive_fields import FieldsWarning, fields_of, find_fields, read_fields
+from soft_tendon_env.scene.passive_fields import FidelityWarning, fields_of, find_fields, read_fields
 from soft_tendon_env.scene.scene import scene_to_dict
 from soft_tendon_env.tools.configuration import ConfigurationError
 
@@ -98,7 +98,7 @@ def test_a_digest_pins_the_fields(shipped, tmp_path):
 )
 def test_what_fields_were_not_made_for_is_warned_of(changes, words):
     scene = ARM.replace({**changes, "strain.passive": {"type": "snapshots", "fields": 3}})
-    with pytest.warns(FieldsWarning, match=words):
+    with pytest.warns(FidelityWarning, match=words):
         fields_of(scene)
 
 

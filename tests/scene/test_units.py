@@ -5,9 +5,8 @@ import warnings
 import numpy as np
 import pytest
 
+from soft_tendon_env import Scene, load_scene, scene_names
 from soft_tendon_env.model.build import build_model
-from soft_tendon_env.scene.file import load_scene, scene_names
-from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.units import UnitsWarning, warn_of_units
 
 SILICONE = {"length": 0.25, "radius": 0.012, "offset": 0.01, "modulus": 6e5, "density": 1100.0, "limit": 8.0}

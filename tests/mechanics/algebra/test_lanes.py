@@ -1,18 +1,14 @@
-"""Packs inside kernels do what NumPy does on arrays of LANES numbers."""
+"""Packs inside kernels do what NumPy does on arrays of LANES numbers; structs of the package inside kernels."""
+
+import copy
+import pickle
 
 import numpy as np
 import pytest
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import (
-    LANES,
-    lane,
-    lane_sum,
-    largest,
-    load,
-    prefix_sum,
-    store,
-)
+from soft_tendon_env.mechanics.algebra.lanes import LANES, lane, lane_sum, largest, load, prefix_sum, store
+from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 
 pytestmark = pytest.mark.no_jit
 
@@ -78,3 +74,90 @@ def test_extremes_are_nan_if_any_lane_is(where, others):
     with np.errstate(invalid="ignore"):
         _, out = reduce_pack(x)
     assert np.isnan(out[1]) and np.isnan(out[2])
+
+
+class Inner(Struct):
+    values: np.ndarray
+    table: np.ndarray
+
+
+class Outer(Struct):
+    count: int
+    inner: Inner
+    share: float
+    places: np.ndarray
+    cube: np.ndarray
+    free: tuple[int, ...]
+
+
+def inner(start=0.0):
+    return Inner(values=start + np.arange(3.0), table=start + np.arange(6.0).reshape(2, 3))
+
+
+def outer(**changes):
+    fields = {"count": 7, "inner": inner(), "share": 0.25, "places": np.array([3, 4]), "free": (5, 6)}
+    fields["cube"] = np.arange(24.0).reshape(2, 3, 4)
+    return Outer(**{**fields, **changes})
+
+
+@kernel
+def read(struct, out):
+    out[0] = struct.count
+    out[1] = struct.inner.values[2]
+    out[2] = struct.inner.table[1, 2]
+    out[3] = struct.share
+    out[4] = struct.places[1]
+    out[5] = struct.cube[1, 2, 3] + struct.cube.shape[2]
+    out[6] = struct.free[1] + len(struct.free)
+    struct.inner.values[0] += 1.0
+
+
+@kernel
+def read_at(like, addresses, i):
+    return struct_at(like, addresses, i).inner.values.sum()
+
+
+@pytest.mark.no_jit
+def test_compiled_code_reads_and_fills_the_fields():
+    struct, out = outer(), np.zeros(7)
+    read(struct, out)
+    np.testing.assert_array_equal(out, [7.0, 2.0, 5.0, 0.25, 4.0, 27.0, 8.0])
+    assert struct.inner.values[0] == 1.0
+
+
+@pytest.mark.no_jit
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda struct: pickle.loads(pickle.dumps(struct))], ids=["deepcopy", "pickle"])
+def test_copies_stand_on_their_own(copied):
+    struct = outer()
+    twin, out = copied(struct), np.zeros(7)
+    read(twin, out)
+    assert struct.inner.values[0] == 0.0 and twin.inner.values[0] == 1.0 and out[4] == 4.0
+
+
+@pytest.mark.no_jit
+def test_structs_are_found_by_their_addresses():
+    structs = [outer(inner=inner(start)) for start in (0.0, 10.0)]
+    addresses = np.array([struct.address for struct in structs])
+    assert [read_at(structs[0], addresses, i) for i in range(2)] == [3.0, 33.0]
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"values": np.zeros(3)}, "Inner should get values, table, not values"),
+        ({"values": np.zeros(3), "table": np.zeros((2, 2)), "more": 1}, "Inner should get values, table, not values, table, more"),
+        ({"values": np.zeros(3, dtype=np.float32), "table": np.zeros((2, 2))}, "Inner.values should be a contiguous array of float64"),
+        ({"values": np.zeros(6)[::2], "table": np.zeros((2, 2))}, "Inner.values should be a contiguous array.* not a strided one"),
+        ({"values": "text", "table": np.zeros((2, 2))}, "Inner.values should be .* not 'text'"),
+        ({"values": (1, 2.5), "table": np.zeros((2, 2))}, r"Inner.values .* a tuple of int alone or of float alone, .* not \(1, 2.5\)"),
+    ],
+    ids=["missing", "too many", "float32", "strided", "text", "mixed"],
+)
+def test_what_compiled_code_could_not_read_is_refused(fields, message):
+    with pytest.raises(TypeError, match=message):
+        Inner(**fields)
+
+
+def test_fields_are_not_replaced():
+    with pytest.raises(AttributeError, match=r"Inner.values cannot be replaced: fill the array"):
+        inner().values = np.zeros(3)

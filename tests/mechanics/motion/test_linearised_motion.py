@@ -24,6 +24,7 @@ SCENES = {
     "explicit": {"strain": {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z"], "order": 1, "span": "rod"}]}},
 }
 TIME = 0.1  # [s], at which the base moves
+PERIOD = 0.02
 
 
 @pytest.mark.parametrize("scene", SCENES)
@@ -51,9 +52,6 @@ def test_gradient_is_that_of_all_terms(build, scene):
     force_gradient(model.arm, u, motion, 2e-3, True, scratch.work, memory)
     for found, expected in ((memory.by_q, gradient(1.0, 0.0)), (memory.by_rate - damping, gradient(0.0, 10.0) / 10.0)):
         np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
-
-
-PERIOD = 0.02
 
 
 @pytest.mark.parametrize("scene", ["bare", "gravity and payload", "loads inside", "fluid"])

@@ -14,6 +14,7 @@ MODELS = [
     pytest.param("helical", COARSE, id="pre-curved"),
     pytest.param("paper_48dof", COARSE, id="explicit"),
 ]
+COUNTS = (2, 4, 8, 16)
 
 
 def hat(xi):
@@ -83,9 +84,6 @@ def test_bias_at_all_nodes_against_differences(name, changes, build, random_stat
     bias = at_nodes(model, workspace_at(model, q, q_dot).eta_bias)[0]
     np.testing.assert_allclose(bias, expected, atol=2e-6 * np.abs(expected).max())
     np.testing.assert_array_equal(model.terms(q, q_dot).tip_bias, bias[-1])
-
-
-COUNTS = (2, 4, 8, 16)
 
 
 def slope(errors):

@@ -12,6 +12,7 @@ from soft_tendon_env.model.model import model_on
 from soft_tendon_env.scene.file import load_scene
 
 TOLERANCE = 1e-12
+MOST = {"mass": 1e-5, "bias": 1e-4, "damping": 1e-5, "actuation": 1e-5, "stiffness": 1e-5, "tip_jacobian": 1e-5, "tip_pose": 2e-6}
 
 
 def on_few_intervals(name, changes):
@@ -86,9 +87,6 @@ def test_stiffness_is_symmetric_and_B_its_part_for_dead_forces(name, changes, ra
     assert np.abs(G - G.T).max() < 1e-12 and np.linalg.eigvalsh(G)[0] > 0.0
     if model.arm.strain.is_tensions:
         np.testing.assert_allclose(terms.actuation, terms.stiffness, atol=1e-12 * np.abs(terms.stiffness).max())
-
-
-MOST = {"mass": 1e-5, "bias": 1e-4, "damping": 1e-5, "actuation": 1e-5, "stiffness": 1e-5, "tip_jacobian": 1e-5, "tip_pose": 2e-6}
 
 
 @pytest.mark.parametrize("dof", (10, 16))
