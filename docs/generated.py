@@ -26,7 +26,27 @@ ROOT = Path(__file__).parents[1]
 LIST = ROOT / "docs" / "generated.toml"
 STAMPS = ROOT / "docs" / "pictures" / "stamps.json"
 """Stamps of pictures, by their paths."""
+SOURCES = ("soft_tendon_env", "benchmarks", "examples", "configs", "agents")
+"""Parts of the clone on which generated blocks depend."""
+MADE = re.compile(r"<!-- made (\{.*\}) -->")
 PROGRAMS = {"soft-tendon": [sys.executable, "-m", "soft_tendon_env"], "python": [sys.executable]}
+
+
+def read_stamp(text: str) -> Stamp | None:
+    """The first stamp in a text, if there is one. Raises ValueError where it is damaged."""
+    if (found := MADE.search(text)) is None:
+        return None
+    table = json.loads(found[1])
+    if not isinstance(table, dict) or not {*Stamp._fields} <= table.keys():
+        raise ValueError(f"a stamp should have {', '.join(Stamp._fields)}, not {found[1]}")
+    return Stamp(*(table[name] for name in Stamp._fields))
+
+
+def has_changed(commit: str | None) -> bool:
+    """Whether SOURCES differ from those of a commit, or that is not known."""
+    if commit is None or commit.endswith("+"):
+        return True
+    return subprocess.run(["git", "diff", "--quiet", commit, "--", *SOURCES], cwd=ROOT, capture_output=True).returncode != 0
 
 
 class Made(Configuration):
@@ -57,7 +77,7 @@ class Made(Configuration):
             return [None]
         text = read_text(page)
         between = [text.removeprefix(before).removesuffix(after) for before, after in (around_markers(page, name) for name in self.blocks)]
-        return [Stamp.read(part) for part in between or [text]]
+        return [read_stamp(part) for part in between or [text]]
 
     def stale(self) -> str | None:
         """Why it is to be made again; None: it is current. Raises ValueError, OSError."""
@@ -66,7 +86,7 @@ class Made(Configuration):
                 return "has no stamp"
             if stamp.command != self.command and not self.command.startswith("make "):
                 return f"was made by `{stamp.command}`"
-            if stamp.changed():
+            if has_changed(stamp.commit):
                 return f"code or configuration has changed since {stamp.commit[:10] if stamp.commit else stamp.made}"
         return None
 

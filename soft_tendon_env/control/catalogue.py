@@ -42,11 +42,11 @@ class Entry:
         return replace(self, make=partial(self.make, **parameters), looks_ahead=ahead, parameters=numbers)
 
 
-def entry_of(description: str, make: Callable[..., Controller], looks_ahead: int = LOOKS_AHEAD) -> Entry:
+def entry_of(description: str, make: Callable[..., Controller]) -> Entry:
     """An entry of a class or function (model, limits (n_a, 2) [N], control period [s]) that makes a controller; its keyword arguments that
-    are numbers by default are parameters. looks_ahead: see Entry."""
+    are numbers by default are parameters."""
     arguments = [*inspect.signature(make).parameters.values()][3:]
-    return Entry(description, make, looks_ahead, {one.name: one.default for one in arguments if type(one.default) in (int, float)})
+    return Entry(description, make, parameters={one.name: one.default for one in arguments if type(one.default) in (int, float)})
 
 
 ROBUST, LATE = "; tuned on arms that differ from the model, under noise", "; half a second ahead, for arms that answer late"

@@ -4,25 +4,13 @@ The floor is painted once; a frame restores it and paints over it what moves. Ev
 flat collection from far to near.
 """
 
-import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
-from soft_tendon_env.drawing.shapes import (
-    backbones,
-    base_poses,
-    drawing_stations,
-    mount_size,
-    obstacles_of,
-    surface,
-    tendon_curves,
-    tension_colors,
-    view_box,
-    viewpoint,
-)
+from soft_tendon_env.drawing import shapes
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene, Segment, along_rod, disc_rows, rod_length, rod_radius, tendon_ends
 from soft_tendon_env.tools.types import Array
@@ -71,13 +59,13 @@ class ArmRenderer:
         except ImportError as error:
             raise DependencyNotInstalled('pictures need matplotlib: pip install "soft_tendon_env[pictures]"') from error
         scene = model.scene
-        self._model, self._arc_length = model, drawing_stations(model, SECTIONS + 1)
+        self._model, self._arc_length = model, shapes.drawing_stations(model, SECTIONS + 1)
         self._radius, _ = rod_radius(scene, self._arc_length)
         self._outline = along_rod(scene, self._arc_length, outline).T.reshape(-1, *CIRCLE.shape)
         self._discs = disc_rows(scene)
         ends = [tendon_ends(scene, tendon) for tendon in scene.tendons]
         self._inside = [(self._arc_length >= start) & (self._arc_length <= end) for start, end in ends]
-        self._box, self.turn = view_box(scene)[:2], viewpoint(*view_box(scene)[2:])
+        self._box, self.turn = shapes.view_box(scene)[:2], shapes.viewpoint(*shapes.view_box(scene)[2:])
 
         dpi = 100.0 * min(width / 640, height / 480)
         figure = Figure(figsize=((width + 0.1) / dpi, (height + 0.1) / dpi), dpi=dpi, facecolor=PAPER)  # 0.1: pixels are rounded down
@@ -88,12 +76,12 @@ class ArmRenderer:
 
     def frame(self, picture: Picture) -> NDArray[np.uint8]:
         """The picture (height, width, 3), red, green, blue."""
-        base = base_poses(self._model, np.array([picture.time]), picture.scene)
-        backbone = backbones(self._model, picture.strain[None], self._arc_length, base)
-        discs = backbones(self._model, picture.strain[None], self._discs[:, 0], base)[0]
+        base = shapes.base_poses(self._model, np.array([picture.time]), picture.scene)
+        backbone = shapes.backbones(self._model, picture.strain[None], self._arc_length, base)
+        discs = shapes.backbones(self._model, picture.strain[None], self._discs[:, 0], base)[0]
         pieces = [*self._arm(backbone[0], base[0], discs), *self._tendons(backbone, picture.tension), *trail(picture.trail, self.turn)]
-        obstacles = obstacles_of((picture.scene or self._model.scene).effects)
-        pieces += [solid(surface(obstacle, picture.time, self._box), OBSTACLE, self.turn) for obstacle in obstacles]
+        obstacles = shapes.obstacles_of((picture.scene or self._model.scene).effects)
+        pieces += [solid(shapes.surface(obstacle, picture.time, self._box), OBSTACLE, self.turn) for obstacle in obstacles]
         self._show(pieces, picture)
         self._canvas.restore_region(self._background)
         for artist in self.artists:
@@ -119,7 +107,7 @@ class ArmRenderer:
     def _arm(self, backbone: Array, base: Array, discs: Array) -> list[Pieces]:
         """Mount, rod and spacer discs, closed by rings without radius; backbone (m, 4, 4), base (4, 4), poses of discs (d, 4, 4)."""
         rod = tube(np.concatenate([backbone, backbone[-1:]]), np.append(self._outline, np.zeros((1, *CIRCLE.shape)), axis=0))
-        depth, radius = mount_size(self._model.scene)
+        depth, radius = shapes.mount_size(self._model.scene)
         mount = cylinder(base, -depth, 0.0, radius)
         sizes = self._discs[:, 2:].tolist()
         spacers = [cylinder(pose, -0.5 * thick, 0.5 * thick, wide) for pose, (wide, thick) in zip(discs, sizes, strict=True)]
@@ -127,11 +115,11 @@ class ArmRenderer:
 
     def _tendons(self, backbone: Array, tension: Array) -> list[Pieces]:
         """Lines coloured by tension (n_a,), all on the near surface of the tube; those of the far side are faded."""
-        towards, colours = self.turn[2], tension_colors(self._model, tension) / 255.0
+        towards, colours = self.turn[2], shapes.tension_colors(self._model, tension) / 255.0
         axis, reach = -backbone[0, :, :3, 3] @ towards, np.gradient(self._arc_length)  # by which neighbours differ in depth
         far_side = axis - 1.5 * self._radius - reach
         near_side = far_side - 0.1 * self._radius - reach
-        curves, lines = tendon_curves(self._model, backbone, self._arc_length), []
+        curves, lines = shapes.tendon_curves(self._model, backbone, self._arc_length), []
         for (curve,), inside, colour in zip(curves, self._inside, colours, strict=True):
             behind = middle(-curve @ towards - axis[inside]) > 0.0
             shade = np.where(behind[:, None], (1.0 - FADED) * colour + FADED * 0.9 * TUBE, colour)
@@ -218,8 +206,8 @@ def paint_floor(figure: Any, scene: Scene, turn: Array) -> Any:
     """Flat axes in which the box around the arm fills the figure, with lines on its floor; coordinates are those of the camera [m]."""
     from matplotlib.collections import LineCollection
 
-    lower, upper, vertical, upright = view_box(scene)
-    corners = np.array([*itertools.product(*zip(lower, upper, strict=True))]) @ turn[:2].T
+    lower, upper, vertical, upright = shapes.view_box(scene)
+    corners = shapes.corners_of_box(lower, upper) @ turn[:2].T
     size, middle = figure.bbox.size, 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     half = 0.5 * np.max(np.ptp(corners, axis=0) / (ROOM * size)) * size
     middle[1] += 0.3 * (1.0 - ROOM[1]) * half[1]

@@ -120,13 +120,13 @@ def view_box(scene: Scene) -> tuple[Array, Array, int, bool]:
     hanging = np.array([0.0, 1.05, 1.05]) * length * (gravity @ base[:3, :3]) / pull if pull > 0.0 else np.zeros(3)
     lower = np.minimum(np.array([-BEHIND, -0.60, -0.60]) * length, hanging)
     upper = np.maximum(np.array([1.05, 0.60, 0.60]) * length, hanging)
-    corners = _corners(lower, upper) @ base[:3, :3].T + base[:3, 3]
+    corners = corners_of_box(lower, upper) @ base[:3, :3].T + base[:3, 3]
     down = gravity if pull > 0.0 else -base[:3, 0]
     axis = int(np.argmax(np.abs(down)))
     return corners.min(axis=0), corners.max(axis=0), axis, bool(down[axis] <= 0.0)
 
 
-def _corners(lower: Array, upper: Array) -> Array:
+def corners_of_box(lower: Array, upper: Array) -> Array:
     """Corners (8, 3) of a box along the axes."""
     return np.array([*itertools.product(*zip(lower, upper, strict=True))])
 
@@ -188,7 +188,7 @@ def camera(model: Model, places: Array, aspect: float) -> tuple[Array, Array, Ar
     turn = viewpoint(vertical, upright, ELEVATION)
     share = np.minimum(np.abs(model.scene.base.pose[:3, :3]) @ [1.0, VISITED, VISITED], 1.0)
     middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower) * share
-    corners = _corners(middle - half, middle + half)
+    corners = corners_of_box(middle - half, middle + half)
     seen = np.concatenate([place + [*corners, label_place(model)] for place in places]) @ turn.T
     middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
     slope = math.tan(0.5 * FIELD_OF_VIEW) * np.array([aspect, 1.0])

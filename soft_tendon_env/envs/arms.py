@@ -166,14 +166,9 @@ class Arms:
         if model is self._models[row]:
             return
         self._models[row], self.rows.arm[row] = model, model.arm.address
-        self.ratio[row] = self.ratio_of(model)
+        if isinstance(model.arm.strain, Implicit):
+            self.ratio[row] = np.diag(self.model.metric) / np.diag(model.metric)
         self._changes[row] += 1
-
-    def ratio_of(self, model: Model) -> Array:
-        """Ratio (n,) of the coordinates of a model's arm to those of the scene's in the same shape, see `ratio`."""
-        if not isinstance(model.arm.strain, Implicit):
-            return np.ones(self.model.coordinate_count)
-        return np.asarray(np.diag(self.model.metric) / np.diag(model.metric))
 
     def model_of(self, row: int) -> Model:
         """The model of a row's arm."""

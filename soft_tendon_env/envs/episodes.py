@@ -16,17 +16,7 @@ from soft_tendon_env.control.protocol import SensorNoise
 from soft_tendon_env.envs.actuation import Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, Units, stress_free_strain
-from soft_tendon_env.envs.options import (
-    GOAL_BOUND,
-    Options,
-    ResetOptions,
-    check_fit,
-    checked_target,
-    farthest_base,
-    groups_of,
-    resolved_scene,
-    sensor_places,
-)
+from soft_tendon_env.envs.options import GOAL_BOUND, Options, ResetOptions, check_fit, checked_target, groups_of, resolved_scene
 from soft_tendon_env.envs.randomization import DRAWN, Measured, Sensors
 from soft_tendon_env.envs.starts import Drawn, Starts
 from soft_tendon_env.envs.targets import Course, Target, TargetSamples
@@ -71,7 +61,7 @@ class Episodes:
         check_fit(options, task, scene)
         self.task, self.options, self.size, self.period = task, options, rows, options.control_period
         self.model = model = build_model(scene)
-        self.goal_bound, self.sensors = GOAL_BOUND * model.length + farthest_base(options, scene), sensor_places(options, scene)
+        self.goal_bound, self.sensors = GOAL_BOUND * model.length + options.farthest_base(scene), options.sensor_places(scene)
         stations = np.linspace(0.0, model.length, STATIONS + 1)[1:] if task.shapes else np.empty(0)
         self.arms = Arms(model, rows, self.period, stations, self.sensors, threads)
         starts = self._make_draws(options, task)
@@ -107,7 +97,8 @@ class Episodes:
         return starts
 
     def _settled(self, target: Target | None) -> Target | Course:
-        return self._draws.settle(checked_target(target, self.options, self.task, self.model.scene))
+        found = checked_target(target, self.options, self.task, self.model.scene)
+        return found if found.is_random else found.draw(np.random.default_rng(0), self.starts.setting)
 
     def _make_actuation(self, options: Options, rows: int) -> None:
         """Make the actuators, and what they did last."""
@@ -125,7 +116,7 @@ class Episodes:
     @cached_property
     def layout(self) -> Layout:
         """The layout of observations."""
-        units = Units(self.model.length, self.model.coordinate_scale(), self._strongest, farthest_base(self.options, self.model.scene))
+        units = Units(self.model.length, self.model.coordinate_scale(), self._strongest, self.options.farthest_base(self.model.scene))
         return Layout(groups_of(self.options, self.task), units, self.observed, self.options.history)
 
     def __getstate__(self) -> dict[str, Any]:

@@ -117,6 +117,17 @@ class Options(Configuration):
     def _plain_weights(cls, reward: Any) -> Any:
         return weights_of(reward) if isinstance(reward, dict) else reward
 
+    def sensor_places(self, scene: Scene) -> Array:
+        """Arc lengths (s,) [m] of the strain sensors."""
+        many = self.sensors
+        return rod_length(scene) * (np.arange(many) + 0.5) / many if isinstance(many, int) else np.array(many, dtype=np.float64)
+
+    def farthest_base(self, scene: Scene) -> float:
+        """Largest coordinate [m] that the base has in the world, also where its position is drawn."""
+        drawn = [one for one in self.randomize.ranges(scene) if one.name.startswith("base.position")]
+        ends = [number for one in drawn for end in (one.least, one.greatest) for number in one.changes(end).values()]
+        return max(map(abs, (*scene.base.position, *ends)))
+
 
 class ResetOptions(Configuration):
     """Entries of `reset(options={...})` for one episode; None, as without the entry: what the environment's own arguments say.
@@ -201,19 +212,6 @@ def given_scene(scene: Any) -> Scene:
     return given_scene(changes.pop("scene", "paper")).replace(changes)
 
 
-def farthest_base(options: Options, scene: Scene) -> float:
-    """Largest coordinate [m] that the base has in the world, also where its position is drawn."""
-    drawn = [one for one in options.randomize.ranges(scene) if one.name.startswith("base.position")]
-    ends = [number for one in drawn for end in (one.least, one.greatest) for number in one.changes(end).values()]
-    return max(map(abs, (*scene.base.position, *ends)))
-
-
-def sensor_places(options: Options, scene: Scene) -> Array:
-    """Arc lengths (s,) [m] of the strain sensors."""
-    sensors = options.sensors
-    return rod_length(scene) * (np.arange(sensors) + 0.5) / sensors if isinstance(sensors, int) else np.array(sensors, dtype=np.float64)
-
-
 def groups_of(options: Options, task: Task) -> dict[str, Group]:
     """The chosen observation groups by name. Raises ConfigurationError."""
     chosen, allowed = options.observation, task.observable
@@ -236,7 +234,7 @@ def check_fit(options: Options, task: Task, scene: Scene) -> None:
         if not 0.5 < time / period <= MOST_AHEAD:
             allowed = f"more than half a control period, {period / 2:g} s, and at most {MOST_AHEAD} of them, {MOST_AHEAD * period:g} s"
             _fail(f"preview[{i}]", f"is {time:g}: it should be {allowed}")
-    if (farthest := sensor_places(options, scene).max(initial=0.0)) > length:
+    if (farthest := options.sensor_places(scene).max(initial=0.0)) > length:
         _fail("sensors", f"names {farthest:g}: it should be at most the rod's length, {length:g}")
     target = options.target or usual_target(task)
     if checked_target(None, options, task, scene) is target and options.difficulty is not None:

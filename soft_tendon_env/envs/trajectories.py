@@ -130,10 +130,6 @@ class TargetDraws:
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_bank": {}}  # of which every motion can be computed again
 
-    def settle(self, target: Target) -> Target | Course:
-        """The course of a target; one that is drawn as it is. Raises ConfigurationError where it cannot be."""
-        return target if target.is_random else target.draw(np.random.default_rng(0), self._setting)
-
     def fill_bank(self, target: Target | Course) -> None:
         """Compute all motions of a target in the bank ahead, so that no reset waits for them. Raises ConfigurationError."""
         if self._has_bank and isinstance(target, Target) and target.repeats is not None:

@@ -175,7 +175,10 @@ def benchmark_tables(benchmark: Benchmark, found: Mapping[str, Standings]) -> st
     for regime, of in found.items():
         apart = gaps(of, learned)
         told = f"{REGIMES[regime].description.capitalize()}.{verdict(apart)}"
-        texts.append(f"### {regime}\n\n{told}\n\n{error_table(of, models, [gap_row(of, apart)] if apart else [])}")
+        factor = error_unit(next(iter(of.values())).error).factor
+        row = {setting: "{} ({} to {})".format(*(number(factor * value) for value in gap)) for setting, gap in apart.items()}
+        below = [{"": "best learned minus best controller", **row}] if apart else []
+        texts.append(f"### {regime}\n\n{told}\n\n{error_table(of, models, below)}")
     return "\n\n".join([*texts, ERRORS_LEGEND])
 
 
@@ -189,13 +192,6 @@ def gaps(of: Standings, learned: set[str]) -> dict[str, Mean]:
             one, other = (kind[int(np.argsort(of_kind, kind="stable")[0])] for kind, of_kind in zip(kinds, errors, strict=True))  # NaN last
             found[setting] = difference(one, other, f"{one.error}_rms")
     return found
-
-
-def gap_row(of: Standings, apart: Mapping[str, Mean]) -> dict[str, str]:
-    """Row of a table, with the intervals."""
-    factor = error_unit(next(iter(of.values())).error).factor
-    texts = {setting: "{} ({} to {})".format(*(number(factor * value) for value in gap)) for setting, gap in apart.items()}
-    return {"": "best learned minus best controller", **texts}
 
 
 def verdict(apart: Mapping[str, Mean]) -> str:

@@ -5,9 +5,7 @@
 """
 
 import json
-import re
 import shlex
-import subprocess
 import sys
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
@@ -19,9 +17,6 @@ from soft_tendon_env.tools.files import PACKAGE, read_text, replacing
 
 ROOT = PACKAGE.parent
 """Folder of the clone, from which the paths of scripts count."""
-SOURCES = ("soft_tendon_env", "benchmarks", "examples", "configs", "agents")
-"""Parts of the clone on which generated blocks depend."""
-MADE = re.compile(r"<!-- made (\{.*\}) -->")
 
 
 class Stamp(NamedTuple):
@@ -39,27 +34,11 @@ class Stamp(NamedTuple):
         line = ["python", script.relative_to(ROOT).as_posix(), *words] if is_script else ["soft-tendon", *words]
         return cls(shlex.join(line), commit(), datetime.now(UTC).date().isoformat())
 
-    @classmethod
-    def read(cls, text: str) -> "Stamp | None":
-        """The first stamp in a text, if there is one. Raises ValueError where it is damaged."""
-        if (found := MADE.search(text)) is None:
-            return None
-        table = json.loads(found[1])
-        if not isinstance(table, dict) or not {*cls._fields} <= table.keys():
-            raise ValueError(f"a stamp should have {', '.join(cls._fields)}, not {found[1]}")
-        return cls(*(table[name] for name in cls._fields))
-
     def text(self) -> str:
         """The comment that programs read, and the line that people read, with this machine."""
         at = "" if self.commit is None else f" at commit {self.commit[:10]}{'+' * self.commit.endswith('+')}"
         shown = f"<small>Made by `{self.command}`{at} on {self.made}. Machine: {machine()}.</small>"
         return f"<!-- made {json.dumps(self._asdict())} -->\n{shown}"
-
-    def changed(self) -> bool:
-        """Whether SOURCES differ from those of the commit, or that is not known."""
-        if self.commit is None or self.commit.endswith("+"):
-            return True
-        return subprocess.run(["git", "diff", "--quiet", self.commit, "--", *SOURCES], cwd=ROOT, capture_output=True).returncode != 0
 
 
 def stamp() -> str:

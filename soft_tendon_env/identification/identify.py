@@ -17,7 +17,7 @@ from soft_tendon_env.identification.fit import Intervals, fit, intervals
 from soft_tendon_env.identification.markers import MarkerSet, check_places, load_markers
 from soft_tendon_env.identification.parameters import DELAY, Parameter, command_limits, read_parameters
 from soft_tendon_env.identification.readings import NoHoldError, Plants, Readings, mean_of_finite
-from soft_tendon_env.identification.recordings import SHARE, Recording, read_recordings, split
+from soft_tendon_env.identification.recordings import SHARE, read_recordings, split
 from soft_tendon_env.model.build import build_model
 from soft_tendon_env.scene.scene import Scene, scene_to_dict
 from soft_tendon_env.tools.checks import checked_count, checked_type
@@ -77,7 +77,10 @@ def identify(
     placed = markers if isinstance(markers, MarkerSet) else load_markers(markers, scene)
     check_places(placed, scene, "markers")
     chosen = read_parameters(parameters, scene, placed)
-    parts = _parts(read_recordings([Path(file) for file in files], scene, placed), scene, placed, str(held_out), fit_to)
+    recordings, judge = read_recordings([Path(file) for file in files], scene, placed), str(held_out)
+    parts = [recordings, read_recordings([Path(judge)], scene, placed)] if judge.endswith(".csv") else split(recordings, judge)
+    if fit_to is not None and checked_count("fit_to", fit_to, 1) < (count := len(parts[0])):
+        parts[0] = [parts[0][int(i)] for i in (np.arange(fit_to) + 0.5) * count / fit_to]
     accurate = at_fidelity(scene, fidelity)
     period = min((one.period for part in parts for one in part if one.period), default=np.inf)
     accurate = accurate.replace({"integrator.step": min(period, accurate.integrator.step)})  # a command may arrive in each period
@@ -103,19 +106,6 @@ def identify(
         findings=tuple(told),
         data=tuple(os.fspath(file) for file in files),
     )
-
-
-def _parts(
-    recordings: list[Recording], scene: Scene, markers: MarkerSet, held_out: str, fit_to: int | None
-) -> tuple[list[Recording], list[Recording]]:
-    """Recordings to fit to, and held-out ones, see `identify`. Raises ValueError, FileNotFoundError."""
-    if held_out.endswith(".csv"):
-        fitted, unseen = recordings, read_recordings([Path(held_out)], scene, markers)
-    else:
-        fitted, unseen = split(recordings, held_out)
-    if fit_to is not None and checked_count("fit_to", fit_to, 1) < len(fitted):
-        fitted = [fitted[int(i)] for i in (np.arange(fit_to) + 0.5) * len(fitted) / fit_to]
-    return fitted, unseen
 
 
 def save_estimate(found: Estimate, folder: Path) -> list[Path]:

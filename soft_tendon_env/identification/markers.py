@@ -38,10 +38,6 @@ class Frame(Configuration):
         """Rotation matrix R (3, 3)."""
         return np.asarray(Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix())
 
-    def to_scene(self, positions: Array) -> Array:
-        """Positions (..., 3) of the data's frame in the scene's, [m]."""
-        return np.asarray(positions @ self.rotation.T + self.translation)
-
 
 class Column(Configuration):
     """Column of the data that holds a quantity, `[columns]`, by the quantity's name; a `*` there stands for what `*` in `name` does."""

@@ -126,8 +126,7 @@ def _of_scene(key: str, scene: Scene, bounds: tuple[float, float] | None) -> Par
 
 
 def _with_bounds(usual: Parameter, bounds: tuple[float, float] | None, scene: Scene) -> Parameter:
-    """A parameter with the bounds that are given in place of its own and its prior, and that the scene allows. Raises ValueError for bounds
-    that leave out the scene's own number."""
+    """A parameter with given bounds in place of its own and of its prior. Raises ValueError where they leave out the scene's number."""
     low, high = bounds or (usual.low, usual.high)
     if not low <= usual.value <= high or (usual.is_factor and low * high <= 0.0):
         what = "of one sign around" if usual.is_factor else "around"

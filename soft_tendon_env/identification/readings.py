@@ -134,8 +134,7 @@ class Readings:
         return [(model, measurement.gain * one.command + measurement.offset) for one in self.recordings]
 
     def _poses(self, x: Array, near: Sequence[Near | None] = ()) -> Array:
-        """Simulated poses (samples, m, 4, 4) of the markers' sections, from the place of the base; of holds that are `near` others to
-        first order. Raises NoHoldError."""
+        """Poses (samples, m, 4, 4) of markers' sections from the base's place; of holds `near` others linear. Raises NoHoldError."""
         arms, simulated, places = self._arms(x), list[Array](), self.plants.markers.arc_lengths
         with erring_actuators():  # by the gains and offsets that are looked for
             for i, (model, command) in enumerate(arms):

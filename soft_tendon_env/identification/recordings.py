@@ -66,7 +66,7 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
         raise ValueError(f"{rows[row]}: {sources[[*commands][tendon]][0]} is empty: it should be a number")
     placed = placed.reshape(len(rows), -1, 3)
     placed[(placed == 0.0).all(axis=2) & (markers.arc_lengths > 0.0)] = np.nan  # as some trackers write what was not seen
-    positions = markers.frame.to_scene(placed)
+    positions = placed @ markers.frame.rotation.T + markers.frame.translation
     _check_reach(positions - scene.base.position, rod_length(scene), path, next(iter(markers.markers)))
     names = [cells[table.header.index(sources["hold"][0])] if "hold" in sources else path.stem for _, cells in table.rows]
     found = list[Recording]()
@@ -82,8 +82,7 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
 
 
 def _table(path: Path, markers: MarkerSet, units: Mapping[str, str]) -> tuple[Table, dict[str, tuple[str, float]]]:
-    """Table of a file, and names and factors of the columns of quantities, which are given with their SI units. Raises ValueError for
-    units and keys that `[columns]` should not have, and for columns that are not there, or twice."""
+    """Table of a file; and by quantity, given with its SI unit, name and factor of its column. Raises ValueError for wrong columns."""
     wanted, found = {quantity: (quantity, 1.0) for quantity in units}, dict[str, tuple[str, float]]()
     for key, column in sorted(markers.columns.items(), key=lambda item: "*" not in item[0]):  # a whole name beats a pattern
         matches = [match for quantity in units if (match := re.fullmatch(re.escape(key).replace(r"\*", "(.+)"), quantity))]

@@ -1,16 +1,10 @@
 """Claims of the paper about its figures, beside what is measured here, and shared parts of the pictures."""
 
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any, NamedTuple
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 import soft_tendon_env as ste
 from soft_tendon_env.evaluation.tables import markdown_table
@@ -79,9 +73,3 @@ def draw_errors(axes: Axes, errors: Mapping[str, tuple[np.ndarray, np.ndarray]],
     axes.set(xlabel="time [s]", ylabel=unit, title=title)
     axes.legend(frameon=False, fontsize="small")
     axes.grid(alpha=0.3)
-
-
-def save(figure: Figure, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)

@@ -26,7 +26,6 @@ def reproduce(figures: tuple[int, ...], seconds: float, out: Path) -> dict[Modul
     print(f"\n{sum(not claim.holds for claim in claims)} of {len(claims)} claims missed")
     numbers = {name: value for result in results.values() for name, value in result.numbers.items()}
     write_json(out / "numbers.json", {"claims": [claim._asdict() for claim in claims], **numbers})
-    print(f"pictures: in {out}")
     return results
 
 

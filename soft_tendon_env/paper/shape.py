@@ -15,8 +15,9 @@ from soft_tendon_env.control.dynamics import Gains
 from soft_tendon_env.control.paper_laws import ShapeTarget, shape_tension
 from soft_tendon_env.envs.targets.shipped import Rise
 from soft_tendon_env.evaluation.metrics import root_mean_square
+from soft_tendon_env.evaluation.pictures import save_figure
 from soft_tendon_env.paper.motion import ClosedLoop, Law, Motion, below_for_good, integrate, when
-from soft_tendon_env.paper.report import ACTUAL, DESIRED, Claim, Result, box, draw_arms, draw_errors, draw_tensions, save
+from soft_tendon_env.paper.report import ACTUAL, DESIRED, Claim, Result, box, draw_arms, draw_errors, draw_tensions
 
 TENSION = np.array([0.0, 8.0, 0.0, 0.0, 3.0, 0.0, 0.0, 4.0, 3.0, 0.0])  # [N]
 COURSE = Rise(np.zeros(10), TENSION, 2.5)
@@ -77,7 +78,7 @@ def draw_laws(motions: dict[tuple[str, str], Motion], errors: dict[tuple[str, st
     draw_errors(error, each, "shape error", "(b) shape error")
     for axes, name, letter in ((full, "paper", "c"), (under, "paper_16dof", "d")):
         draw_tensions(axes, time, motions[name, "feedback"].tension, f"({letter}) tensions with feedback, {MODELS[name]}")
-    save(figure, path)
+    save_figure(figure, path)
 
 
 def draw_shapes(models: dict[str, ste.Model], motions: dict[tuple[str, str], Motion], path: Path) -> None:
@@ -88,4 +89,4 @@ def draw_shapes(models: dict[str, ste.Model], motions: dict[tuple[str, str], Mot
         draw_arms(axes, model, wanted, DESIRED)
         draw_arms(axes, model, motion.q, ACTUAL)
         box(axes, f"{MODELS[name]}, {law}", actual=motion.tip, wanted=np.array([model.tip_pose(q)[:3, 3] for q in wanted]))
-    save(figure, path)
+    save_figure(figure, path)

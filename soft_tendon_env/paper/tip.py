@@ -22,9 +22,10 @@ from soft_tendon_env.control.dynamics import Gains
 from soft_tendon_env.control.paper_laws import LeftInverse, TipPoseTarget, energy_left_inverse, euclidean_left_inverse, tip_pose_tension
 from soft_tendon_env.envs.targets.shipped import Circle, CircleCourse
 from soft_tendon_env.evaluation.metrics import root_mean_square
+from soft_tendon_env.evaluation.pictures import save_figure
 from soft_tendon_env.evaluation.tables import markdown_table
 from soft_tendon_env.paper.motion import ClosedLoop, Law, Motion, below_for_good, integrate, track, when
-from soft_tendon_env.paper.report import ACTUAL, Claim, Result, box, draw_arms, draw_errors, draw_tensions, save
+from soft_tendon_env.paper.report import ACTUAL, Claim, Result, box, draw_arms, draw_errors, draw_tensions
 
 CIRCLE = Circle()
 COURSE = CircleCourse(CIRCLE)
@@ -70,7 +71,9 @@ def reproduce(seconds: float, folder: Path) -> Result:
     for name in (FULL, UNDER):
         draw(name, models[name], motions, folder / f"figure_{SHOWN[name]}.png")
     numbers = {name: summary(motion, duration) for name, motion in motions.items()}
-    return Result(claims(numbers), {"tip_error": numbers}, (designs_table(numbers),))
+    designs = [(scene, passive, INVERSES[inverse], outcome(numbers[name])) for name, (scene, passive, inverse) in DESIGNS.items()]
+    table = markdown_table(("scene", "passive coordinates", "pseudo-inverse", "from rest"), designs)
+    return Result(claims(numbers), {"tip_error": numbers}, (table,))
 
 
 def tip_error(motion: Motion) -> np.ndarray:
@@ -122,12 +125,6 @@ def outcome(numbers: dict[str, float]) -> str:
     return f"later {numbers['late_rms_mm']:.2g} mm rms, at most {numbers['late_largest_mm']:.2g} mm"
 
 
-def designs_table(numbers: dict[str, dict[str, float]]) -> str:
-    """Table of the left inverses and passive coordinates for (39)."""
-    designs = [(scene, passive, INVERSES[inverse], outcome(numbers[name])) for name, (scene, passive, inverse) in DESIGNS.items()]
-    return markdown_table(("scene", "passive coordinates", "pseudo-inverse", "from rest"), designs)
-
-
 def draw(name: str, model: ste.Model, motions: dict[str, Motion], path: Path) -> None:
     """`name` in space and as tensions, its error beside those of others."""
     figure, motion = plt.figure(figsize=(16, 8), constrained_layout=True), motions[name]
@@ -140,4 +137,4 @@ def draw(name: str, model: ste.Model, motions: dict[str, Motion], path: Path) ->
     each = {f"(39), {label}": (motions[label].time, 1e3 * tip_error(motions[label])) for label in (FULL, UNDER, PRINTED, SAMPLED[name])}
     draw_errors(figure.add_subplot(grid[1, 1:]), each, "tip error [mm]", "(c) distance of the tip from the target")
     figure.axes[-1].axhline(1e3 * VERY_SMALL, color="black", linestyle=":", linewidth=1.0)
-    save(figure, path)
+    save_figure(figure, path)

@@ -11,7 +11,8 @@ import numpy as np
 
 import soft_tendon_env as ste
 from soft_tendon_env.evaluation.metrics import root_mean_square
-from soft_tendon_env.paper.report import ACTUAL, Claim, Result, box, draw_arms, draw_errors, draw_tensions, save
+from soft_tendon_env.evaluation.pictures import save_figure
+from soft_tendon_env.paper.report import ACTUAL, Claim, Result, box, draw_arms, draw_errors, draw_tensions
 from soft_tendon_env.tools.messages import say
 
 AMPLITUDE = np.array([6.0, 2.0, 2.0, 5.0, 4.0, 5.0, 3.0, 4.0, 5.0, 4.0])  # [N]
@@ -87,4 +88,4 @@ def draw(model: ste.Model, motions: dict[str, ste.Trajectory], mismatch: dict[st
     tips.legend(frameon=False, fontsize="small", ncols=3)
     each = {label: (time[1:], 1e3 * mismatch[name][1:]) for name, label in REDUCED.items()}
     draw_errors(figure.add_subplot(grid[1, 1:]), each, "mismatch [mm]", f"(f) distance of the tip from that of {FULL}")
-    save(figure, path)
+    save_figure(figure, path)

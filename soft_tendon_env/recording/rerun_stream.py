@@ -18,23 +18,8 @@ from typing import Any, Self
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
-from soft_tendon_env.drawing import palette
+from soft_tendon_env.drawing import palette, shapes
 from soft_tendon_env.drawing.renderer import normals
-from soft_tendon_env.drawing.shapes import (
-    backbones,
-    base_poses,
-    cylinders,
-    drawing_stations,
-    label_place,
-    mount_size,
-    obstacles_of,
-    rotation_from_z,
-    side_by_side,
-    surface,
-    tendon_curves,
-    tension_colors,
-    view_box,
-)
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.recording.rollout import Rollout
@@ -95,11 +80,11 @@ class RerunStream:
         """
         if arm in self._arms:
             raise ValueError(f"arm {arm!r} is in {self._where} already")
-        where = np.array([*(side_by_side(model, len(self._arms)) if place is None else place)], dtype=float)
+        where = np.array([*(shapes.side_by_side(model, len(self._arms)) if place is None else place)], dtype=float)
         style = palette.style(arm, [other.style for other in self._arms.values()])
-        new = DrawnArm(model, style, where, drawing_stations(model, STATIONS))
+        new = DrawnArm(model, style, where, shapes.drawing_stations(model, STATIONS))
         straight = model.grid.unpacked(model.arm.rod.reference_strain)
-        backbones(model, straight[None], new.station)  # compiles, if need be, before an episode waits for it
+        shapes.backbones(model, straight[None], new.station)  # compiles, if need be, before an episode waits for it
         self._arms[arm] = new
         self._send_scenery(arm, new)
 
@@ -148,15 +133,15 @@ class RerunStream:
     def _send_scenery(self, arm: str, new: DrawnArm) -> None:
         """Log what never changes."""
         scene, length, solid = new.model.scene, rod_length(new.model.scene), rr.components.FillMode.Solid
-        *_, vertical, upright = view_box(scene)
-        depth, radius = mount_size(scene)
+        *_, vertical, upright = shapes.view_box(scene)
+        depth, radius = shapes.mount_size(scene)
         along_x = rr.Quaternion(xyzw=[0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)])
-        behind = [-depth / 2, 0.0, 0.0]
+        behind, label = [-depth / 2, 0.0, 0.0], shapes.label_place(new.model)
         radii, _ = rod_radius(scene, 0.5 * (new.station[1:] + new.station[:-1]))
         colors = (*new.style.colour, TRANSPARENCY)
         parts: dict[str, rr.AsComponents] = {
             "": rr.Transform3D(translation=new.place),
-            "/name": rr.Points3D.from_fields(positions=[label_place(new.model)], radii=0.0, colors=new.style.colour, show_labels=True),
+            "/name": rr.Points3D.from_fields(positions=[label], radii=0.0, colors=new.style.colour, show_labels=True),
             "/body": rr.Cylinders3D.from_fields(lengths=np.diff(new.station), radii=radii, fill_mode=solid, colors=colors),
             "/mount": rr.Cylinders3D(lengths=depth, radii=radius, centers=behind, quaternions=along_x, fill_mode=solid, colors=MOUNT_COLOR),
             "/backbone": rr.LineStrips3D.from_fields(radii=0.5 * TENDON_WIDTH, colors=new.style.colour),
@@ -174,23 +159,23 @@ class RerunStream:
         self._send_static(f"scene/{part(arm)}", rr.TextDocument(json.dumps(scene_to_dict(scene), indent=2)))
 
     def _send_arm(self, root: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
-        base = base_poses(rollout.model, _moments(known, rollout), rollout.scene)
+        base = shapes.base_poses(rollout.model, _moments(known, rollout), rollout.scene)
         if (base != np.eye(4)).any():
             self._send(f"{root}/mount", times, _poses(base))
-        frames = backbones(rollout.model, rollout.strain, known.station, base)
+        frames = shapes.backbones(rollout.model, rollout.strain, known.station, base)
         position = frames[..., :3, 3]
-        centers, quaternions = cylinders(position)
+        centers, quaternions = shapes.cylinders(position)
         pieces = rr.Cylinders3D.columns(centers=centers.reshape(-1, 3), quaternions=quaternions.reshape(-1, 4))
         self._send(f"{root}/body", times, pieces.partition([known.station.size - 1] * rollout.samples))
         self._send(f"{root}/backbone", times, _lines(position))
         if (discs := disc_rows(rollout.model.scene)).size:
-            poses = backbones(rollout.model, rollout.strain, discs[:, 0], base)
-            turned = rotation_from_z(poses[..., :3, 0])
+            poses = shapes.backbones(rollout.model, rollout.strain, discs[:, 0], base)
+            turned = shapes.rotation_from_z(poses[..., :3, 0])
             plates = rr.Cylinders3D.columns(centers=poses[..., :3, 3].reshape(-1, 3), quaternions=turned.reshape(-1, 4))
             self._send(f"{root}/discs", times, plates.partition([len(discs)] * rollout.samples))
-        curves = tendon_curves(rollout.model, frames, known.station)
+        curves = shapes.tendon_curves(rollout.model, frames, known.station)
         strips = rr.LineStrips3D.columns(
-            strips=_strips(curves), colors=tension_colors(rollout.model, rollout.tension).reshape(-1, 3).astype(np.uint8)
+            strips=_strips(curves), colors=shapes.tension_colors(rollout.model, rollout.tension).reshape(-1, 3).astype(np.uint8)
         )
         self._send(f"{root}/tendons", times, strips.partition([len(curves)] * rollout.samples))
         self._send(f"{root}/tip", times, _poses(rollout.tip_pose))
@@ -212,14 +197,14 @@ class RerunStream:
     def _send_solids(self, root: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
         """The obstacles where others than before are to be seen, and how they move: their surfaces are where they are at time 0."""
         effects = (rollout.scene or rollout.model.scene).effects
-        obstacles, moments = obstacles_of(effects), _moments(known, rollout)
+        obstacles, moments = shapes.obstacles_of(effects), _moments(known, rollout)
         if not obstacles:
             return
         if known.effects != effects:
             known.effects = effects
             first = _times(known, 1, rollout.period)
             for number, obstacle in enumerate(obstacles):
-                corners = surface(obstacle, 0.0, view_box(rollout.model.scene)[:2])
+                corners = shapes.surface(obstacle, 0.0, shapes.view_box(rollout.model.scene)[:2])
                 self._send(f"{root}/solids/{number}", first, _seen_through(corners) if obstacle.is_endless else _mesh(corners))
         for number, obstacle in enumerate(obstacles):
             if obstacle.moves:

@@ -106,20 +106,14 @@ class VectorRecordRollout(gym.vector.VectorWrapper):
     last step. Raises as RecordRollout.
     """
 
-    def __init__(
-        self,
-        env: gym.vector.VectorEnv[Any, Any, Any],
-        path: str | Path,
-        rows: Sequence[int] = (0,),
-        flush_period: float | None = FLUSH_PERIOD,
-    ) -> None:
+    def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any], path: str | Path, rows: Sequence[int] = (0,)) -> None:
         super().__init__(env)
         if unknown := [row for row in rows if not 0 <= row < env.num_envs]:
             raise ValueError(f"rows should be from 0 to {env.num_envs - 1}, not {unknown}")
         self._episodes, self._file, self._recorders = episodes_of(env), _open(path), dict[int, RowRecorder]()
         for row in rows:
             self._file.add_arm(f"row_{row}", self._episodes.model)
-            self._recorders[row] = RowRecorder(self._file, f"row_{row}", self._episodes, row, flush_period)
+            self._recorders[row] = RowRecorder(self._file, f"row_{row}", self._episodes, row, FLUSH_PERIOD)
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         result, mask = self.env.reset(seed=seed, options=options), (options or {}).get("reset_mask")

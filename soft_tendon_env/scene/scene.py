@@ -55,14 +55,10 @@ class Base(Configuration):
         turn, angle = np.radians(self.rotation), math.radians(math.hypot(*self.rotation))
         a, (b, c, d) = math.cos(0.5 * angle), 0.5 * np.sinc(0.5 * angle / np.pi) * turn
         product = np.array([[a, -b, -c, -d], [b, a, -d, c], [c, d, a, -b], [d, -c, b, a]]) @ self.quaternion
-        w, x, y, z = (product / math.hypot(*product)).tolist()
-        pose = np.eye(4)
+        w, *v = product / math.hypot(*product)
+        skew, pose = np.cross(np.eye(3), v), np.eye(4)
+        pose[:3, :3] += 2.0 * (w * skew + skew @ skew)
         pose[:3, 3] = self.position
-        pose[:3, :3] = [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-        ]
         return pose
 
 

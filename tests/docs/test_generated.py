@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from soft_tendon_env.evaluation.pages import MADE, Stamp
+from soft_tendon_env.evaluation.pages import Stamp
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "docs"))
@@ -41,10 +41,16 @@ def test_every_generated_block_is_listed_once_and_is_there():
     ]
     assert sorted(made) == sorted(blocks)
     whole = {entry.page for entry in generated.listed() if entry.page and not entry.blocks}
-    stamped = {page.relative_to(ROOT).as_posix() for page in PAGES if MADE.search(page.read_text(encoding="utf-8"))}
+    stamped = {page.relative_to(ROOT).as_posix() for page in PAGES if generated.MADE.search(page.read_text(encoding="utf-8"))}
     assert stamped <= whole | {page for page, _ in made}
     for entry in generated.listed():
         entry.stale()  # reads pages and stamps, and raises for what is not there
+
+
+def test_stamps_are_read_and_unknown_commits_have_changed():
+    stamp = Stamp.of(("soft-tendon", "own"))
+    assert generated.read_stamp(f"text {stamp.text()} text") == stamp and generated.read_stamp("no stamp") is None
+    assert generated.has_changed(None) and generated.has_changed("0" * 40)
 
 
 def test_pictures_are_shown():
@@ -64,12 +70,12 @@ def test_what_is_current_is_left_and_what_changed_or_failed_is_made(listed, monk
         page.write_text(f"<!-- own -->\n{stamp}\n<!-- /own -->\n")
         return good
 
-    monkeypatch.setattr(Stamp, "changed", lambda stamp: False)
+    monkeypatch.setattr(generated, "has_changed", lambda commit: False)
     monkeypatch.setattr(sys, "argv", ["generated.py"])
     assert generated.main() == 0 and "about 2.0 minutes" in capsys.readouterr().out
     assert generated.main() == 0 and "0 to be made" in capsys.readouterr().out and played == ["own"]
     assert generated.listed()[0].minutes == 0.1 and generated.LIST.read_text().count("minutes") == 1
-    monkeypatch.setattr(Stamp, "changed", lambda stamp: True)
+    monkeypatch.setattr(generated, "has_changed", lambda commit: True)
     monkeypatch.setattr(sys, "argv", ["generated.py", "--list"])
     assert generated.main() == 0 and "has changed since" in capsys.readouterr().out and played == ["own"]
     monkeypatch.setattr(generated, "succeeds", lambda command: write(False))

@@ -266,7 +266,7 @@ def test_a_file_of_poses_is_followed_and_held_at_its_ends(tmp_path):
 @pytest.mark.cases(
     "row, said",
     [
-        ("1,250,100,50,1,0,0,0", "a pose at 250 m: it should lie within ±0.6 m"),
+        ("1,250,100,50,1,0,0,0", "a pose 250 m from the base: it should lie within ±0.6 m"),
         ("0.5,0,0,0,1,0,0,0", "times that grow"),
         ("1,0,0,,1,0,0,0", "rows of numbers"),
         ("1,0,0,0,1,1,0,0", "has a quaternion of length 1 ± 0.41 in row 2"),

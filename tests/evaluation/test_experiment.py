@@ -1,5 +1,6 @@
 """Experiments: what was played is kept, and played again only where something has changed; blocks of pages say what made them."""
 
+import json
 import sys
 from dataclasses import replace
 
@@ -84,8 +85,7 @@ def test_a_stamp_says_what_a_block_was_made_by(tmp_path, monkeypatch):
         (("own.py", "--write-docs"), "python own.py --write-docs"),
     ):
         made = Stamp.of(command)
-        assert made.command == line and Stamp.read(f"text {made.text()} text") == made and f"`{line}`" in made.text()
-    assert made._replace(commit=None).changed() and made._replace(commit="0" * 40).changed(), "a commit that is not known"
+        assert made.command == line and f"<!-- made {json.dumps(made._asdict())} -->" in made.text() and f"`{line}`" in made.text()
 
 
 def test_a_page_keeps_what_stands_around_a_block(tmp_path):
@@ -94,6 +94,6 @@ def test_a_page_keeps_what_stands_around_a_block(tmp_path):
     Page(str(path), ["own"]).write("own", "| table |")
     text = path.read_text()
     assert text.startswith("before\n<!-- own -->\n<!-- made ") and text.endswith("\n\n| table |\n<!-- /own -->\nafter\n")
-    assert Stamp.read(text).made and "old" not in text and Stamp.read("no stamp") is None
+    assert "\nold\n" not in text
     with pytest.raises(ValueError, match="should have the lines <!-- other --> and <!-- /other -->"):
         Page(str(path), ["other"])

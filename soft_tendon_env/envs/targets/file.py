@@ -1,5 +1,6 @@
 """Target that follows a path from a CSV file."""
 
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -10,10 +11,10 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from soft_tendon_env.envs.targets import Course, PoseCourse, Setting, Target, TargetSamples, pose_samples, register_target
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.types import Array
+from soft_tendon_env.tools.tables import read_table
+from soft_tendon_env.tools.types import UNIT, Array
 
 COLUMNS = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")
-ROUNDED = 1e-3  # by which the length of a quaternion may be off
 FARTHEST_POSE = 2.0  # largest coordinate of the poses, in lengths of the rod: more is not in metres
 
 
@@ -33,30 +34,27 @@ class File(Target):
 
     def check(self, scene: Scene) -> None:
         course, bound = FileCourse(self.path), FARTHEST_POSE * rod_length(scene)
-        farthest = np.abs(course.place(course.times)).max()
+        farthest = np.abs(course.place(course.times) - scene.base.position).max()
         if farthest > bound:
-            allowed = f"within ±{bound:g} m, {FARTHEST_POSE:g} lengths of the rod"
-            raise ConfigurationError([Problem(("target", "path"), f"has a pose at {farthest:g} m: it should lie {allowed}")], "environment")
+            allowed = f"within ±{bound:g} m of the base, {FARTHEST_POSE:g} lengths of the rod"
+            raise ConfigurationError([Problem(("target", "path"), f"has a pose {farthest:g} m from the base: it should lie {allowed}")], "environment")
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         return FileCourse(self.path)
 
 
 class FileCourse(PoseCourse):
-    """Poses of a file as splines of time. Raises OSError, and ValueError for a table without poses or times that grow."""
+    """Poses of a table as splines of time, see `read_table`. Raises OSError, ValueError without poses or times that grow."""
 
     def __init__(self, path: str) -> None:
-        try:
-            table = np.genfromtxt(path, delimiter=",", names=True, ndmin=1, encoding="utf-8-sig")
-        except ValueError as error:
-            raise ValueError(f"should be a table with commas between the columns {', '.join(COLUMNS)}") from error
-        if missing := [name for name in COLUMNS if name not in (table.dtype.names or ())]:
+        table = read_table(Path(path), COLUMNS)
+        if missing := [name for name in COLUMNS if name not in table.header]:
             raise ValueError(f"has no column {missing[0]!r}: it should have {', '.join(COLUMNS)}")
-        rows = np.stack([table[name] for name in COLUMNS], axis=1)
+        rows = table.numbers((name, 1.0) for name in COLUMNS)
         if len(rows) < 2 or not np.isfinite(rows).all() or np.diff(rows[:, 0]).min() <= 0.0:
             raise ValueError("should have at least two rows of numbers, with times that grow")
-        if (off := np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1.0)).max() > ROUNDED:
-            raise ValueError(f"has a quaternion of length 1 ± {off.max():.2g} in row {off.argmax() + 1}: it should be 1 ± {ROUNDED:g}")
+        if (off := np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1.0)).max() > UNIT:
+            raise ValueError(f"has a quaternion of length 1 ± {off.max():.2g} in row {off.argmax() + 1}: it should be 1 ± {UNIT:g}")
         self.times = rows[:, 0]
         self.place = CubicSpline(self.times, rows[:, 1:4], bc_type="clamped")
         self._turn = RotationSpline(self.times, Rotation.from_quat(rows[:, 4:], scalar_first=True))
