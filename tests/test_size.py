@@ -24,7 +24,7 @@ SIZES = {
     "words of the documentation": lambda: sum(len(path.read_text(encoding="utf-8").split()) for glob in PROSE for path in ROOT.glob(glob)),
 }
 LIMITS = {
-    "lines of the package": 28_500,
+    "lines of the package": 28_700,
     "lines of the tests": 16_500,
     "lines of the largest folder": 6_000,
     "lines of the longest file": 330,

@@ -121,12 +121,13 @@ def drawn_in_rows(infos: Sequence[Mapping[str, Any]], members: Indices, rows: in
     """Infos of what was drawn for `members` as one of all rows, as Gymnasium has tables in it: arrays (rows, ..), each beside its mask."""
     if not any(infos):
         return {}
-    found, mask = dict[str, Any](), np.isin(np.arange(rows), members)
-    for key in infos[0][DRAWN]:
-        drawn = np.array([info[DRAWN][key] for info in infos])
-        found |= {key: np.zeros((rows, *drawn.shape[1:])), f"_{key}": mask.copy()}
-        found[key][members] = drawn
-    return {DRAWN: found, f"_{DRAWN}": mask}
+    found, of_row = dict[str, Any](), {int(row): info[DRAWN] for row, info in zip(members, infos, strict=True)}
+    for key in dict.fromkeys(key for drawn in of_row.values() for key in drawn):  # some rows may leave it out
+        mask = np.array([key in of_row.get(row, ()) for row in range(rows)])
+        values = np.array([of_row[row][key] for row in np.flatnonzero(mask).tolist()])
+        found |= {key: np.zeros((rows, *values.shape[1:])), f"_{key}": mask}
+        found[key][mask] = values
+    return {DRAWN: found, f"_{DRAWN}": np.isin(np.arange(rows), members)}
 
 
 class Measured(NamedTuple):

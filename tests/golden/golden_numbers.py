@@ -6,8 +6,12 @@ import gymnasium as gym
 import numpy as np
 
 import soft_tendon_env as ste
+from soft_tendon_env.accuracy.fidelity import PRESETS as PARTS_OF
+from soft_tendon_env.accuracy.input_motions import USUAL as USUAL_MOTIONS
+from soft_tendon_env.accuracy.trial import known_fields, snapshots
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.policies import load_policy, policy_options
+from soft_tendon_env.scene.scene import rod_length
 
 Numbers = Mapping[str, np.ndarray]
 USUAL = "fast", "standard", "fine"
@@ -40,9 +44,21 @@ LIMIT = {"paper": 6.0, "paper_48dof": 6.0, "three_tendon": 2.0, "helical": 2.0}
 """Tension [N] up to which the tendons of a scene are pulled here."""
 
 
+def loaded(scene: str, changes: Mapping, preset: str) -> ste.Scene:
+    """A scene with changes, at the numbers of a preset without a trial: with the shipped fields that are nearest to its loads."""
+    changed = ste.load_scene(scene).replace(changes)
+    if preset == "scene":
+        return changed
+    asked, fields, length = PARTS_OF[preset], known_fields(changed), rod_length(changed)
+    count = fields.needed(asked.fields * length, USUAL_MOTIONS) or len(fields.coefficients)
+    quadrature = {"tolerance": asked.quadrature, "least": asked.least}
+    numbers = {"strain": snapshots(changed, fields, count), "quadrature": quadrature, "integrator": {"tolerance": asked.tolerance * length}}
+    return changed.replace(numbers)
+
+
 def arm(scene: str, changes: Mapping, preset: str) -> ste.Model:
-    """The model of a scene with changes, at a fidelity."""
-    return ste.build_model(ste.load_scene(scene).replace(changes), fidelity=preset)
+    """The model of it."""
+    return ste.build_model(loaded(scene, changes, preset), fidelity="scene")
 
 
 def tensions(scene: str, periods: int) -> np.ndarray:
@@ -104,8 +120,8 @@ def gradients() -> Numbers:
 
     found = {}
     for task, scene, load in DIFFERENTIATED:
-        changes = {"scene": scene, **LOADS[load]}
-        envs = gym.make_vec(IDS[task], num_envs=2, threads=1, scene=changes, fidelity="fast", action="tension", max_episode_steps=None)
+        options = {"scene": loaded(scene, LOADS[load], "fast"), "fidelity": "scene", "action": "tension"}
+        envs = gym.make_vec(IDS[task], num_envs=2, threads=1, max_episode_steps=None, **options)
         envs.reset(seed=0)
         steps, played = 8, []
         actions = torch.tensor(np.random.default_rng(1).uniform(-1.0, -0.6, (steps, *envs.action_space.shape)), requires_grad=True)
