@@ -45,7 +45,7 @@ import soft_tendon_env
 STEP = """
 import time
 import gymnasium, soft_tendon_env
-env = gymnasium.make("TendonRod-TipPose-v1", scene={scene!r})
+env = gymnasium.make("TendonRod-TipPose-v0", scene={scene!r})
 env.reset(seed=0)
 env.step(env.action_space.sample())
 """
@@ -53,7 +53,7 @@ AGENT = """
 import time
 import gymnasium, soft_tendon_env
 from soft_tendon_env.policies import load_policy, policy_options
-env = gymnasium.make("TendonRod-TipPose-v1", **policy_options("agent", "TipPose", {{}}))
+env = gymnasium.make("TendonRod-TipPose-v0", **policy_options("agent", "TipPose", {{}}))
 load_policy("agent", env).predict(env.reset(seed=0)[0])
 """
 PROCESSES = {"import": IMPORT, "first step": STEP, "first action of the agent": AGENT}
