@@ -5,8 +5,6 @@ from typing import Literal
 
 import numpy as np
 from pydantic import field_validator
-from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation, RotationSpline
 
 from soft_tendon_env.envs.targets import Course, PoseCourse, Setting, Target, TargetSamples, pose_samples, register_target
 from soft_tendon_env.scene.scene import Scene, rod_length
@@ -49,6 +47,9 @@ class FileCourse(PoseCourse):
     """Poses of a table as splines of time, see `read_table`. Raises OSError, ValueError without poses or times that grow."""
 
     def __init__(self, path: str) -> None:
+        from scipy.interpolate import CubicSpline  # here: these take longer to import than all else that most targets need
+        from scipy.spatial.transform import Rotation, RotationSpline
+
         table = read_table(Path(path), COLUMNS)
         if missing := [name for name in COLUMNS if name not in table.header]:
             raise ValueError(f"has no column {missing[0]!r}: it should have {', '.join(COLUMNS)}")
