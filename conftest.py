@@ -4,6 +4,7 @@ import contextlib
 import inspect
 import itertools
 import os
+import signal
 import sys
 import threading
 import time
@@ -13,6 +14,7 @@ import pytest
 # As many processes test as there are cores; further threads of linear algebra only wait for one another.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell lets what it starts in the background ignore it
 
 import numba  # noqa: E402
 
