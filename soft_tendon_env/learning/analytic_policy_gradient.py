@@ -107,7 +107,8 @@ class APG(ActorAlgorithm):
         def mean_action(observation: Any) -> torch.Tensor:
             seen.append(observation)
             mean, self._memory = self.policy.act(normalised(observation, statistics), self._memory)
-            mean.register_hook(lambda gradient: clip_rows(gradient, settings.max_row_gradient))
+            if math.isfinite(settings.max_row_gradient):
+                mean.register_hook(lambda gradient: clip_rows(gradient, settings.max_row_gradient))
             return mean
 
         found, self._memory = rollout(rows, mean_action, settings.n_steps), self._memory.detach()
@@ -166,7 +167,7 @@ def clip_rows(gradient: torch.Tensor, most: float) -> torch.Tensor:
     """Gradient (rows, n_a) whose rows have at most `most` times the norm of the median row, unless that is zero."""
     norm = gradient.norm(dim=1, keepdim=True)
     greatest = most * norm.median()
-    return gradient * (greatest / norm).clamp(max=1.0) if greatest > 0.0 and math.isfinite(most) else gradient
+    return gradient * (greatest / norm).clamp(max=1.0) if greatest > 0.0 else gradient
 
 
 def update_statistics(statistics: VecNormalize | None, seen: list[Any]) -> None:

@@ -35,9 +35,8 @@ class File(Target):
         farthest = np.abs(course.place(course.times) - scene.base.position).max()
         if farthest > bound:
             allowed = f"within ±{bound:g} m of the base, {FARTHEST_POSE:g} lengths of the rod"
-            raise ConfigurationError(
-                [Problem(("target", "path"), f"has a pose {farthest:g} m from the base: it should lie {allowed}")], "environment"
-            )
+            text = f"has a pose {farthest:g} m from the base: it should lie {allowed}"
+            raise ConfigurationError([Problem(("target", "path"), text)], "environment")
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         return FileCourse(self.path)
