@@ -217,11 +217,11 @@ def choose(scene: Scene, asked: Accuracy) -> Choice:
     with FileLock(path.with_suffix(".lock")):  # one process makes it, the others find it
         with contextlib.suppress(OSError, ValueError, TypeError):  # none, or damaged
             return Choice(**read_json(path))
-        say_once(f"the coordinates of {scene.name!r} are chosen by a short trial against full physics, once: {path}")
+        say_once(f"the coordinates of {scene.name!r} are chosen by a short trial against a converged reference, once: {path}")
         found = search(scene, asked)
         with contextlib.suppress(OSError), replacing(path) as temporary:
             temporary.write_text(json.dumps(found._asdict()))
-    say_once(f"{scene.name!r}: {found.describe(scene)}; {100 * asked.share:.3g} % were asked for")
+    say_once(f"{scene.name!r}: {found.describe(scene)}; the bound is {100 * asked.share:.3g} %")
     return found
 
 
