@@ -115,7 +115,6 @@ class ExtendedKalmanFilter:
         self.uncertainty, self.needs = uncertainty, tuple(setting.observed)
         self._sensors = checked_array("sensors", setting.sensors, (None,))
         self._variance = noise_variances(model, setting.noise, self._sensors.size)
-        self._rest_lengths, self._stress_free = model.tendon_lengths(np.zeros(n)), model.strain_at(np.zeros(n), self._sensors)[0]
         terms = model.terms(np.zeros(n), np.zeros(n))
         give = np.einsum("ij,ij->j", terms.actuation, np.linalg.lstsq(terms.stiffness, terms.actuation, rcond=None)[0])
         self._tension = np.sqrt(model.bending_energy / np.maximum(give, np.finfo(float).tiny))  # of one tendon that bends the arm by 1 rad
@@ -224,8 +223,8 @@ class ExtendedKalmanFilter:
         slope, J = slope.reshape(-1, q.size), terms.tip_jacobian
         expected: dict[str, tuple[Any, Array]] = {  # and Jacobians (k, n) by coordinates, of VELOCITIES by their rates
             "tip_twist": (J @ q_dot, J),
-            "tendon_length": (self.model.tendon_lengths(q) - self._rest_lengths, -terms.actuation.T),
-            "strain": (strain - self._stress_free, slope),
+            "tendon_length": (self.model.tendon_lengths(q), -terms.actuation.T),
+            "strain": (strain, slope),
             "strain_rate": ((slope @ q_dot).reshape(-1, 6), slope),
         }
         missed, rows, variances = [], [], []
