@@ -58,3 +58,27 @@ def test_errors_of_the_arm_are_allowed_for():
 def test_an_unknown_latency_is_made_up_for_where_goals_jump():
     env, policy = made("adaptive:predictive@fast", task="Reach", regime="sensors", target=None)
     assert position_error(env, policy, seed=1_000_000) < 2e-3
+
+
+SMALL = {"scene": "three_tendon", "quadrature.intervals": 4}
+GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -3.0]}
+
+
+@pytest.mark.cases(
+    "scene, options",
+    [
+        (GRAVITY, {}),
+        (GRAVITY | {"strain.include_loads": True}, {}),
+        ({"effects.tip_load.force": [0.0, 0.01, 0.0]}, {"tension_limits": (0.2, 5.0)}),
+    ],
+)
+def test_an_arm_that_does_not_rest_straight_is_where_exact_sensors_say(scene, options):
+    given = PolicyName.parse("filtered:tracking", "TipPose").options({"scene": SMALL | scene, "fidelity": "scene", **options})
+    env = gym.make(IDS["TipPose"], **given)
+    policy, (observation, _), state = load_policy("filtered:tracking", env), env.reset(seed=0), None
+    for _ in range(10):
+        arm = env.unwrapped.state
+        action, state = policy.predict(observation, state)
+        observation, *_ = env.step(action)
+        scale = env.unwrapped.model.coordinate_scale()
+        assert abs((state[0].estimate.q - arm.q) / scale).max() < 1e-5 and abs((state[0].estimate.q_dot - arm.q_dot) / scale).max() < 1e-3
