@@ -60,6 +60,13 @@ def test_an_unknown_latency_is_made_up_for_where_goals_jump():
     assert position_error(env, policy, seed=1_000_000) < 2e-3
 
 
+def test_loads_that_the_model_lacks_are_made_up_for_with_exact_sensors():
+    loads = {"payload": 0.05, "effects": {"gravity.acceleration": [0.0, 0.0, -5.0]}}
+    scene = {"scene": "paper", "effects.gravity.acceleration": [0.0, 0.0, 0.0]}
+    env, policy = made("filtered:predictive@fast", regime="sensors", scene=scene, randomize=loads)
+    assert position_error(env, policy) < 6e-3
+
+
 SMALL = {"scene": "three_tendon", "quadrature.intervals": 4}
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -3.0]}
 
