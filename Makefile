@@ -23,6 +23,7 @@ help: ## list the doors
 
 demo: .venv/.installed-demo ## controllers and agents that ship side by side on the paper's arm: a table, a picture, a recording
 	$(PYTHON) -m soft_tendon_env demo
+	@du -sh .venv
 
 test: .venv/.installed-test ## run the tests, but those that take long
 	$(PYTEST) -m "not slow"

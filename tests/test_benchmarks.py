@@ -24,6 +24,7 @@ TINY = {
     "robot_loop": ("--seconds", "0.5"),
     "scaling": ("--quick",),
     "own_arms": ("--quick",),
+    "scores": ("--quick",),
     "paired": (str(ROOT), "--scenes", "three_tendon", "--turns", "1", "--calls", "1"),
 }
 

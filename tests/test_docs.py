@@ -1,7 +1,8 @@
 """The documentation runs: Python blocks of README.md and docs/, in order, and the commands that shell blocks name.
 
 The blocks of one page share a namespace and a temporary folder. A block with a file name (```toml title="my_arm.toml") is written there.
-A block that would run for long is shortened by a comment in the line before it, which says what: <!-- test: replace "300_000" by "512" -->.
+Blocks of `py`, whose libraries the tests lack, are only compiled. A block that would run for long is shortened by a comment in the line
+before it, which says what: <!-- test: replace "300_000" by "512" -->.
 """
 
 import contextlib
@@ -75,9 +76,10 @@ def test_python_blocks_run(page, tmp_path, monkeypatch):
     for block in blocks_of(page.read_text(encoding="utf-8")):
         if block.file is not None:
             Path(block.file).write_text(block.text, encoding="utf-8")
-        if block.language == "python":
-            source = "\n" * (block.line - 1) + block.tested  # a traceback names the line of the page
-            exec(compile(source, str(page), "exec"), namespace)
+        if block.language in ("python", "py"):
+            code = compile("\n" * (block.line - 1) + block.tested, str(page), "exec")  # a traceback names the line of the page
+            if block.language == "python":
+                exec(code, namespace)
 
 
 def command_lines(text: str) -> list[str]:

@@ -28,7 +28,7 @@ HEADER = ("asked", "asked [mm]", "coordinates", "intervals", "CPU of a second [m
 
 
 class Accuracy(ArmSettings):
-    """Accuracy against computing time of an arm under its loads: what each error of the tip takes, measured against full physics."""
+    """Accuracy against computing time of an arm under its loads: what each error of the tip takes, against a converged reference."""
 
     within: GivenLength | None = Field(default=None, description="tolerance of the tip, such as 1mm, whose setting is written as a scene")
     out: str = Field(default="out/accuracy", description="folder for the table and the scene")
@@ -52,7 +52,7 @@ def run(settings: Accuracy) -> None:
         measured = {"asked": asked, "tolerance": share * rod_length(scene), "coordinates": model.coordinate_count}
         costs = {"intervals": model.grid.per_piece, "cpu_time": cpu_time(model, trial), "tip_error": trial.distance(model)}
         records.append(measured | costs)
-    print(f"{scene.name}: largest distance from full physics in {len(trial.tests)} motions and equilibria; {machine()}.\n")
+    print(f"{scene.name}: largest distance from a converged reference in {len(trial.tests)} motions and equilibria; {machine()}.\n")
     rows = [[*row.values()] for row in records]
     cells = [[row[0], number(1e3 * row[1]), *map(str, row[2:4]), *(number(1e3 * value) for value in row[4:])] for row in rows]
     print(f"{markdown_table(HEADER, cells)}\n")
@@ -63,7 +63,7 @@ def run(settings: Accuracy) -> None:
 
 def cpu_time(model: Model, trial: Trial) -> float:
     """Measured CPU time [s] of a simulated second on one thread, preparations included: the lesser of two over all motions."""
-    motions, times = [tensions for tensions, _ in trial.tests if tensions.ndim == 2], list[float]()
+    motions, times = [tensions for tensions, *_ in trial.tests if tensions.ndim == 2], list[float]()
     for _ in range(2):
         started = time.thread_time()
         for tensions in motions:

@@ -15,7 +15,7 @@ from soft_tendon_env.evaluation.settings import Comparison, Settings
 from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.parallel import check_cluster
 
-CONFIG = "TOML file with the keys of Comparison, such as configs/compare.toml, which other options override"
+CONFIG = "TOML file with keys named as the options below, which override it"
 
 
 class Compare(Comparison):

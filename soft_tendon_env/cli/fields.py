@@ -49,5 +49,5 @@ def report(scene: Scene, fields: PassiveFields, bare: int) -> str:
     for i, count in enumerate(np.array(fields.errors["fields"], dtype=int)):
         errors = [number(1e3 * fields.errors[kind][i]) for kind in KINDS]
         rows.append((str(bare + count), str(count), f"{fields.singular_values[count - 1]:.2g}" if count else "-", *errors))
-    intro = f"{scene.name}, digest {fields.digest}. Errors: largest distance of the tip from full physics on other motions."
+    intro = f"{scene.name}, digest {fields.digest}. Errors: largest distance of the tip from a converged reference on other motions."
     return f"{intro}\n\n{markdown_table(('coordinates', 'fields', 'singular value', *(f'{kind} [mm]' for kind in KINDS)), rows)}"

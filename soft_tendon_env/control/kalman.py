@@ -40,7 +40,7 @@ class Layout(NamedTuple):
 
 
 class Uncertainty(NamedTuple):
-    """Standard deviations of what the model does not know: at the beginning, and of their change in 1 s, unless said otherwise.
+    """Standard deviations of the model's errors: at the beginning, and of their change in 1 s, unless said otherwise.
 
     Tensions are in units of those of a single tendon that bend the arm by 1 rad.
     """

@@ -21,7 +21,7 @@ DIRECTIONS, PERIODS, ROWS = 16, 16, 4
 
 
 class GradientWarning(UserWarning):
-    """Gradients of this arm are far from differences of its motion."""
+    """Gradients of this arm differ from finite differences of its motion."""
 
 
 class GradientAccuracy(NamedTuple):

@@ -45,7 +45,7 @@ class _PoseErrors(torch.autograd.Function):
 
 
 def pose_logarithm(pose: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
-    """SE(3) logarithms log(g^-1 g_bar) (rows, m, 6), angular before linear, from poses g (rows, 4, 4) to wanted ones g_bar (rows, m, 4, 4).
+    """SE(3) logarithms log(g^-1 g_bar) (rows, m, 6), angular before linear, from poses g (rows, 4, 4) to desired g_bar (rows, m, 4, 4).
 
     float64. Differentiable in both along rigid motions, once, exact near no rotation and finite at a half turn, where the logarithm jumps.
     Raises ValueError for other shapes.

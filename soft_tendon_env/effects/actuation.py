@@ -50,7 +50,7 @@ class Actuators(Effect):
 
 @register_effect("tendon_elasticity")
 class TendonElasticity(Effect):
-    """`[effects.tendon_elasticity]`: tendons as springs between the arm and actuators that are moved, with slack.
+    """`[effects.tendon_elasticity]`: tendons as springs with slack, between the arm and actuators with displacements as commands.
 
     The command of a tendon is the displacement delta [m] by which its actuator has pulled it in, and its tension
 

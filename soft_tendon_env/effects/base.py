@@ -45,7 +45,7 @@ class Discretisation:
 
 
 class Configured(NamedTuple):
-    """An arm in one configuration, of which effects tell their potential energy."""
+    """Configuration of an arm, at which effects give their potential energy."""
 
     mass: Array  # (nodes,) [kg], of the rod and its payload
     pose: Array  # (nodes, 4, 4)
@@ -66,7 +66,7 @@ class DeadLoads(NamedTuple):
 
 
 class Effect(Configuration):
-    """Base of the effects' configurations: what a scene's table says, checked.
+    """Base class of effects: the validated table of a scene.
 
     Attributes:
         is_contact: whether the arm comes upon it in places only, as upon obstacles: passive fields are made without it.

@@ -229,7 +229,7 @@ def limit_disturbance_step(disturbance, nodes, longest):
 
 @register_effect("moving_base")
 class MovingBase(Effect):
-    """`[effects.moving_base]`: the base moves on from the scene's along the world's axes, and turns about a fixed axis through itself.
+    """`[effects.moving_base]`: motion of the base from its pose in the scene, along the world's axes and about a fixed axis.
 
     r(t) = r(0) + `velocity` t + `acceleration` t^2 / 2 + `amplitude` sin(2 pi f t) and R(t) = exp(theta `axis`) R(0), theta(t) =
     `angular_velocity` t + `angular_amplitude` sin(2 pi f t), with t the time of the simulation or of the episode. Base twist and

@@ -152,7 +152,7 @@ class TendonRodEnv(EpisodesEnv, gym.Env[Any, Any]):
         return None if frames is None else frames[0]
 
     def close(self) -> None:
-        """The end: the rest of what is shown is sent (the viewer stays open); reset, step and render are refused from now on."""
+        """Closes the environment and sends the viewer, which stays open, the rest; later calls raise ClosedEnvironmentError."""
         if self._renderer is not None:
             self._renderer.close()
         self.closed = True

@@ -113,7 +113,7 @@ def episode_steps(seconds: float, skip: float, options: Mapping[str, Any]) -> in
 
 
 class Comparison(Settings):
-    """Policies and tasks of a comparison: the keys of a file such as configs/compare.toml.
+    """Policies and tasks of a comparison: the keys of a file of `soft-tendon compare --config`.
 
     Attributes:
         tasks: names of the tasks that policies are compared on.

@@ -22,7 +22,7 @@ from soft_tendon_env.envs.environments import TendonRodVectorEnv
 
 
 class StableBaselinesVecEnv(VecEnv):
-    """Rows of an environment as Stable-Baselines3 wants them; row i is the single environment under DummyVecEnv with Monitor, bit for bit.
+    """Rows of an environment as a VecEnv of Stable-Baselines3; row i is the single environment under DummyVecEnv with Monitor, bit for bit.
 
     An ended row is reset at once. `infos[i]` is the info of the single environment in plain floats, with "TimeLimit.truncated" and, at
     the end of an episode, "terminal_observation" and "episode": return "r", length "l" and seconds "t" since this object was made.

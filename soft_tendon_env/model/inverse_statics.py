@@ -26,7 +26,7 @@ RIGID = 1e-6  # deviation of R^T R from the identity up to which a matrix counts
 
 
 class InverseEquilibrium(NamedTuple):
-    """Solution of the inverse statics: tensions, their equilibrium, and the distance of its tip from the wanted one."""
+    """Solution of the inverse statics: tensions, their equilibrium, and the distance of its tip from the desired one."""
 
     tension: Array  # (n_a,) [N]
     q: Array  # (n,)

@@ -44,7 +44,7 @@ class SimulationDiverged(RuntimeError):
 
 
 class NoEquilibriumError(ValueError):
-    """Raised where an arm is to begin at rest, and comes to rest nowhere under its loads and tensions."""
+    """Raised where an arm has no stable equilibrium to begin at, under its loads and tensions."""
 
 
 class StepReport(NamedTuple):

@@ -28,7 +28,7 @@ SEEN = 1e-4  # share of the rod's length: how far redundant tendons may leave th
 
 
 class RedundancyWarning(UserWarning):
-    """Redundant tendons do something to the bent arm that its coordinates do not have."""
+    """Redundant tendons strain the bent arm in a way that its coordinates lack."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Equilibrium:
     def tip_error(self) -> float:
         """Estimated distance [m] of the tip from that of the rod itself: error of coordinates and quadrature, computed when first read.
 
-        The equilibrium is solved again with full physics, see full_physics.equilibrium_error. Infinite where that has none near.
+        A converged reference model solves the equilibrium again, see full_physics.equilibrium_error. Infinite where it has none near.
         """
         return equilibrium_error(self.model, self.q, self.tension, self.load, self.stable)
 

@@ -84,7 +84,7 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
         episodes.attach(arm)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """A new episode, which begins with the robot at rest. Raises RobotStopped where it does not come to that."""
+        """A new episode, which begins with the robot at rest. Raises RobotStopped if it does not come to rest."""
         self._last = self.env.reset(seed=seed, options=options)
         return self._last
 
@@ -234,13 +234,13 @@ class Report(NamedTuple):
 
 
 def rehearse(policy: Policy, env: gym.Env[Any, Any], seed: int = 0) -> None:
-    """Plays a few periods with the simulated arm of an environment that gets a robot then, so that nothing is compiled while that waits."""
+    """Runs a policy for a few periods on the simulated arm of an environment, so that nothing is compiled while the robot waits."""
     for _ in itertools.islice(play_steps(policy, env, [seed]), 6):  # controllers and estimators compile within two or three periods
         pass
 
 
 def run_policy(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int = 0) -> Report:
-    """Runs a policy on a robot for so long [s]; lets the tendons go and closes the robot whatever happens.
+    """Runs a policy on a robot for a duration [s]; in any case it slackens the tendons and closes the robot.
 
     env: a RobotEnv, alone or wrapped. A stopped robot ends the run, as does an episode that ends early: `Report.stop` says why. What the
     policy raises, and KeyboardInterrupt, as which SIGTERM acts too, go on to the caller with slack tendons. Raises TypeError for other

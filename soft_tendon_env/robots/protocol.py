@@ -40,7 +40,7 @@ class Robot(Protocol):
         come one at a time; slack comes from the watchdog's thread, also while another call hangs."""
 
     def close(self) -> None:
-        """Lets go of the arm, which is slack by then."""
+        """Releases the arm, which is slack by then."""
 
 
 def check_robot(robot: Any) -> None:

@@ -87,7 +87,7 @@ class Pacer:
 
 
 class RobotStopped(UserError):
-    """Raised by whatever would go on with a robot that was stopped; says why it was."""
+    """Raised by calls to a robot that was stopped; the message says why."""
 
 
 @dataclass

@@ -70,7 +70,7 @@ class SimulatedRobot:
         return sent
 
     def close(self) -> None:
-        """Nothing is left to let go of."""
+        """Does nothing: a simulated arm has no motors."""
 
     def _go_on(self) -> float:
         """Simulate up to now [s]."""

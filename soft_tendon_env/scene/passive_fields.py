@@ -30,7 +30,7 @@ ARRAYS, SUFFIX = ("tension_limits", "borders", "singular_values", "coefficients"
 
 
 class FidelityWarning(UserWarning):
-    """A model is less accurate than its fidelity says, or nobody said how accurate it should be."""
+    """A model is less accurate than its fidelity says, or no fidelity was given."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -210,7 +210,7 @@ AnySection = Annotated[Tube | Rectangle | Ellipse | Stiffness, Field(discriminat
 
 
 class Discs(Configuration):
-    """Spacer discs of a segment, all alike, as inertia and weight, and drag where there is a fluid. They stiffen nothing.
+    """Spacer discs of a segment, all alike, as inertia and weight, and drag where there is a fluid. They add no stiffness.
 
     Their `places` are arc lengths [m] from the start of the segment; a `number` puts them evenly, the last one at its end.
     """

@@ -1,29 +1,46 @@
-"""Writes docs/appendix/hard_cases.md: runs the hard cases, and lists each with what it measured.
+"""Writes docs/appendix/hard_cases.md and .csv: runs the hard cases, and lists each with what it measured.
 
 python tests/hard_cases/table.py
 """
 
 import ast
+import csv
 import sys
 from pathlib import Path
 
 import pytest
 
 from soft_tendon_env.evaluation.pages import stamp
+from soft_tendon_env.evaluation.tables import markdown_table
 
 HERE = Path(__file__).parent
-TABLE = HERE.parents[1] / "docs" / "appendix" / "hard_cases.md"
+PAGE = HERE.parents[1] / "docs" / "appendix" / "hard_cases.md"
+TABLE = PAGE.with_suffix(".csv")
 EXPECTED = "Expected: "
 HEAD = """\
 # Hard cases
 
 {stamp}
 
-Inputs and arms that are known to break simulators of soft arms, with measured errors. Each line is a test in `tests/hard_cases`. Its
-docstring says why the case is hard and what is expected. A test with several parameters has the smallest and the largest number. At most
-{numbers} quantities are listed; "holds" means that the test passes without a number. `python tests/hard_cases/table.py` runs the tests and
-writes this page.
+Inputs and arms that are known to break simulators of soft arms: {count} tests in `tests/hard_cases`, twelve of them here.
+[All tests](hard_cases.csv) are in a CSV file, each with the reason why it is hard, what is expected and what was measured. A test with
+several parameters has its smallest and its largest number. `python tests/hard_cases/table.py` runs the tests and writes both files.
 """
+SHOWN = {
+    "test_angles.py::test_rod_of_many_turns": "a rod wound up into many turns",
+    "test_branches.py::test_payloads_that_fold_the_arm": "payloads that the arm can hardly carry",
+    "test_branches.py::test_weight_that_grows_on_a_column": "a column that buckles",
+    "test_branches.py::test_follower_force_on_a_column": "a column that flutters under a force that follows its tip",
+    "test_designs.py::test_catheter": "a stiff wire",
+    "test_designs.py::test_four_tendons_make_three_coordinates": "redundant tendons",
+    "test_elastic_tendons.py::test_stiff_tendons_come_to_rest_where_the_statics_says": "cables of 2e5 to 1e7 N/m that go slack and taut",
+    "test_energy.py::test_arm_without_damping_for_ten_seconds": "an arm without damping",
+    "test_hostile.py::test_numbers_that_no_arm_has": "numbers from 5e-324 to 1e308 in every key",
+    "test_impacts.py::test_two_hundred_throws_and_shots": "impacts at up to 30 m/s",
+    "test_loads.py::test_abrupt_tension": "150 N at once, on one or all tendons",
+    "test_loads.py::test_random_tensions_for_a_minute": "random tensions up to 150 N for a minute",
+}
+"""Cases on the page, in words; all are in the CSV file."""
 NUMBERS = 3
 """Quantities of a case that are listed."""
 
@@ -39,14 +56,9 @@ def cases() -> dict[str, str]:
 
 
 def listed() -> list[str]:
-    """The cases on the committed page."""
-    found, file = [], ""
-    for line in TABLE.read_text(encoding="utf-8").splitlines():
-        if line.startswith("## "):
-            file = f"test_{line.removeprefix('## ').lower().replace(' ', '_')}.py"
-        elif line.startswith("- `"):
-            found.append(f"{file}::test_{line.split('`')[1]}")
-    return found
+    """The cases in the committed CSV file."""
+    with open(TABLE, encoding="utf-8", newline="") as file:
+        return [row["case"] for row in csv.DictReader(file)]
 
 
 class Measurements:
@@ -77,23 +89,20 @@ def _span(values: list[float]) -> str:
 
 
 def page(summaries: dict[str, str], stamp: str) -> str:
-    """The page: a section for every file, a line for every case."""
-    lines, last = [HEAD.format(stamp=stamp, numbers=NUMBERS).rstrip()], ""
-    for case, summary in summaries.items():
-        file, _, test = case.partition("::")
-        if file != last:
-            lines.append(f"\n## {file.removeprefix('test_').removesuffix('.py').replace('_', ' ').capitalize()}\n")
-        lines.append(f"- `{test.removeprefix('test_')}`: {summary}")
-        last = file
-    return "\n".join(lines) + "\n"
+    """The page: a row for every case of SHOWN."""
+    rows = [[label, summaries[case]] for case, label in SHOWN.items()]
+    return f"{HEAD.format(stamp=stamp, count=len(summaries))}\n{markdown_table(('case', 'measured'), rows)}\n"
 
 
 def main() -> int:
     measurements = Measurements()
     status = pytest.main(["-q", str(HERE), f"--ignore={HERE / 'test_table.py'}"], plugins=[measurements])
-    summaries = {case: measurements.summary(case) for case in cases()}
-    TABLE.write_text(page(summaries, stamp()), encoding="utf-8")
-    print(f"{len(summaries)} tests, written: {TABLE}")
+    known = cases()
+    summaries = {case: measurements.summary(case) for case in known}
+    PAGE.write_text(page(summaries, stamp()), encoding="utf-8")
+    with open(TABLE, "w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([("case", "why it is hard", "measured"), *((case, known[case], summaries[case]) for case in known)])
+    print(f"{len(summaries)} tests, written: {PAGE} and {TABLE}")
     return int(status)
 
 

@@ -131,3 +131,10 @@ def test_both_are_tuned_from_the_command_line(table, tmp_path, monkeypatch, caps
 @pytest.mark.parametrize("name", config_names("tune_"))
 def test_searches_that_ship_are_right(name):
     read_search(find_config(name, "tune_"))
+
+
+def test_the_search_in_the_documentation_is_right(tmp_path):
+    page = Path(__file__).parents[2] / "docs/how_to/train_at_scale.md"
+    file = tmp_path / "search.toml"
+    file.write_text(re.search(r"```toml\n(training.*?)```", page.read_text(), re.DOTALL)[1])
+    read_search(file)
