@@ -17,16 +17,18 @@ class LengthObserver:
     def __init__(self, model, setting, share=0.3):
         self.simulation, self.period, self.share = ste.Simulation(model), setting.period, share
         terms = model.terms(*np.zeros((2, model.coordinate_count)))
+        self.straight = model.tendon_lengths(np.zeros(model.coordinate_count))
         softness = np.linalg.solve(terms.stiffness, terms.actuation)
         self.pull, self.bend = terms.actuation.T, softness @ np.linalg.inv(terms.actuation.T @ softness)
 
     def estimate(self, measured, last):
-        q, q_dot = -self.bend @ measured.tendon_length, np.zeros(len(self.bend))
+        longer = measured.tendon_length - self.straight
+        q, q_dot = -self.bend @ longer, np.zeros(len(self.bend))
         if last is not None:
             self.simulation.reset(last.q, last.q_dot)
             self.simulation.step(measured.sent[-1], self.period)
             q, q_dot = self.simulation.state.q, self.simulation.state.q_dot
-        missed = -self.bend @ (measured.tendon_length + self.pull @ q)
+        missed = -self.bend @ (longer + self.pull @ q)
         return Estimate(q + self.share * missed, q_dot + self.share**2 / self.period * missed)
 
 

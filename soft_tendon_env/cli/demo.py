@@ -1,4 +1,7 @@
-"""`soft-tendon demo`: controllers and agents that ship, side by side on the paper's arm."""
+"""`soft-tendon demo`: the paper's controller, model-based controllers, PPO and the agent that ships, side by side on the paper's arm.
+
+All arms are recorded side by side, first along the circle, then along one of the random targets, which also gives the times per action.
+"""
 
 from pathlib import Path
 
@@ -7,13 +10,28 @@ from pydantic import Field
 from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.control import CONTROLLERS
-from soft_tendon_env.evaluation import comparison, demo
-from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS
+from soft_tendon_env.evaluation.comparison import TIME, compare, opening_hint, record_side_by_side, shared_arms, standings_of
+from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, NOMINAL
+from soft_tendon_env.evaluation.entrants import model_in_the_loop
+from soft_tendon_env.evaluation.experiment import Experiment
 from soft_tendon_env.evaluation.pages import Page
-from soft_tendon_env.evaluation.settings import Workers
-from soft_tendon_env.policies.names import Agent
+from soft_tendon_env.evaluation.settings import Settings, Workers
+from soft_tendon_env.evaluation.summaries import Standing
+from soft_tendon_env.evaluation.tables import summary_table
+from soft_tendon_env.policies.agent import AGENT
+from soft_tendon_env.policies.names import Agent, PolicyName
 from soft_tendon_env.tools.parallel import check_cluster
 from soft_tendon_env.tools.types import Positive
+
+TASK = "TipPose"
+SHOWN = {"paper": "paper (printed law)", "tracking": "tracking (sampled law)", "predictive": "predictive (MPC)", "ppo": "PPO"}
+SHOWN[AGENT] = "agent (APG)"
+"""Policies that are shown, with their names there."""
+ARM = {"scene": "paper", "fidelity": "standard"}
+NOTES = """The tendons of this arm pull, with 0 to 60 N, and cannot push. The law (39) of the paper is continuous in time and takes tendons
+that push as well: as printed, held for 20 ms and cut off at 0 N, it is unstable. `tracking` is the same law for sampled commands and
+tendons that only pull; `soft-tendon reproduce-paper` shows it as the paper has it. An episode is settled when the error of the tip falls
+below 1 % of the arm's length, here 10 mm, and stays there to the end."""
 
 
 class Demo(Workers):
@@ -27,19 +45,42 @@ class Demo(Workers):
 
 def run(settings: Demo) -> None:
     """Run all policies, print and write."""
-    out = Path(settings.out)
+    out, known = Path(settings.out), CONTROLLERS[TASK]
     with mistakes():
         require("agents", "pictures", "recording")
         page = Page(settings.write_docs, ["demo"])
         check_cluster(settings.cluster)
         file = recording.RerunFile(writable_folder(out) / "demo.rrd")
-        known = CONTROLLERS[demo.TASK]
-        configs = {name: Agent(policy, demo.TASK).config for policy, name in demo.SHOWN.items() if policy not in known}
+        configs = {name: Agent(policy, TASK).config for policy, name in SHOWN.items() if policy not in known}
         agents = {name: f"{config.algorithm}, {config.steps_done:,} steps" for name, config in configs.items()}
-    described = {name: agents.get(name) or known[policy].description for policy, name in demo.SHOWN.items()}
+    described = {name: agents.get(name) or known[policy].description for policy, name in SHOWN.items()}
     print("\n".join(f"{name:<24} {text}" for name, text in described.items()), "\n")
-    shown = demo.run_demo(settings.episodes, settings.seconds, settings, file, out)
-    print(f"{shown}\n\n{demo.NOTES}\n")
+    shown = f"{play(settings, file, out)}\n\n{NOTES}"
+    print(f"{shown}\n")
     trained = "; ".join(f"{name}: {text}" for name, text in agents.items())
-    page.write("demo", f"Episodes of {settings.seconds:g} s. {trained}.\n\n{shown}\n\n{demo.NOTES}")
-    print(comparison.opening_hint(out / "demo.rrd"))
+    page.write("demo", f"Episodes of {settings.seconds:g} s. {trained}.\n\n{shown}")
+    print(opening_hint(out / "demo.rrd"))
+
+
+def play(settings: Demo, file: "recording.RerunFile", out: Path) -> str:
+    """Tables of both targets; writes the recording into an open file, and demo.png and the episodes into a folder."""
+    from soft_tendon_env.evaluation.pictures import draw_errors
+
+    tables, standings, seconds = list[str](), dict[tuple[str, str], Standing](), settings.seconds
+    files: dict[str, dict[int | None, str]] = {name: {None: policy} for policy, name in SHOWN.items()}
+    models = {name: model_in_the_loop(PolicyName.parse(policy, TASK)) for policy, name in SHOWN.items()}
+    experiments = dict[str, Experiment[tuple[str, str]]]()
+    for target, count, label in (("circle", 1, "circle"), ("random", settings.episodes, f"{settings.episodes} random targets")):
+        given = {"seconds": seconds, "skip": 0.1 * seconds, "errors": (NOMINAL,), "episodes": count, "options": {**ARM, "target": target}}
+        chosen = Settings.parse(given, "demo")
+        experiments[label] = compare(chosen, TASK, shared_arms(chosen, TASK, files), out / "cells")
+    with file:
+        for label, experiment in experiments.items():
+            players = {name: experiment.cells[policy, TIME].open() for policy, name in SHOWN.items()}
+            record_side_by_side(players, file, EVALUATION_SEEDS[:1], 0.0, new=label == "circle")
+            experiment.play(label, settings.workers, settings.cluster)
+            found, summaries = standings_of(experiment, files)
+            tables.append(summary_table(label, {name: summaries[name, NOMINAL] for name in files}, models))
+            standings |= {(name, label): standing for (name, _), standing in found.items()}
+    draw_errors({TASK: standings}, out / "demo.png")
+    return "\n\n".join(tables)

@@ -95,8 +95,8 @@ class Measurement(NamedTuple):
     sent: Array  # (k, n_a) [N] tensions asked for in the last k periods, the newest last
     time: float  # [s] since the episode began
     tip_twist: Array | None = None  # (6,) body twist
-    tendon_length: Array | None = None  # (n_a,) [m] less the length at rest without tension
-    strain: Array | None = None  # (s, 6) less the stress-free strain
+    tendon_length: Array | None = None  # (n_a,) [m]
+    strain: Array | None = None  # (s, 6)
     strain_rate: Array | None = None  # (s, 6)
 
 

@@ -85,29 +85,15 @@ def is_agent(name: str) -> bool:
     return is_shipped(name) or (Path(name) / WEIGHTS).is_file() or (Path(name) / CONFIG).is_file() and not (Path(name) / "best").is_dir()
 
 
-def _checked_agent(name: str) -> str:
-    if not is_agent(name):
-        raise ValueError(f"should be the folder of an agent, or {', '.join(SHIPPED)}, which ship")
-    return name
-
-
-AgentName = Annotated[str, AfterValidator(_checked_agent)]  # see `find_agent`
-
-
 def trained_folder() -> Path:
     """Folder of the agents that ship, NAME/TASK."""
     return shipped_folder("policies/trained", "agents/trained")
 
 
-def shipped_for(task: str) -> tuple[str, ...]:
-    """Names of the agents that ship for a task, but "agent"."""
-    return tuple(name for name in SHIPPED if (trained_folder() / name / task / WEIGHTS).is_file())
-
-
 def shipped_as(name: str, task: str) -> str:
     """Name by its algorithm of an agent that ships for a task: what "agent" stands for. Raises ValueError, FileNotFoundError for none."""
     found = read_toml(trained_folder() / "agents.toml").get(task) if name == AGENT else name
-    if found in (there := shipped_for(task)):
+    if found in (there := [known for known in SHIPPED if (trained_folder() / known / task / WEIGHTS).is_file()]):
         return str(found)
     raise FileNotFoundError(f"the agent {name!r} does not ship for {task}; what does: {', '.join(there) or 'none'}")
 

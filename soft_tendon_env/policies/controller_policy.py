@@ -150,6 +150,7 @@ class ControllerPolicy:
         of = episodes_of(env)
         self.layout, self._actions, self._ahead, self._period = of.layout, of.actions, of.ahead.copy(), of.period
         self._start, self._start_command, self._model = of.start_tension.copy(), of.start_command.copy(), model or of.model
+        self._zeros = of.observed.rest._asdict()  # of lengths and strains, which are observed as differences
         self._waiting = max(0 if part is None else part.history for part in (estimator, predictor))
         effects, name = self._model.scene.effects, type(controller).__name__
         pulled = None if effects.command_unit == "N" else build_model(self._model.scene.replace({"effects": effects.on_arm()}))
@@ -205,6 +206,7 @@ class ControllerPolicy:
         if self.estimator is not None:
             fields = {name: groups[group] for group, name in PARAMETERS.items() if name in self.estimator.needs}
             fields |= {name: fields[name].reshape(-1, 6) for name in {"strain", "strain_rate"} & fields.keys()}
+            fields |= {name: fields[name] + zero for name, zero in self._zeros.items() if name in fields}
             sent = np.array(memory.sent).reshape(-1, self._start.size)
             estimate = self.estimator.estimate(protocol.Measurement(pose, sent, time, **fields), memory.estimate)
         q, q_dot, tip = estimate.q, estimate.q_dot, pose if estimate.tip_pose is None else estimate.tip_pose

@@ -17,8 +17,8 @@ def measurement(model, state, sent, time, uses):
     terms = model.terms(state.q, state.q_dot)
     values = {
         "tip_twist": terms.tip_jacobian @ state.q_dot,
-        "tendon_length": model.tendon_lengths(state.q) - model.tendon_lengths(0 * state.q),
-        "strain": strain - model.strain_at(0 * state.q, SENSORS)[0],
+        "tendon_length": model.tendon_lengths(state.q),
+        "strain": strain,
         "strain_rate": slope @ state.q_dot,
     }
     return Measurement(terms.tip_pose, np.array(sent), time, **{name: values[name] for name in uses})

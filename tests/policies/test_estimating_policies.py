@@ -7,9 +7,8 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import evaluate
 from soft_tendon_env.policies import load_policy
 from soft_tendon_env.policies.names import PolicyName
-from soft_tendon_env.policies.regimes import REGIMES
+from soft_tendon_env.policies.regimes import NOISE, REGIMES
 
-NOISE = {"position": 1e-3, "rotation": 0.009, "length": 5e-4, "curvature": 0.05, "stretch": 1e-3}
 STEADY = {"target": {"type": "random", "knot_period": 1.5}}
 
 
@@ -58,3 +57,20 @@ def test_errors_of_the_arm_are_allowed_for():
 def test_an_unknown_latency_is_made_up_for_where_goals_jump():
     env, policy = made("adaptive:predictive@fast", task="Reach", regime="sensors", target=None)
     assert position_error(env, policy, seed=1_000_000) < 2e-3
+
+
+def test_loads_that_the_model_lacks_are_made_up_for_with_exact_sensors():
+    scene = {"scene": "paper", "effects.gravity.acceleration": [0.0, 0.0, 0.0]}
+    loads = {"payload": 0.05, "effects": {"gravity.acceleration": [0.0, 0.0, -5.0]}}
+    assert position_error(*made("filtered:predictive@fast", regime="sensors", scene=scene, randomize=loads)) < 6e-3
+
+
+@pytest.mark.cases("more, options", [({}, {}), ({"strain.include_loads": True}, {}), ({}, {"tension_limits": (0.2, 5.0)})])
+def test_an_arm_that_does_not_rest_straight_is_where_exact_sensors_say(more, options):
+    scene = {"scene": "three_tendon", "quadrature.intervals": 4, "effects.gravity.acceleration": [0.0, 0.0, -3.0], **more}
+    env, policy = made("filtered:tracking", scene=scene, **{"fidelity": "scene", **options})
+    (observation, _), state, scale = env.reset(seed=0), None, env.unwrapped.model.coordinate_scale()
+    for _ in range(10):
+        arm, (action, state) = env.unwrapped.state, policy.predict(observation, state)
+        assert abs((state[0].estimate.q - arm.q) / scale).max() < 1e-5
+        observation, *_ = env.step(action)
