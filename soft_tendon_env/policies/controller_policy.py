@@ -121,12 +121,12 @@ def _check_preview(entry: Entry, episodes: Episodes, periods: int) -> None:
 
 
 def _among(kind: str, chosen: Any, valid: Mapping[str, Any]) -> Any:
-    """Entry of a table by its name; an entry itself, or None, as it is. Raises ValueError."""
-    if not isinstance(chosen, str):
+    """Entry of a table by its name; a controller's entry itself, or None, as it is. Raises ValueError."""
+    if chosen is None or isinstance(chosen, Entry):
         return chosen
-    if chosen not in valid:
-        known = (not_registered if kind in ("controller", "task") else not_among)(chosen, valid)
-        raise ValueError(f"{kind} is {chosen!r}: {known}")
+    if not isinstance(chosen, str) or chosen not in valid:
+        known = (not_registered if kind in ("controller", "task") else not_among)(str(chosen), valid)
+        raise ValueError(f"{kind} is {shown(chosen)}: {known}")
     return valid[chosen]
 
 
