@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from soft_tendon_env.identification.fit import UNSEEN, Fit, fit
+from soft_tendon_env.identification.fit import MOST_TRIALS, UNSEEN, Fit, fit
 from soft_tendon_env.identification.markers import UNITS
 from soft_tendon_env.identification.readings import Plants, Readings, mean_of_finite
 from soft_tendon_env.identification.recordings import Recording, check_commands
@@ -48,8 +48,12 @@ def findings(found: Fit, unseen: Sequence[Array], fitted: Readings, noise: float
     if far and (text := misread_text(fitted, found.x, noise)):
         return [text]
     texts = list[str]()
+    if not found.converged:
+        least = np.linalg.eigh(found.information + np.diag(found.prior))[1][:, 0]
+        text = f"The fit did not converge in {MOST_TRIALS} trials of the parameters: estimate and intervals may be off. Estimate fewer"
+        texts.append(f"{text}; the data say least about {', '.join(_names(least, fitted))}.")
     for direction in unseen:
-        names = [parameters[i].name for i in np.argsort(-np.abs(direction)) if abs(direction[i]) >= UNSEEN]
+        names = _names(direction, fitted)
         what = names[0] if len(names) == 1 else f"a combination of {', '.join(names)}"
         texts.append(f"The data do not contain {what}: {_experiment(' '.join(names))}.")
     for one, x in zip(parameters, found.x, strict=True):
@@ -60,6 +64,11 @@ def findings(found: Fit, unseen: Sequence[Array], fitted: Readings, noise: float
             change = f"{np.exp(abs(x)):.2g} times {'greater' if x > 0 else 'less'} than in the scene"
             texts.append(f"{one.name} is {change}: is a unit wrong? Tensions in kg that are read as N make it 9.8 times less.")
     return texts + _misfit_texts(found, fitted, noise)
+
+
+def _names(direction: Array, readings: Readings) -> list[str]:
+    """Names of the parameters that belong to a direction (k,), the foremost first."""
+    return [readings.plants.parameters[i].name for i in np.argsort(-np.abs(direction)) if abs(direction[i]) >= UNSEEN]
 
 
 def _experiment(name: str) -> str:
