@@ -162,11 +162,16 @@ class Trial:
                 break
         return worst
 
-    def change(self, first: Choice, second: Choice, dimension: int) -> float:
-        """Largest distance [m] between the tips of two models, as a share of what they are judged by, at rest (1) or in motion (2)."""
-        models, inputs = (self.model(first), self.model(second)), [tensions for tensions, _ in self.tests if tensions.ndim == dimension]
-        paths = ([tip_path(model, tensions) for model in models] for tensions in inputs)
-        return max((distance(one, two) for one, two in paths if one is not None and two is not None), default=0.0) / self.unit
+    def agree(self, first: Choice, second: Choice, dimension: int, part: float = SETTLED) -> bool:
+        """Whether the tips of two models are apart by less than a part of what they are judged by, at rest (1) or in motion (2)."""
+        models = self.model(first), self.model(second)
+        for i, (tensions, _) in enumerate(self.tests):
+            if tensions.ndim == dimension:
+                one, two = (tip_path(model, tensions) for model in models)
+                if one is not None and two is not None and distance(one, two) > part * self.unit:
+                    self.tests.insert(0, self.tests.pop(i))
+                    return False
+        return True
 
 
 def search(scene: Scene, asked: Accuracy) -> Choice:
@@ -195,12 +200,12 @@ def settle(trial: Trial, asked: Accuracy) -> Choice:
     found = Choice(rich, quadrature, {"tolerance": asked.tolerance * rod_length(scene)}, 0, np.inf)
     parts = (breakpoints(found.of(scene)).size - 1) / (breakpoints(scene).size - 1)  # of each piece
     found.quadrature["least"] = max(math.ceil(asked.least / parts), RICH - 1)
-    while found.quadrature["least"] < MOST_INTERVALS and trial.change(found, found.finer(2.0), 1) > SETTLED:
+    while found.quadrature["least"] < MOST_INTERVALS and not trial.agree(found, found.finer(2.0), 1):
         found = found.finer(1.3)
     found.quadrature["least"] = math.ceil(parts * found.quadrature["least"])
     found = found.with_strain(scene, bare_rod(scene) | {"passive": [moments]})
     for _ in range(MOST):
-        if trial.change(found, found.finer(1.0, FINER), 2) <= SETTLED:
+        if trial.agree(found, found.finer(1.0, FINER), 2):
             break
         found = found.finer(1.0, TIGHTER)
     return found
