@@ -145,18 +145,18 @@ def independent_tensions(gram: Array, tolerance: float) -> Array:
 def _orthogonal_to(actuation: Array, passive: Array, compliance: Array, grid: Grid, tolerance: float) -> Array:
     """The parts of the passive fields orthogonal to the actuation fields and to each other, of unit energy; dependent ones dropped."""
     weight = (compliance * grid.weights[..., None]).ravel()
-    fields = np.concatenate([actuation, passive]).reshape(-1, weight.size)
-    basis, from_tensions, count = np.zeros_like(fields), 0, 0
-    for i, field in enumerate(fields):
+    basis: list[Array] = []
+    found: list[Array] = []
+    for i, field in enumerate(np.concatenate([actuation, passive]).reshape(-1, weight.size)):
         rest = field
         for _ in range(2):  # the second pass removes the rounding of the first
-            rest = rest - (basis[:count] @ (weight * rest)) @ basis[:count]
-        before, left = (float(np.sqrt(part @ (weight * part))) for part in (field, rest))
+            for b in basis:
+                rest = rest - b * (b @ (rest * weight))
+        before, left = (float(np.sqrt(part @ (part * weight))) for part in (field, rest))
         if left > tolerance * before:
-            basis[count] = rest / left
-            count += 1
-            from_tensions += i < len(actuation)
-    return basis[from_tensions:count].reshape(-1, *passive.shape[1:])
+            basis.append(rest / left)
+            found += [basis[-1]] * (i >= len(actuation))
+    return np.array(found).reshape(-1, *passive.shape[1:])
 
 
 def _inner(left: Array, right: Array, weight: Array, grid: Grid) -> Array:
