@@ -63,7 +63,7 @@ def run(settings: Accuracy) -> None:
 
 def cpu_time(model: Model, trial: Trial) -> float:
     """Measured CPU time [s] of a simulated second on one thread, preparations included: the lesser of two over all motions."""
-    motions, times = [tensions for tensions, _ in trial.tests if tensions.ndim == 2], list[float]()
+    motions, times = [tensions for tensions, *_ in trial.tests if tensions.ndim == 2], list[float]()
     for _ in range(2):
         started = time.thread_time()
         for tensions in motions:

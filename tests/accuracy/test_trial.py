@@ -93,7 +93,7 @@ def test_another_arm_load_or_accuracy_is_another_trial(change, same):
 def test_where_nothing_reaches_it_a_preset_warns_and_a_length_is_refused(monkeypatch):
     best = Choice(bare_rod(ARM), {"least": 6}, {"tolerance": 1e-5}, 3, 0.012)
     monkeypatch.setattr(module, "search", lambda scene, asked: best)
-    with pytest.warns(FidelityWarning, match=r"as 'fast' asks, 1 % of the length.*3 coordinates, were off by 1.2 %"):
+    with pytest.warns(FidelityWarning, match=r"as 'fast' asks, 1 % of the length.*3 coordinates, were within 1.2 %"):
         at_fidelity(ARM, "fast")
     with pytest.raises(ConfigurationError, match=r"as '1mm' asks, 0.5 %"):
         at_fidelity(ARM, "1mm")
