@@ -19,7 +19,7 @@ from _results import APPENDIX, cpu_times, folders, markdown_table, parser_of, wr
 from _trajectory_input import DURATION, tension_table
 
 import soft_tendon_env as ste
-from soft_tendon_env.model.build import QuadratureWarning, quadrature_estimate
+from soft_tendon_env.model.build import QuadratureWarning
 from soft_tendon_env.scene.scene import extrapolation_columns
 
 MODELS = {"paper": "#d1495b", "paper_16dof": "#edae49", "moments 0-2": "#66a182", "moments 0-3": "#2e6f95", "paper_48dof": "#3d2c5e"}
@@ -148,7 +148,7 @@ def table_of(runs: list[Run]) -> str:
 def is_as_shipped(run: Run) -> bool:
     scene = scene_of(run.model)
     integrator = scene.integrator
-    shipped = extrapolation_columns(scene), integrator.step, quadrature_estimate(scene).intervals
+    shipped = extrapolation_columns(scene), integrator.step, ste.build_model(scene, "scene").grid.per_piece
     return shipped == (run.columns, run.step, run.intervals)
 
 

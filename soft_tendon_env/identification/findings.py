@@ -49,11 +49,10 @@ def findings(found: Fit, unseen: Sequence[Array], fitted: Readings, noise: float
         return [text]
     texts = list[str]()
     if not found.converged:
-        least = np.linalg.eigh(found.information + np.diag(found.prior))[1][:, 0]
-        text = f"The fit did not converge in {MOST_TRIALS} trials of the parameters: estimate and intervals may be off. Estimate fewer"
-        texts.append(f"{text}; the data say least about {', '.join(_names(least, fitted))}.")
+        text = f"The fit did not converge in {MOST_TRIALS} trials of the parameters: estimate and intervals may be off"
+        texts.append(f"{text}. Estimate fewer, and none that the data do not contain.")
     for direction in unseen:
-        names = _names(direction, fitted)
+        names = [parameters[i].name for i in np.argsort(-np.abs(direction)) if abs(direction[i]) >= UNSEEN]
         what = names[0] if len(names) == 1 else f"a combination of {', '.join(names)}"
         texts.append(f"The data do not contain {what}: {_experiment(' '.join(names))}.")
     for one, x in zip(parameters, found.x, strict=True):
@@ -64,11 +63,6 @@ def findings(found: Fit, unseen: Sequence[Array], fitted: Readings, noise: float
             change = f"{np.exp(abs(x)):.2g} times {'greater' if x > 0 else 'less'} than in the scene"
             texts.append(f"{one.name} is {change}: is a unit wrong? Tensions in kg that are read as N make it 9.8 times less.")
     return texts + _misfit_texts(found, fitted, noise)
-
-
-def _names(direction: Array, readings: Readings) -> list[str]:
-    """Names of the parameters that belong to a direction (k,), the foremost first."""
-    return [readings.plants.parameters[i].name for i in np.argsort(-np.abs(direction)) if abs(direction[i]) >= UNSEEN]
 
 
 def _experiment(name: str) -> str:

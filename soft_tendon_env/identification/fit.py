@@ -92,8 +92,8 @@ def _solve(readings: Readings, x: Array, sigma: float, prior: Array) -> Fit:
     def jacobian(at: Array) -> Array:
         return np.vstack([readings.jacobian(at) / sigma, root])
 
-    tolerances = {"xtol": TOLERANCE, "ftol": max(PROGRESS / size, TOLERANCE), "gtol": TOLERANCE}
-    done = least_squares(residual, x, jacobian, bounds, **tolerances, max_nfev=MOST_TRIALS)
+    ftol = max(PROGRESS / size, TOLERANCE)
+    done = least_squares(residual, x, jacobian, bounds, xtol=TOLERANCE, ftol=ftol, gtol=TOLERANCE, max_nfev=MOST_TRIALS)
     return Fit(done.x, sigma * done.fun[:size], sigma * done.jac[:size], sigma, prior, done.success)
 
 

@@ -145,8 +145,7 @@ def independent_tensions(gram: Array, tolerance: float) -> Array:
 def _orthogonal_to(actuation: Array, passive: Array, compliance: Array, grid: Grid, tolerance: float) -> Array:
     """The parts of the passive fields orthogonal to the actuation fields and to each other, of unit energy; dependent ones dropped."""
     weight = (compliance * grid.weights[..., None]).ravel()
-    basis: list[Array] = []
-    found: list[Array] = []
+    basis, begin = list[Array](), 0  # of the passive ones
     for i, field in enumerate(np.concatenate([actuation, passive]).reshape(-1, weight.size)):
         rest = field
         for _ in range(2):  # the second pass removes the rounding of the first
@@ -155,8 +154,8 @@ def _orthogonal_to(actuation: Array, passive: Array, compliance: Array, grid: Gr
         before, left = (float(np.sqrt(part @ (part * weight))) for part in (field, rest))
         if left > tolerance * before:
             basis.append(rest / left)
-            found += [basis[-1]] * (i >= len(actuation))
-    return np.array(found).reshape(-1, *passive.shape[1:])
+            begin += i < len(actuation)
+    return np.array(basis[begin:]).reshape(-1, *passive.shape[1:])
 
 
 def _inner(left: Array, right: Array, weight: Array, grid: Grid) -> Array:

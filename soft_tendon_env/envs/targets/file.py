@@ -30,16 +30,14 @@ class File(Target):
         return FileCourse(self.path)
 
     def check(self, scene: Scene) -> None:
-        text, bound = "", FARTHEST_POSE * rod_length(scene)
+        bound, key = FARTHEST_POSE * rod_length(scene), ("target", "path")
         try:
             farthest = np.abs(self.course.place(self.course.times) - scene.base.position).max()
-            if farthest > bound:
-                allowed = f"within ±{bound:g} m of the base, {FARTHEST_POSE:g} lengths of the rod"
-                text = f"has a pose {farthest:g} m from the base: it should lie {allowed}"
         except ValueError as error:
-            text = f"is {self.path!r}: {error}"
-        if text:
-            raise ConfigurationError([Problem(("target", "path"), text)], "environment")
+            raise ConfigurationError([Problem(key, f"is {self.path!r}: {error}")], "environment") from None
+        if farthest > bound:
+            text = f"has a pose {farthest:g} m from the base: it should lie within ±{bound:g} m of the base"
+            raise ConfigurationError([Problem(key, f"{text}, {FARTHEST_POSE:g} lengths of the rod")], "environment")
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         return self.course
