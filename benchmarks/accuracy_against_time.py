@@ -19,10 +19,14 @@ from _results import APPENDIX, cpu_times, folders, markdown_table, parser_of, wr
 from _trajectory_input import DURATION, tension_table
 
 import soft_tendon_env as ste
-from soft_tendon_env.model.build import QuadratureWarning, quadrature_estimate
+from soft_tendon_env.model.build import QuadratureWarning
 from soft_tendon_env.scene.scene import extrapolation_columns
 
-MODELS = {"paper": "#d1495b", "paper_16dof": "#edae49", "paper_19dof": "#66a182", "paper_22dof": "#2e6f95", "paper_48dof": "#3d2c5e"}
+MODELS = {"paper": "#d1495b", "paper_16dof": "#edae49", "moments 0-2": "#66a182", "moments 0-3": "#2e6f95", "paper_48dof": "#3d2c5e"}
+PASSIVE = {  # of the scene "paper"
+    f"moments 0-{order}": {"strain.passive": [{"strains": ["torsion", "bend_y", "bend_z"], "order": order, "span": "rod"}]}
+    for order in (2, 3)
+}
 COLUMNS = (1, 2, 3, 4)
 STEPS = (0.04, 0.02, 1 / 60, 0.01, 0.005, 0.0025)
 INTERVALS = (3, 4, 6, 8)
@@ -70,7 +74,7 @@ def main() -> None:
 
 
 def measure_all(repeats: int, quick: bool) -> list[Run]:
-    models = ("paper", "paper_19dof") if quick else tuple(MODELS)
+    models = ("paper", "moments 0-2") if quick else tuple(MODELS)
     settings = list(itertools.product((2, 3), (0.02, 0.01), (4,)) if quick else itertools.product(COLUMNS, STEPS, INTERVALS))
     converged = {**CONVERGED, "integrator.step": 1 / 300} if quick else CONVERGED
     full = tips("paper", {**converged, **FULL_PHYSICS})
@@ -83,9 +87,14 @@ def measure_all(repeats: int, quick: bool) -> list[Run]:
     return runs
 
 
+def scene_of(name: str) -> ste.Scene:
+    """A scene that ships, or the paper's with passive moments."""
+    return ste.load_scene("paper" if name in PASSIVE else name).replace(PASSIVE.get(name, {}))
+
+
 def tips(name: str, changes: dict) -> np.ndarray:
     """Tip positions (steps + 1, 3) [m]."""
-    model = ste.build_model(ste.load_scene(name).replace(changes), "scene")
+    model = ste.build_model(scene_of(name).replace(changes), "scene")
     step = model.scene.integrator.step
     return ste.simulate(model, tension_table(step), DURATION, step).tip_pose[:, :3, 3]
 
@@ -100,7 +109,7 @@ def largest_distance(tip: np.ndarray, reference: np.ndarray) -> float:
 
 def measured(name: str, changes: dict, own: np.ndarray, full: np.ndarray, repeats: int) -> list[Run]:
     """The run with these changes; none if it diverges, or has too few quadrature points for its coordinates."""
-    scene = ste.load_scene(name).replace(changes)
+    scene = scene_of(name).replace(changes)
     integrator, step = scene.integrator, scene.integrator.step
     try:
         model = ste.build_model(scene, "scene")
@@ -137,9 +146,9 @@ def table_of(runs: list[Run]) -> str:
 
 
 def is_as_shipped(run: Run) -> bool:
-    scene = ste.load_scene(run.model)
+    scene = scene_of(run.model)
     integrator = scene.integrator
-    shipped = extrapolation_columns(scene), integrator.step, quadrature_estimate(scene).intervals
+    shipped = extrapolation_columns(scene), integrator.step, ste.build_model(scene, "scene").grid.per_piece
     return shipped == (run.columns, run.step, run.intervals)
 
 

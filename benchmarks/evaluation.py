@@ -40,12 +40,17 @@ def constant_strain(strains: list[str]) -> dict:
     return {"strain": {"type": "explicit", "modes": [{"strains": strains, "order": 0, "span": "piece"}]}}
 
 
+def moments(order: int) -> dict:
+    """Changes to a scene: passive moments up to an order over the whole rod."""
+    return {"strain.passive": [{"strains": ALL[:3], "order": order, "span": "rod"}]}
+
+
 # what it is, scene, changes
 ARMS = (
     ("paper", "paper", {}),
     ("paper_16dof", "paper_16dof", {}),
-    ("paper_19dof", "paper_19dof", {}),
-    ("paper_22dof", "paper_22dof", {}),
+    ("paper, moments 0-2", "paper", moments(2)),
+    ("paper, moments 0-3", "paper", moments(3)),
     ("paper_48dof", "paper_48dof", {}),
     ("paper, rigid shear", "paper", {"strain.strains": ALL[:4]}),
     ("paper, Kirchhoff (no shear, no stretch)", "paper", {"strain.strains": ALL[:3]}),

@@ -50,12 +50,17 @@ EVERYTHING = {
 
 @functools.cache
 def _build(name, changes):
-    return build_model(load_scene(name).replace(json.loads(changes)))
+    name, _, order = name.partition(" moments 0-")
+    passive = {"strain.passive": [{"strains": STRAINS[:3], "order": int(order), "span": "rod"}]} if order else {}
+    return build_model(load_scene(name).replace({**passive, **json.loads(changes)}))
 
 
 @pytest.fixture(scope="session")
 def build():
-    """build("paper", {"quadrature.intervals": 2}): the model of a shipped scene with dotted changes."""
+    """build("paper", {"quadrature.intervals": 2}): the model of a shipped scene with dotted changes.
+
+    "paper moments 0-2" has passive moments up to quadratic over the whole rod besides.
+    """
     return lambda name, changes=None: _build(name, json.dumps(changes or {}))
 
 

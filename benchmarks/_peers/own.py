@@ -40,7 +40,7 @@ def explicit(order: int) -> dict[str, Any]:
 
 FIELDS: dict[str, dict[str, Any]] = {
     "no passive fields (paper)": statics_based(None),
-    "moments 0-2 (paper_19dof)": statics_based(2),
+    "moments 0-2": statics_based(2),
     "moments 0-2 per piece": statics_based(2, "piece"),
     "6 POD modes": own_fields(6),
     "9 POD modes": own_fields(9),
@@ -76,9 +76,9 @@ class Setting:
         return scene.replace({"strain": FIELDS[self.fields], **changes})
 
 
-QUICK = (Setting("no passive fields (paper)"), Setting("moments 0-2 (paper_19dof)"))
+QUICK = (Setting("no passive fields (paper)"), Setting("moments 0-2"))
 HARD = (
-    Setting("moments 0-2 (paper_19dof)", step=0.01),
+    Setting("moments 0-2", step=0.01),
     Setting("9 POD modes", order=4, step=0.01),
     Setting("18 POD modes", order=1e-4, step=0.02),
 )

@@ -1,8 +1,8 @@
 """Test inputs of a tendon-driven arm: tables of tensions as agents and controllers make them, drawn from a seed.
 
 Each kind keeps to a band of every tendon's range of tension. On the paper's arm (0 to 60 N) they are tensions redrawn in 0 to 15 N
-every 100 ms, a walk in 0 to 20 N, sin² of about 0.8 Hz up to 20 N, tensions redrawn in 0 to 60 N every 20 ms, a step to tensions within
-20 N, and tensions within 20 N with noise.
+every 100 ms, a walk in 0 to 20 N, sin² of about 0.8 Hz up to 20 N, tensions redrawn in 0 to 60 N every 20 ms, and a step to tensions
+within 20 N.
 """
 
 from collections.abc import Callable, Mapping
@@ -13,14 +13,13 @@ import numpy as np
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.types import Array
 
-Motion = Literal["redrawn", "increments", "smooth", "wild", "step", "noisy"]
+Motion = Literal["redrawn", "increments", "smooth", "wild", "step"]
 
 MOTIONS: tuple[Motion, ...] = get_args(Motion)
 USUAL: tuple[Motion, ...] = MOTIONS[:3]  # of agents and controllers, for which errors of passive fields and presets are stated
 HOLD = 0.02  # [s], for which each row of a table of tensions is held: the environments' control period
 REDRAWN_EVERY = 5  # rows
 INCREMENT = 0.1  # of the band, the largest change from row to row
-MEAN, NOISE = 5 / 6, 0.1  # of the band: the largest mean, and the noise, root mean square
 FREQUENCY, DETUNED = 0.8, 0.1  # [Hz], and by what share it differs from tendon to tendon
 
 
@@ -42,17 +41,12 @@ def _smooth(random: np.random.Generator, rows: int, slack: Array) -> Array:
     return slack + (random.random(slack.size) - slack) * np.sin(np.pi * frequency * time[:, None]) ** 2
 
 
-def _noisy(random: np.random.Generator, rows: int, slack: Array) -> Array:
-    return np.clip(slack + MEAN * (random.random(slack.size) - slack) + NOISE * random.normal(size=(rows, slack.size)), 0.0, 1.0)
-
-
 KINDS: Mapping[Motion, tuple[float, Callable[[np.random.Generator, int, Array], Array]]] = {
     "redrawn": (1 / 4, _redrawn),
     "increments": (1 / 3, _increments),
     "smooth": (1 / 3, _smooth),
     "wild": (1.0, lambda random, rows, slack: random.random((rows, slack.size))),
     "step": (1 / 3, lambda random, rows, slack: np.tile(random.random(slack.size), (rows, 1))),
-    "noisy": (2 / 5, _noisy),
 }
 """The band, as a share of the range of tension, and tables of values in it, from 0 to 1; slack is where the arm begins."""
 

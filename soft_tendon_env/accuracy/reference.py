@@ -1,6 +1,7 @@
 """Converged reference motions: full Cosserat-rod physics, refined until the arm's tip no longer moves, with an error bar.
 
-Basis, quadrature and time steps are refined together: what a motion changes by from one level to the next bounds the finer one's error.
+Basis, quadrature and time steps are refined together: what a motion changes by from one level to the next, with the tolerance of its
+time steps, which may err alike at both, bounds the finer one's error.
 """
 
 from collections.abc import Sequence
@@ -26,7 +27,7 @@ class Reference(NamedTuple):
     """Motions and equilibria of full physics."""
 
     tips: tuple[Array | None, ...]  # (rows + 1, 3) [m] for every input, the tip every HOLD, the start first; None: there is no such motion
-    tip_errors: tuple[float, ...]  # [m], what each still changed by when it was last refined
+    tip_errors: tuple[float, ...]  # [m], bounds of the errors of these
     level: Level
 
 
@@ -62,18 +63,18 @@ def distance(path: Array | None, reference: Array | None) -> float:
 
 
 def reference_motions(scene: Scene, inputs: Sequence[Array], tolerance: float, most: int = len(LEVELS)) -> Reference:
-    """Motions of full physics under inputs (rows, n_a) [N], each row held for HOLD, or equilibria under (n_a,), each refined until it does
-    not change by more than `tolerance` [m], or to the finest of the first `most` of LEVELS. The level is that of the last to be refined."""
+    """Motions of full physics under inputs (rows, n_a) [N], each row held for HOLD, or equilibria under (n_a,), each refined until its
+    error is below `tolerance` [m], or to the finest of the first `most` of LEVELS. The level is that of the last to be refined."""
     found: list[Array | None] = [None] * len(inputs)
-    changes, rest = [np.inf] * len(inputs), list(range(len(inputs)))
+    errors, rest = [np.inf] * len(inputs), list(range(len(inputs)))
     for level in LEVELS[:most]:
-        model = full_physics(scene, level, step_tolerance(scene, level, tolerance))
+        model = full_physics(scene, level, steps := step_tolerance(scene, level, tolerance))
         label = f"full physics, {model.coordinate_count} coordinates"
         paths = run_all(partial(tip_path, model), [inputs[i] for i in rest], processors(), label, unit="motion", threads=True)
         for i, now in zip(rest, paths, strict=True):
-            changes[i] = np.inf if found[i] is None else distance(now, found[i])
+            errors[i] = np.inf if found[i] is None else distance(now, found[i]) + steps * (inputs[i].ndim - 1)  # equilibria have none
             found[i] = now
-        rest = [i for i in rest if found[i] is None or changes[i] > tolerance]
+        rest = [i for i in rest if found[i] is None or errors[i] > tolerance]
         if not any(found[i] is not None for i in rest) and len(rest) < len(inputs):
             break
-    return Reference(tuple(found), tuple(changes), level)
+    return Reference(tuple(found), tuple(errors), level)

@@ -35,10 +35,10 @@ MARGIN = 2.0  # by which the error on these stays below what is asked for, since
 REFERENCE = 0.1  # of what is asked for: error aimed at in full physics
 FIELDS, ROD, PIECE, EXPLICIT = (6, 9, 12, 18, 24), (1, 2, 3, 4, 6, 8, 10, 12), (1, 2, 3, 4, 5, 6, 7, 9), (4, 6, 9)
 """Numbers of the arm's own passive fields, Legendre orders over the rod, over each part of it, and of explicit strain, that are tried."""
-FEW, RICH, FINER, SETTLED, TIGHTER, MOST, RICHEST, MOST_LEVELS = 3, 5, 10.0, 0.15, 5.0, 5, 3, 3
+FEW, RICH, FINER, SETTLED, SOME, TIGHTER, MOST, RICHEST, MOST_LEVELS = 3, 5, 10.0, 0.15, 3, 5.0, 5, 3, 3
 """Orders of moments and explicit strain that steps and quadrature are settled with; finer ones, by how much, change the tip by less than a
-part of what is asked for; by how much and how often steps are tightened; how many of the richest strains are compared where none does;
-levels of full physics."""
+part of what is asked for, in each of so many inputs; by how much and how often steps are tightened; how many of the richest strains are
+compared where none does; levels of full physics."""
 SOURCES = tuple(f"{folder}/**/*.py" for folder in ("mechanics", "effects", "scene", "model", "accuracy"))
 
 
@@ -163,11 +163,11 @@ class Trial:
                 return np.inf
         return worst
 
-    def change(self, first: Choice, second: Choice, dimension: int) -> float:
-        """Largest distance [m] between the tips of two models, as a share of what they are judged by, at rest (1) or in motion (2)."""
+    def agree(self, first: Choice, second: Choice, dimension: int, part: float = SETTLED) -> bool:
+        """Whether the tips of two models are apart by a part of what they are judged by at most, at some rests (1) or in a motion (2)."""
         models, inputs = (self.model(first), self.model(second)), [tensions for tensions, *_ in self.tests if tensions.ndim == dimension]
-        paths = ([tip_path(model, tensions) for model in models] for tensions in inputs)
-        return max((distance(one, two) for one, two in paths if one is not None and two is not None), default=0.0) / self.unit
+        paths = ([tip_path(model, tensions) for model in models] for tensions in inputs[::SOME])
+        return all(distance(one, two) <= part * self.unit for one, two in paths if one is not None and two is not None)
 
 
 def search(scene: Scene, asked: Accuracy) -> Choice:
@@ -196,12 +196,12 @@ def settle(trial: Trial, asked: Accuracy) -> Choice:
     found = Choice(rich, quadrature, {"tolerance": asked.tolerance * rod_length(scene)}, 0, np.inf)
     parts = (breakpoints(found.of(scene)).size - 1) / (breakpoints(scene).size - 1)  # of each piece
     found.quadrature["least"] = max(math.ceil(asked.least / parts), RICH - 1)
-    while found.quadrature["least"] < MOST_INTERVALS and trial.change(found, found.finer(2.0), 1) > SETTLED:
+    while found.quadrature["least"] < MOST_INTERVALS and not trial.agree(found, found.finer(2.0), 1):
         found = found.finer(1.3)
     found.quadrature["least"] = math.ceil(parts * found.quadrature["least"])
     found = found.with_strain(scene, bare_rod(scene) | {"passive": [moments]})
     for _ in range(MOST):
-        if trial.change(found, found.finer(1.0, FINER), 2) <= SETTLED:
+        if trial.agree(found, found.finer(1.0, FINER), 2):
             break
         found = found.finer(1.0, TIGHTER)
     return found

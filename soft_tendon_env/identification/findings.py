@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from soft_tendon_env.identification.fit import UNSEEN, Fit, fit
+from soft_tendon_env.identification.fit import MOST_TRIALS, UNSEEN, Fit, fit
 from soft_tendon_env.identification.markers import UNITS
 from soft_tendon_env.identification.readings import Plants, Readings, mean_of_finite
 from soft_tendon_env.identification.recordings import Recording, check_commands
@@ -48,6 +48,9 @@ def findings(found: Fit, unseen: Sequence[Array], fitted: Readings, noise: float
     if far and (text := misread_text(fitted, found.x, noise)):
         return [text]
     texts = list[str]()
+    if not found.converged:
+        text = f"The fit did not converge in {MOST_TRIALS} trials of the parameters: estimate and intervals may be off"
+        texts.append(f"{text}. Estimate fewer, and none that the data do not contain.")
     for direction in unseen:
         names = [parameters[i].name for i in np.argsort(-np.abs(direction)) if abs(direction[i]) >= UNSEEN]
         what = names[0] if len(names) == 1 else f"a combination of {', '.join(names)}"

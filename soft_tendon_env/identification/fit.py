@@ -19,6 +19,8 @@ from soft_tendon_env.tools.types import Array
 FIRST_SIGMA, LEAST_SIGMA = 0.02, 1e-8  # standard deviations of readings at first, and at least, as shares of the rod's length
 SAME_SIGMA, MOST_ROUNDS, RESAMPLES = 0.02, 10, 2000
 TOLERANCE, ROOM = 1e-8, 0.02  # of the method, and the distance from bounds, of that of both, at which it begins
+PROGRESS = 1e-3  # fall of the sum of squares, in mean squares of a reading, that says nothing: a parameter moves by 3 % of its deviation
+MOST_TRIALS = 100  # of parameters, up to which the method goes on: where tendons go slack, readings have kinks along which it creeps
 SINGULAR = 1e-9  # information along a direction, in parts of the largest, below which there is none, as of errors of differences
 SEEN = 1.0  # information along a direction up to which the data do not contain it: no better than a factor of e, or the prior
 UNSEEN = 0.3  # entry of a unit direction from which a parameter belongs to it
@@ -32,6 +34,7 @@ class Fit(NamedTuple):
     jacobian: Array  # (N, k) [m]
     sigma: float  # [m], standard deviation of a reading
     prior: Array  # (k,) inverse variances of the coordinates, 0 without a prior
+    converged: bool
 
     @property
     def information(self) -> Array:
@@ -64,7 +67,7 @@ def fit(readings: Readings, sigma: float | None = None) -> Fit:
         if sigma is None:
             decided = float(np.trace(np.linalg.pinv(data + np.diag(prior), hermitian=True) @ data))  # parameters: the priors decide others
             here = max(float(np.sqrt(found.residual @ found.residual / max(count - decided, 1.0))), LEAST_SIGMA * length)
-        if abs(here - before) <= SAME_SIGMA * before:
+        if not found.converged or abs(here - before) <= SAME_SIGMA * before:
             break
     return found._replace(sigma=here)
 
@@ -89,8 +92,9 @@ def _solve(readings: Readings, x: Array, sigma: float, prior: Array) -> Fit:
     def jacobian(at: Array) -> Array:
         return np.vstack([readings.jacobian(at) / sigma, root])
 
-    done = least_squares(residual, x, jacobian, bounds, xtol=TOLERANCE, ftol=TOLERANCE, gtol=TOLERANCE)
-    return Fit(done.x, sigma * done.fun[:size], sigma * done.jac[:size], sigma, prior)
+    ftol = max(PROGRESS / size, TOLERANCE)
+    done = least_squares(residual, x, jacobian, bounds, xtol=TOLERANCE, ftol=ftol, gtol=TOLERANCE, max_nfev=MOST_TRIALS)
+    return Fit(done.x, sigma * done.fun[:size], sigma * done.jac[:size], sigma, prior, done.success)
 
 
 def intervals(found: Fit, readings: Readings) -> Intervals:

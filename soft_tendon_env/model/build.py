@@ -81,12 +81,6 @@ class QuadratureEstimate(NamedTuple):
     excess: float  # by what factor the worst of its errors exceeds what is allowed
 
 
-def quadrature_estimate(scene: Scene, intervals: int | None = None) -> QuadratureEstimate:
-    """Estimate of the error with this many intervals per piece; None: with those that the scene says, or as few as its tolerance allows."""
-    test, intervals = QuadratureTest(scene), intervals or scene.quadrature.intervals
-    return test.search(scene.quadrature.least) if intervals is None else test.error_estimate(intervals)
-
-
 class QuadratureTest:
     """A scene on several quadratures, and the tensions that they are compared at; obstacles are left out."""
 

@@ -144,18 +144,18 @@ def independent_tensions(gram: Array, tolerance: float) -> Array:
 
 def _orthogonal_to(actuation: Array, passive: Array, compliance: Array, grid: Grid, tolerance: float) -> Array:
     """The parts of the passive fields orthogonal to the actuation fields and to each other, of unit energy; dependent ones dropped."""
-    basis: list[Array] = []
-    found: list[Array] = []
-    for i, field in enumerate([*actuation, *passive]):
+    weight = (compliance * grid.weights[..., None]).ravel()
+    basis, begin = list[Array](), 0  # of the passive ones
+    for i, field in enumerate(np.concatenate([actuation, passive]).reshape(-1, weight.size)):
         rest = field
         for _ in range(2):  # the second pass removes the rounding of the first
             for b in basis:
-                rest = rest - b * _inner(b[None], rest[None], compliance, grid)[0, 0]
-        before, left = (float(np.sqrt(_inner(part[None], part[None], compliance, grid)[0, 0])) for part in (field, rest))
+                rest = rest - b * (b @ (rest * weight))
+        before, left = (float(np.sqrt(part @ (part * weight))) for part in (field, rest))
         if left > tolerance * before:
             basis.append(rest / left)
-            found += [basis[-1]] * (i >= len(actuation))
-    return np.array(found).reshape(-1, *passive.shape[1:])
+            begin += i < len(actuation)
+    return np.array(basis[begin:]).reshape(-1, *passive.shape[1:])
 
 
 def _inner(left: Array, right: Array, weight: Array, grid: Grid) -> Array:

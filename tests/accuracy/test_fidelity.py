@@ -57,7 +57,7 @@ def test_a_fidelity_that_nobody_said_is_told_where_it_matters():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert left_out.scene == build_model(load_scene("paper"), "scene").scene
-        build_model(load_scene("paper_19dof"))
+        build_model(load_scene("paper_16dof"))
 
 
 def test_a_length_is_an_accuracy_and_others_are_refused():

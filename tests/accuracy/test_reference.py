@@ -10,7 +10,7 @@ from soft_tendon_env.model.model import model_on
 from soft_tendon_env.scene.file import load_scene
 
 ARM, PAPER = load_scene("three_tendon"), load_scene("paper")
-GREATEST = {"redrawn": 15.0, "increments": 20.0, "smooth": 20.0, "wild": 60.0, "step": 20.0, "noisy": 24.0}
+GREATEST = {"redrawn": 15.0, "increments": 20.0, "smooth": 20.0, "wild": 60.0, "step": 20.0}
 
 
 def test_errors_are_distances_from_the_reference():
@@ -29,7 +29,7 @@ def test_the_error_bar_bounds_the_error():
     rough, fine = (reference_motions(curled, inputs, tolerance) for tolerance in (1e-3, 1e-6))
     assert LEVELS.index(rough.level) < LEVELS.index(fine.level)
     for before, after, bar in zip(rough.tips, fine.tips, rough.tip_errors, strict=True):
-        assert 0.0 < np.linalg.norm(after - before, axis=1).max() <= max(1.05 * bar, 1e-5), "or far below the tolerance"
+        assert 0.0 < np.linalg.norm(after - before, axis=1).max() <= bar
 
 
 def test_parts_turn_once_at_most():

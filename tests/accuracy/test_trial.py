@@ -125,4 +125,4 @@ def test_quadrature_and_steps_are_settled(monkeypatch):
     trial = Trial(curled, 2e-3)
     found = settle(trial, accuracy_of(curled, "standard"))
     assert found.quadrature["least"] > PRESETS["standard"].least
-    assert trial.change(found, found.finer(3.0), 1) < 0.5 and trial.change(found, found.finer(1.0, 10.0), 2) < 0.5
+    assert trial.agree(found, found.finer(3.0), 1, 0.5) and trial.agree(found, found.finer(1.0, 10.0), 2, 0.5)

@@ -93,7 +93,7 @@ def test_coordinates_beyond_the_limit(build, measured, pull_limit):
 
 
 @pytest.mark.parametrize("step", [0.0005, 0.01])
-@pytest.mark.parametrize("scene", ["paper", "paper_19dof"])
+@pytest.mark.parametrize("scene", ["paper", "paper moments 0-2"])
 def test_pull_at_95_percent_of_the_limit(build, measured, one_pulled, tip_distance, pull_limit, scene, step):
     """An abrupt pull at 95 % of the limit: what overshoots would leave the strains that exist. Expected: the motion settles in the
     equilibrium; q_a never exceeds the limit."""
@@ -106,7 +106,7 @@ def test_pull_at_95_percent_of_the_limit(build, measured, one_pulled, tip_distan
 
 
 @pytest.mark.parametrize("step", [0.0005, 0.01])
-@pytest.mark.parametrize("scene", ["paper", "paper_19dof"])
+@pytest.mark.parametrize("scene", ["paper", "paper moments 0-2"])
 def test_slow_ramp_through_the_limit(build, measured, one_pulled, pull_limit, scene, step):
     """The tension of tendon 0 grows by 150 N/s through its limit. Expected: SimulationDiverged just when q_a passes the limit; the message
     names tendon and arc length; the last good state is finite."""

@@ -11,7 +11,7 @@ import pytest
 import soft_tendon_env as ste
 from soft_tendon_env.model.statics import static_equilibrium
 
-SCENES = ["paper", "paper_16dof", "paper_19dof"]
+SCENES = ["paper", "paper_16dof", "paper moments 0-2"]
 BOUND = 1.5  # |q_a| over the tension applied
 
 
@@ -57,20 +57,20 @@ def test_abrupt_tension_with_raw_passive_coordinates(build, measured, step):
 @pytest.mark.parametrize("tendons", [(0, 1), (0, 3), (5, 8)])
 def test_step_of_100_newton_on_two_tendons(build, measured, tip_distance, tendons):
     """Two tendons jump to 100 N together: a violent motion, far outside of what the passive fields were made for. Expected: the tip of the
-    19-DOF model converges with columns and steps; how far it is off the 48-DOF model is measured and bounded."""
+    model with moments to quadratic converges with columns and steps; how far it is off the 48-DOF model is measured and bounded."""
     u = sum(pull(i, 100.0) for i in tendons)
 
     def tip(scene, step, columns):
         return ste.simulate(build(scene, {"integrator.step": step, "integrator.columns": columns}), u, 0.5, 0.01).tip_pose
 
-    exact, full = tip("paper_19dof", 5e-4, 4), tip("paper_48dof", 1e-3, 3)
-    errors = [tip_distance(tip("paper_19dof", 0.01, columns), exact) for columns in (2, 3, 4)]
+    exact, full = tip("paper moments 0-2", 5e-4, 4), tip("paper_48dof", 1e-3, 3)
+    errors = [tip_distance(tip("paper moments 0-2", 0.01, columns), exact) for columns in (2, 3, 4)]
     measured("10 ms, 2 columns [mm]", 1e3 * errors[0])
     measured("10 ms, 4 columns [mm]", 1e3 * errors[2])
-    measured("1 ms, 2 columns [mm]", 1e3 * tip_distance(tip("paper_19dof", 0.001, 2), exact))
+    measured("1 ms, 2 columns [mm]", 1e3 * tip_distance(tip("paper moments 0-2", 0.001, 2), exact))
     measured("19 to 48 DOF [mm]", 1e3 * tip_distance(exact, full))
     assert errors[0] < 0.2 and errors[2] < 2e-3 and errors[2] < errors[1] < errors[0]
-    assert tip_distance(tip("paper_19dof", 0.001, 2), exact) < 0.1 * errors[0]
+    assert tip_distance(tip("paper moments 0-2", 0.001, 2), exact) < 0.1 * errors[0]
     assert tip_distance(exact, full) < 0.35
 
 
@@ -161,7 +161,7 @@ def test_order_control_through_abrupt_tensions(build, measured, scene, tolerance
 def test_order_control_under_random_tensions(build, measured, tolerance):
     """0 to 150 N redrawn every 20 ms for 20 s, which break steps of 20 ms with two columns. Expected: a finite motion, and no step fails
     for good."""
-    model = build("paper_19dof", {"integrator.tolerance": tolerance})
+    model = build("paper moments 0-2", {"integrator.tolerance": tolerance})
     tensions = np.random.default_rng(4).uniform(0.0, 150.0, (1000, 10))
     motion = ste.simulate(model, tensions, 20.0, 0.02)
     measured("evaluations per 20 ms", motion.evaluations / 1000)
@@ -174,9 +174,11 @@ def test_order_control_through_jumps_under_combined_loads(build, measured, tip_d
     """40 N at once under gravity, a payload and a force at the tip: three columns at 20 ms are millimetres off, without a word. Expected:
     with a tolerance of 3e-5 m the tip is within a millimetre of the converged motion."""
     loads = {"effects.gravity.acceleration": [9.81, 0, 0], "effects.tip_load.mass": 0.05, "effects.tip_load.force": [0, 0.2, 0.1]}
-    exact = ste.simulate(build("paper_19dof", {**loads, "integrator.step": 5e-4, "integrator.columns": 4}), pull(which, 40.0), 1.0, 0.02)
-    fixed = ste.simulate(build("paper_19dof", {**loads, "integrator.columns": 3}), pull(which, 40.0), 1.0, 0.02)
-    motion = ste.simulate(build("paper_19dof", {**loads, "integrator.tolerance": 3e-5}), pull(which, 40.0), 1.0, 0.02)
+    exact = ste.simulate(
+        build("paper moments 0-2", {**loads, "integrator.step": 5e-4, "integrator.columns": 4}), pull(which, 40.0), 1.0, 0.02
+    )
+    fixed = ste.simulate(build("paper moments 0-2", {**loads, "integrator.columns": 3}), pull(which, 40.0), 1.0, 0.02)
+    motion = ste.simulate(build("paper moments 0-2", {**loads, "integrator.tolerance": 3e-5}), pull(which, 40.0), 1.0, 0.02)
     measured("three columns [mm]", 1e3 * tip_distance(fixed.tip_pose, exact.tip_pose))
     measured("with the tolerance [mm]", 1e3 * tip_distance(motion.tip_pose, exact.tip_pose))
     measured("evaluations per 20 ms", motion.evaluations / 50)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
-from soft_tendon_env.model.build import QuadratureWarning, quadrature_estimate
+from soft_tendon_env.model.build import QuadratureTest, QuadratureWarning
 from soft_tendon_env.scene.scene import TIP_TOLERANCE
 
 ALONG = np.linspace(0.0, 0.3, 61)
@@ -44,7 +44,7 @@ def compared(measured, tip_distance):
         measured("intervals", model.grid.per_piece)
         measured("tip error [mm]", 1e3 * errors[1])
         measured("on 6 intervals [mm]", 1e3 * errors[0])
-        measured("estimated for 6 [mm]", 300.0 * quadrature_estimate(scene, 6).error)
+        measured("estimated for 6 [mm]", 300.0 * QuadratureTest(scene).error_estimate(6).error)
         return errors[0], errors[1], scene
 
     return compare

@@ -12,7 +12,7 @@ from soft_tendon_env.envs.arms import Arms
 
 SETTINGS = {
     "fixed steps": ("paper", {}),
-    "order control": ("paper_19dof", {"integrator.tolerance": 1e-5}),
+    "order control": ("paper moments 0-2", {"integrator.tolerance": 1e-5}),
     "redundant": ("four_tendon", {}),
 }
 
@@ -84,7 +84,7 @@ def test_whole_and_single_steps_where_steps_are_halved(build, measured):
     """Tensions of 0-150 N that jump every 20 ms make steps fail; a step size remembered from one row to the next would show. Expected: some
     steps are tried again, and calls of Simulation.step give the samples of simulate to round-off."""
     tensions = np.random.default_rng(0).uniform(0.0, 150.0, (100, 10))
-    whole = assert_whole_is_single_steps(build, build("paper_19dof", {"integrator.columns": 2}), 0.02, 0, tensions)
+    whole = assert_whole_is_single_steps(build, build("paper moments 0-2", {"integrator.columns": 2}), 0.02, 0, tensions)
     measured("steps tried again", whole.rejected)
     assert whole.rejected > 0
 

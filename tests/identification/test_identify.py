@@ -12,6 +12,7 @@ import pytest
 
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.identification import MarkerSet, identify
+from soft_tendon_env.identification.findings import findings
 from soft_tendon_env.identification.fit import fit
 from soft_tendon_env.identification.identify import randomize, save_estimate
 from soft_tendon_env.identification.parameters import read_parameters
@@ -65,6 +66,27 @@ def test_derivatives_under_displacements_are_differences_of_equilibria(arm):
 def test_a_file_judges_and_few_recordings_are_fitted_to(arm, holds, placed):
     found = identify(arm, holds, placed, [E], fidelity="scene", held_out=holds, fit_to=6)
     assert [*found.error_fit] == [f"holds{i}" for i in (1, 4, 6, 9, 12, 14)] and len(found.error_held_out) == 16
+
+
+def test_a_fit_ends_where_progress_is_noise_and_one_that_does_not_converge_is_told(arm, monkeypatch):
+    """Elastic tendons go slack in some of the holds, whose readings have kinks there."""
+    elastic = {"stiffness": 3e3, "slack": [0.0, 0.0, 0.0], "displacement_limits": [-0.01, 0.03]}
+    strain = {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z"], "order": 0, "span": "rod"}]}
+    driven = arm.replace({"effects": {"tendon_elasticity": elastic}, "strain": strain})
+    placed = MarkerSet.parse({"markers": {"tip": {"arc_length": 0.2}}}, "test")
+    asked = ["effects.tendon_elasticity.stiffness", *(f"effects.tendon_elasticity.slack.{i}=-0.002..0.002" for i in range(3))]
+    plants, random = Plants(driven, build_model(driven), placed, read_parameters(asked, driven, placed)), np.random.default_rng(0)
+    holds = [Recording(f"{i}", "test", random.uniform(-2e-3, 3e-3, (1, 3)), np.zeros((1, 1, 3)), 0.0, {}) for i in range(10)]
+    measured = Readings(plants, holds).positions(np.array([0.3, 0.4, -0.3, 0.2])) + 1e-3 * random.normal(size=(10, 1, 3))
+    readings = Readings(plants, [replace(one, positions=place[None]) for one, place in zip(holds, measured, strict=True)])
+    found = fit(readings)
+    monkeypatch.setattr("soft_tendon_env.identification.fit.PROGRESS", 0.0)
+    exact = fit(readings)
+    deviation = np.sqrt(np.diag(np.linalg.inv(exact.information)))
+    assert found.converged and exact.converged and (np.abs(found.x - exact.x) < 0.1 * deviation).all()
+    monkeypatch.setattr("soft_tendon_env.identification.fit.MOST_TRIALS", 3)
+    stopped = fit(readings)
+    assert not stopped.converged and "did not converge" in findings(stopped, [], readings, None)[0]
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env import ConfigurationError, load_scene, static_equilibrium
-from soft_tendon_env.model.build import QuadratureTest, QuadratureWarning, build_model, quadrature_estimate
+from soft_tendon_env.model.build import QuadratureTest, QuadratureWarning, build_model
 
 LOADS = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.01}
 ANGULAR = ["torsion", "bend_y", "bend_z"]
@@ -44,9 +44,9 @@ def true_error(scene, intervals, fine=64):
 
 def test_least_and_tolerance_are_kept():
     """The error is of fourth order in the number of intervals."""
-    assert quadrature_estimate(three_tendon(quadrature__least=4)).intervals == 4
-    scene = helices(3).replace({"quadrature.least": 4})
-    counts = [quadrature_estimate(scene.replace({"quadrature.tolerance": tolerance})).intervals for tolerance in (1e-2, 1e-4, 1e-6)]
+    assert QuadratureTest(three_tendon()).search(4).intervals == 4
+    scenes = [helices(3).replace({"quadrature.tolerance": tolerance}) for tolerance in (1e-2, 1e-4, 1e-6)]
+    counts = [QuadratureTest(scene).search(4).intervals for scene in scenes]
     np.testing.assert_allclose(np.log10(np.divide(counts[1:], counts[:-1])), 0.5, atol=0.07)
 
 
@@ -65,7 +65,7 @@ KINDS = {
 @pytest.mark.cases("intervals", [4, 8])
 @pytest.mark.cases("scene", [pytest.param(scene, id=name) for name, scene in KINDS.items()])
 def test_the_estimate_is_the_largest_error_and_a_margin(scene, intervals):
-    estimate, true = quadrature_estimate(scene, intervals).error, true_error(scene, intervals)
+    estimate, true = QuadratureTest(scene).error_estimate(intervals).error, true_error(scene, intervals)
     assert true < estimate < 2.0 * true
 
 
@@ -73,8 +73,8 @@ def test_the_mass_of_a_disc_is_not_missed():
     """A disc on the arm strains nothing, and is all the more mass."""
     disc = {"type": "table", "arc_length": [0.0, 0.13, 0.14, 0.16, 0.17, 0.3], "radius": [0.01, 0.01, 0.02, 0.02, 0.01, 0.01]}
     scene = three_tendon(segments__0__radius=disc, quadrature__tolerance=1.0)
-    assert "the moment of the rod's mass is off by" in quadrature_estimate(scene, 6).problem
-    counts = quadrature_estimate(scene).intervals, 400
+    assert "the moment of the rod's mass is off by" in QuadratureTest(scene).error_estimate(6).problem
+    counts = QuadratureTest(scene).search(scene.quadrature.least).intervals, 400
     mass, exact = (build_model(scene.replace({"quadrature.intervals": count})).arm.rod.mass for count in counts)
     assert abs(mass / exact - 1.0) < 0.02
 
@@ -83,7 +83,7 @@ def test_too_few_intervals_are_told_with_tensions_error_and_what_would_do():
     scene = helices(3).replace({"quadrature.intervals": 6, "tendons.1.tension_limits": [0.0, 8.0]})
     with pytest.warns(QuadratureWarning) as caught:
         build_model(scene)
-    enough, estimate = QuadratureTest(scene).search(6).intervals, quadrature_estimate(scene)
+    enough, estimate = QuadratureTest(scene).search(6).intervals, QuadratureTest(scene).error_estimate(6)
     off = f"the tip is off by about {100 * estimate.error:.2g} % of the length, {300 * estimate.error:.2g} mm"
     assert f"with 6 intervals per piece {off}, under tensions [0, 8, 0] N; {enough} would do" in str(caught[0].message)
     with warnings.catch_warnings(action="error", category=QuadratureWarning):

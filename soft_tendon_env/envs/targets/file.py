@@ -1,10 +1,10 @@
 """Target that follows a path from a CSV file."""
 
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import field_validator
 
 from soft_tendon_env.envs.targets import Course, PoseCourse, Setting, Target, TargetSamples, pose_samples, register_target
 from soft_tendon_env.scene.scene import Scene, rod_length
@@ -24,22 +24,23 @@ class File(Target):
     type: Literal["file"] = "file"
     path: str
 
-    @field_validator("path")
-    @classmethod
-    def _has_poses(cls, path: str) -> str:
-        FileCourse(path)
-        return path
+    @cached_property
+    def course(self) -> "FileCourse":
+        """The poses, read once. Raises OSError, ValueError."""
+        return FileCourse(self.path)
 
     def check(self, scene: Scene) -> None:
-        course, bound = FileCourse(self.path), FARTHEST_POSE * rod_length(scene)
-        farthest = np.abs(course.place(course.times) - scene.base.position).max()
+        bound, key = FARTHEST_POSE * rod_length(scene), ("target", "path")
+        try:
+            farthest = np.abs(self.course.place(self.course.times) - scene.base.position).max()
+        except ValueError as error:
+            raise ConfigurationError([Problem(key, f"is {self.path!r}: {error}")], "environment") from None
         if farthest > bound:
-            allowed = f"within ±{bound:g} m of the base, {FARTHEST_POSE:g} lengths of the rod"
-            text = f"has a pose {farthest:g} m from the base: it should lie {allowed}"
-            raise ConfigurationError([Problem(("target", "path"), text)], "environment")
+            text = f"has a pose {farthest:g} m from the base: it should lie within ±{bound:g} m of the base"
+            raise ConfigurationError([Problem(key, f"{text}, {FARTHEST_POSE:g} lengths of the rod")], "environment")
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        return FileCourse(self.path)
+        return self.course
 
 
 class FileCourse(PoseCourse):

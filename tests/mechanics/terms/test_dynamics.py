@@ -75,7 +75,8 @@ def test_elastic_force_and_actuation_are_gradients(name, changes, build, random_
 
 
 @pytest.mark.parametrize(
-    ("name", "changes"), [p for p in FEW if p.id not in ("redundant", "explicit")] + [pytest.param("paper_22dof", COARSE, id="paper_22dof")]
+    ("name", "changes"),
+    [p for p in FEW if p.id not in ("redundant", "explicit")] + [pytest.param("paper moments 0-3", COARSE, id="moments")],
 )
 def test_the_coordinates_chase_the_tensions(name, changes, build, random_state):
     """K - B u = G (q - [u; 0]), B = G's first columns: physics of the statics-based strain with independent tendons."""

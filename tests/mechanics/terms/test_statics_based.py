@@ -22,7 +22,7 @@ STATICS_BASED = [
     SMALL,
     pytest.param("paper", COARSE, id="paper"),
     pytest.param("paper_16dof", RAW, id="paper_16dof raw"),
-    pytest.param("paper_19dof", COARSE, id="paper_19dof"),
+    pytest.param("paper moments 0-2", COARSE, id="paper moments 0-2"),
     pytest.param("four_tendon", COARSE, id="redundant"),
     pytest.param("two_segment_six", COARSE, id="two segments"),
     pytest.param("helical", COARSE, id="pre-curved"),
