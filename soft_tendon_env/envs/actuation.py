@@ -98,6 +98,13 @@ class Actuation:
         found = {"tension_gain": self.gain[row].copy(), "tension_offset": self.offset[row] / self._share} if self.imperfect else {}
         return found | ({} if self.in_transit is None else {"latency": self.delay(row)})
 
+    def shares(self) -> Array:
+        """How far from the least to the greatest of every range (rows, ranges) gains, offsets and latencies of rows are, 0 to 1."""
+        drawn, late = self._randomize, np.array([[self.delay(row)] for row in range(len(self.gain))])
+        values = (self.gain, drawn.tension_gain), (self.offset / self._share, drawn.tension_offset), (late, drawn.latency)
+        shares = [(value - least) / (greatest - least) for value, (least, greatest) in values if least < greatest]
+        return np.concatenate([np.zeros((len(late), 0)), *shares], axis=1)
+
     def delay(self, row: int) -> float:
         """Time [s] by which a row's commands are late."""
         return float(self._periods_late[row] * self._period + self._durations[row, 0])

@@ -289,6 +289,10 @@ class Episodes:
         """Info of what `randomize` has drawn for a row's episode, if anything: numbers of its scene by dotted keys, of its actuators."""
         return {DRAWN: found} if (found := {**self.starts.numbers[row], **self.actuation.drawn(row)}) else {}
 
+    def drawn_shares(self) -> Array:
+        """How far from least to greatest every number (rows, numbers) that `randomize` draws is, 0 to 1: what a policy can find out."""
+        return np.concatenate([self.starts.shares(), self.actuation.shares()], axis=1)
+
     def cause(self, row: int) -> str:
         """Why the last step of a row failed."""
         if self.arms.outcome.status[row] == OK:

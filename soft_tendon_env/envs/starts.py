@@ -88,6 +88,11 @@ class Starts:
         self.numbers[row] = drawn.numbers
         return drawn
 
+    def shares(self) -> Array:
+        """How far from the least to the greatest of every range (rows, ranges) the arms of rows are, 0 to 1."""
+        drawn = [one for one in self._ranges if one.least < one.greatest]
+        return np.array([[one.share(self.numbers.get(row, {})) for one in drawn] for row in range(self._arms.size)])
+
     def _arm(self, number: int) -> Drawn:
         """The arm of that number. Raises ConfigurationError."""
         if not self._ranges:

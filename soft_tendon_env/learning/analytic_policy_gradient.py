@@ -43,6 +43,8 @@ class APGSettings:
         smoothness: weight of the mean square change of actions; unknown latency needs 10 to 20, or 6 with a memory.
         max_grad_norm: greatest norm of a gradient.
         max_row_gradient: greatest gradient by a row's action, in those of the median row: arms that oscillate would lead all others.
+        identification: weight of the mean square error at which a linear layer reads from the memory what `randomize` has drawn; this teaches
+            the memory, and takes no part in the policy. 0: there is none.
         cost: function of Trajectories to a scalar, in place of TrackingCost.
     """
 
@@ -53,6 +55,7 @@ class APGSettings:
     smoothness: float = 3.0
     max_grad_norm: float = 1.0
     max_row_gradient: float = math.inf
+    identification: float = 0.0
     cost: Callable[[Trajectories], torch.Tensor] | None = None
 
 
@@ -90,9 +93,15 @@ class APG(ActorAlgorithm):
     settings_class: ClassVar[type] = APGSettings
     policy_aliases: ClassVar[dict[str, Any]] = dict.fromkeys(("MlpPolicy", "MultiInputPolicy"), RecurrentPolicy)
     policy: RecurrentPolicy
+    _identifier: torch.nn.Linear | None = None
 
     def _prepare(self) -> None:
         self.rows.episodes.arms.check_adjoint()
+        if self.settings.identification and self._identifier is None:
+            if not self.policy.memory:
+                raise ValueError("identification needs a policy with a memory, see RecurrentPolicy")
+            self._identifier = torch.nn.Linear(self.policy.memory, self.rows.episodes.drawn_shares().shape[1])
+            self.policy.optimizer.add_param_group({"params": self._identifier.parameters()})
 
     def _learn_part(self, callback: BaseCallback) -> bool:
         if self.num_timesteps == 0:
@@ -102,11 +111,12 @@ class APG(ActorAlgorithm):
             self._memory = torch.zeros(self.n_envs, self.policy.memory)
         callback.on_rollout_start()
         rows = self.rows
-        statistics, settings, seen = self.get_vec_normalize_env(), self.settings, []
+        statistics, settings, seen, memories = self.get_vec_normalize_env(), self.settings, [], []
 
         def mean_action(observation: Any) -> torch.Tensor:
             seen.append(observation)
             mean, self._memory = self.policy.act(normalised(observation, statistics), self._memory)
+            memories.append(self._memory)
             if math.isfinite(settings.max_row_gradient):
                 mean.register_hook(lambda gradient: clip_rows(gradient, settings.max_row_gradient))
             return mean
@@ -114,6 +124,9 @@ class APG(ActorAlgorithm):
         found, self._memory = rollout(rows, mean_action, settings.n_steps), self._memory.detach()
         update_statistics(statistics, seen)
         cost = (settings.cost or TrackingCost(rows.episodes, settings))(found)
+        if self._identifier is not None:
+            drawn = torch.tensor(2.0 * rows.episodes.drawn_shares() - 1.0, dtype=torch.float32)
+            cost = cost + settings.identification * (self._identifier(torch.stack(memories)) - drawn).square().mean()
         self._update_learning_rate(self.policy.optimizer)
         self.policy.optimizer.zero_grad()
         try:
@@ -149,7 +162,7 @@ class APG(ActorAlgorithm):
             rows.reset(options={"reset_mask": over})
 
     def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
-        return ["policy", "policy.optimizer"], []
+        return ["policy", "policy.optimizer", *(["_identifier"] if self._identifier is not None else [])], []
 
 
 def normalised(observation: Any, statistics: VecNormalize | None, moments: Any = None) -> Any:

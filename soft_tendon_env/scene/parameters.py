@@ -60,6 +60,12 @@ class Range(NamedTuple):
         factor, offset = {"value": (0.0, number), "factor": (number, 0.0), "offset": (1.0, number)}[self.kind]
         return {key: factor * value + offset for key, value in zip(self.keys, self.values, strict=True)}
 
+    def share(self, numbers: Mapping[str, float]) -> float:
+        """How far from the least to the greatest number of the range a scene is, 0 to 1, with these numbers by dotted keys."""
+        key = self.keys[0]
+        least, greatest = self.changes(self.least)[key], self.changes(self.greatest)[key]
+        return (numbers.get(key, self.values[0]) - least) / (greatest - least)
+
 
 def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...]:
     """Parameters of a scene by dotted keys, in which `*` stands for every entry, as `"segments.*.young_modulus"`, and

@@ -57,6 +57,34 @@ def test_a_policy_remembers_from_one_window_to_the_next_and_forgets_at_resets():
     assert not agent._memory.any(), "all episodes have timed out"
 
 
+def test_a_memory_is_taught_what_was_drawn(tmp_path):
+    drawn = {"latency": [0.0, 0.04], "stiffness": [0.8, 1.2], "tension_gain": [0.9, 1.1], "payload": 0.001, "omit": 0.3}
+    env = envs(rows=8, observation=OBSERVED, randomize=drawn)
+    small = {"policy_kwargs": {"net_arch": [32], "memory": 4}, "seed": 0}
+    agent = APG("MlpPolicy", env, settings=APGSettings(n_steps=8, identification=1e3, cost=lambda found: 0.0 * found.action.sum()), **small)
+    shares = agent.rows.episodes.drawn_shares()
+    assert shares.shape == (8, 2 + agent.rows.episodes.model.tendon_count), "latency, stiffness and gains; a payload has no range"
+    memory = agent.policy.gate.weight.detach().clone()
+    agent.learn(128)
+    assert (agent.policy.gate.weight != memory).any()
+    agent.save(tmp_path / "agent")
+    again = APG.load(tmp_path / "agent", env=env)
+    assert torch.equal(again._identifier.weight, agent._identifier.weight)
+    with pytest.raises(ValueError, match="needs a policy with a memory"):
+        APG("MlpPolicy", env, settings=APGSettings(identification=1.0), **SMALL)
+
+
+def test_numbers_that_are_drawn_are_shares_of_their_ranges():
+    env = envs(rows=16, randomize={"latency": [0.01, 0.04], "stiffness": [0.8, 1.2], "tension_offset": [-0.1, 0.1]})
+    env.reset()
+    episodes = env.env.episodes
+    for row, shares in enumerate(episodes.drawn_shares()):
+        found = episodes.drawn(row)["drawn"]
+        modulus = found["segments.0.young_modulus"] / episodes.model.scene.segments[0].young_modulus
+        wanted = [(modulus - 0.8) / 0.4, *((found["tension_offset"] + 0.1) / 0.2), (found["latency"] - 0.01) / 0.03]
+        np.testing.assert_allclose(shares, wanted, atol=1e-12)
+
+
 def test_gradients_of_rows_are_clipped_at_those_of_the_median_row():
     gradient = torch.tensor([[1.0, 0.0], [0.0, -2.0], [30.0, 40.0], [0.0, 0.0], [0.0, 3.0]])
     clipped = clip_rows(gradient, 2.0)
