@@ -11,7 +11,6 @@ from soft_tendon_env.cli import errors
 TEXTS = {
     "docs.md": "no markers",
     "key.toml": "episods = 3",
-    "own.toml": 'policies = ["feedforward"]\noptions = {scene = "three_tendon", fidelity = "fast"}',
     "markers.toml": "[markers.tip]\narc_length = 0.3\n",
     "holds.csv": "hold,tension_0,tension_1,tension_2,tip_x,tip_y,tip_z\na,1,0,0,0.29,0.03,0\nb,0,1,0,0.29,-0.02,0.02\n",
 }
@@ -23,16 +22,15 @@ OPTIONS = [
     ("evaluate tracking --episode 3", "Perhaps you meant: --episodes INT number of episodes"),
     ("evaluate tracking feedforward", "Unrecognized options: feedforward"),
     ("evaluate tracking --episodes", "Missing value for argument '"),
-    ("evaluate tracking --episodes 300", "--episodes is 300: it should be at most 20, or give --seeds"),
+    ("evaluate tracking --episodes 300", "--episodes is 300: it should be less than or equal to 20"),
     ("evaluate trackin", "a controller of TipPose; did you mean 'tracking'? valid: "),
     ("evaluate MPC", "policy is 'MPC': it should be 'predictive', this package's model-predictive control"),
     ("evaluate filtered:mpc", "policy is 'filtered:mpc': it should be 'filtered:predictive'"),
     ("train ppo_tip_pose --steps 1000", "--steps is no option of train: for a key of that name write --set steps=1000"),
     ("evaluate tracking --control-period=0.01", "write --set control_period=0.01"),
     ("evaluate mine", "to use one of your own, import its module first (on the command line: --import MODULE)"),
-    ("compare --config /dev/zero", "/dev/zero: cannot be read: it should be a regular file"),
+    ("arena --config /dev/zero", "/dev/zero: cannot be read: it should be a regular file"),
     ("evaluate tracking --episodes three", "--episodes is 'three': it should be a valid integer"),
-    ("evaluate tracking --seeds 1 --episodes 2", "--episodes is 2: it should be 1, as there are seeds"),
     ("evaluate tracking --scene three_tendon --set scene=paper", "--set has scene, and so has --scene: give it once"),
     ("evaluate tracking --set control_period=20ms", "control_period is '20ms': it should be a valid number, in SI units and without"),
     ("train ppo_tip_pose --engine rlib", "--engine is 'rlib': it should be 'sb3' or 'rllib'"),
@@ -42,9 +40,9 @@ OPTIONS = [
     ("evaluate tracking --set preview", "--set 'preview' should be KEY=VALUE"),
     ("evaluate tracking --errors noise,nois", "names 'nois': did you mean 'noise'?"),
     ("evaluate tracking --scene no_scene", "'no_scene': is neither the path of a .toml file nor a scene that ships"),
-    ("compare --config key.toml", "key.toml: episods is an unknown key (given 3): did you mean 'episodes'?"),
-    ("compare --config own.toml --task TipPose --cluster 127.0.0.1:1", "Ray"),  # is not there, or does not answer
-    ("compare --config own.toml --write-docs docs.md", "docs.md should have the lines <!-- compare Reach --> and "),
+    ("arena --config key.toml", "key.toml: episods is an unknown key (given 3): did you mean 'episodes'?"),
+    ("compare --policies feedforward --task TipPose --cluster 127.0.0.1:1", "Ray"),  # is not there, or does not answer
+    ("compare --write-docs docs.md", "docs.md should have the lines <!-- compare Reach --> and "),
     ("run feedforward --seconds 0.01", "seconds is 0.01: it should be at least one control period, 0.02 s, and skip"),
     ("train ppo_tip_pos", "neither the path of a .toml file nor a training that ships: did you mean 'ppo_tip_pose'?"),
     ("train ppo_tip_pose --runners 3", "--runners is for --engine rllib"),
@@ -71,7 +69,7 @@ FILES = [
     ("evaluate {best} --scene paper", "was trained on an arm with other segments (scene 'three_tendon')"),
     ("train {config} --set hyperparameters.n_steps=0", "hyperparameters.n_steps is 0: it should be a number at least 1"),
     ("evaluate {folder}", "it should be the folder of an agent (of a training: {best})"),
-    ("compare --config {model}", "model.zip: is not valid TOML"),
+    ("arena --config {model}", "model.zip: is not valid TOML"),
 ]
 DAMAGES = [lambda path: path.write_bytes(path.read_bytes()[:-20]), lambda path: path.write_bytes(b"[]"), lambda path: path.unlink()]
 
