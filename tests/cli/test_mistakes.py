@@ -47,7 +47,7 @@ OPTIONS = [
     ("train ppo_tip_pos", "neither the path of a .toml file nor a training that ships: did you mean 'ppo_tip_pose'?"),
     ("train ppo_tip_pose --runners 3", "--runners is for --engine rllib"),
     ("sweep ppo_tip_pose other/ppo_tip_pose.toml", "has two files ppo_tip_pose.toml, whose runs would share a folder"),
-    ("reproduce-paper --seconds 2 --write-docs docs.md", "--write-docs needs all figures and 10 seconds"),
+    ("reproduce-paper --seconds 2 --write-docs docs.md", "--write-docs needs all 10 seconds"),
     ("effects gravty", "name is 'gravty': did you mean 'gravity'?"),
     ("effects own_drag", "to use one of your own, import its module first (on the command line: --import MODULE)"),
     ("fields three_tendon --within 1", "--within is 1: it should be a positive length with its unit"),
