@@ -34,12 +34,9 @@ OPTIONS = [
     ("evaluate tracking --scene three_tendon --set scene=paper", "--set has scene, and so has --scene: give it once"),
     ("evaluate tracking --set control_period=20ms", "control_period is '20ms': it should be a valid number, in SI units and without"),
     ("train ppo_tip_pose --engine rlib", "--engine is 'rlib': it should be 'sb3' or 'rllib'"),
-    ("evaluate tracking --workers 0", "--workers is 0: it should be greater than or equal to 1"),
     ("evaluate tracking --fidelity fast --fidelity fine", "--fidelity is given twice: give it once"),
     ("evaluate tracking --set fidelity=quick", "--set: fidelity is 'quick': it should be"),
     ("evaluate tracking --set preview", "--set 'preview' should be KEY=VALUE"),
-    ("evaluate tracking --errors noise,nois", "names 'nois': did you mean 'noise'?"),
-    ("evaluate tracking --scene no_scene", "'no_scene': is neither the path of a .toml file nor a scene that ships"),
     ("arena --config key.toml", "key.toml: episods is an unknown key (given 3): did you mean 'episodes'?"),
     ("compare --policies feedforward --task TipPose --cluster 127.0.0.1:1", "Ray"),  # is not there, or does not answer
     ("compare --write-docs docs.md", "docs.md should have the lines <!-- compare Reach --> and "),
