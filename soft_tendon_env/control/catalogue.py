@@ -93,6 +93,7 @@ CONTROLLERS: dict[str, dict[str, Entry]] = {
     "TipPose": {
         "paper": Entry("(39) as printed, kp = 10,000 and kd = 1,000", PaperTipPose),
         **_tip_controllers(tip_pose_objective),
+        "tracking_position": replace(OF_POSITION["tracking"], description="`tracking` for the position alone"),
     },
     "Shape": {
         "paper": Entry("(37) or (38) as printed, kp = 1,000 and kd = 100", PaperShape),
