@@ -8,7 +8,6 @@ from soft_tendon_env import ConfigurationError, Simulation, load_scene, simulate
 from soft_tendon_env.control import CONTROLLERS, Reference
 from soft_tendon_env.control.kalman import ExtendedKalmanFilter, Setting
 from soft_tendon_env.control.protocol import ControllerInput, Measurement
-from soft_tendon_env.drawing.shapes import backbones, base_poses, view_box
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.scene.scene import Base
@@ -114,15 +113,6 @@ def test_model_predictive_control_behind_a_kalman_filter_does_not_know_where_the
     here, there = np.split(np.array(errors), 2)
     assert here[-1] < 0.5 * here[0]
     np.testing.assert_allclose(there, here, atol=1e-9)
-
-
-def test_pictures_and_recordings_place_the_arm():
-    here, there = (model_on(scene, 6) for scene in twins(GRAVITY))
-    q = np.array([2.0, 0.0, 1.0, *np.zeros(there.coordinate_count - 3)])
-    seen = backbones(there, there.strain(q)[1][None], np.array([0.3]), base_poses(there, np.zeros(1)))
-    lower, upper, *_ = view_box(there.scene)
-    assert_moved(seen[0, 0], here.tip_pose(q))
-    assert ((lower < seen[0, 0, :3, 3]) & (seen[0, 0, :3, 3] < upper)).all()
 
 
 def test_a_base_far_off_or_drawn_is_observed_where_it_is():

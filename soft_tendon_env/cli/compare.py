@@ -1,37 +1,33 @@
 """`soft-tendon compare`: controllers and agents on the same episodes, on the arm of their model and on arms that differ."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from pydantic import Field
 
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
+from soft_tendon_env.cli.options import TASK
+from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import comparison, tables
 from soft_tendon_env.evaluation.entrants import agents_of
 from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.evaluation.provenance import machine, origin, write_json
-from soft_tendon_env.evaluation.settings import Comparison, Settings
-from soft_tendon_env.tools.configuration import read_toml
+from soft_tendon_env.evaluation.settings import Settings, TaskName
+from soft_tendon_env.policies.names import ALL
 from soft_tendon_env.tools.parallel import check_cluster
 
-CONFIG = "TOML file with keys named as the options below, which override it"
+POLICIES = 'names of controllers, "all" of them, agent, ppo, sac, dagger or apg (which ship), folders of agents, or folders of runs'
 
 
-class Compare(Comparison):
+class Compare(Settings):
     """Print errors by policy and model error, resuming where it was stopped, and write JSON with every episode, CSV, and a picture."""
 
-    config: str | None = Field(default=None, description=CONFIG)
+    tasks: tuple[TaskName, ...] = Field(
+        default_factory=lambda: tuple(IDS), min_length=1, description=TASK, json_schema_extra={"flag": "--task"}
+    )
+    policies: tuple[str, ...] = Field(default=(ALL,), min_length=1, description=POLICIES)
     write_docs: str | None = Field(default=None, description="file in which tables go between <!-- compare TASK --> and its end")
     out: str = Field(default="out/compare", description="folder for results")
-
-    @staticmethod
-    def read_file(given: Mapping[str, Any]) -> dict[str, Any]:
-        """Tables of the file of --config, checked; episodes or seeds on the command line override both. Raises ConfigurationError."""
-        table = read_toml(given["config"]) if "config" in given else {}
-        Comparison.parse(table, given.get("config", ""))
-        episodes = {"episodes", "seeds"}
-        return {key: value for key, value in table.items() if not (key in episodes and episodes & given.keys())}
 
 
 def run(settings: Compare) -> None:
@@ -54,7 +50,7 @@ def play(settings: Settings, tasks: Sequence[str], policies: tuple[str, ...], ou
         writable_folder(folder)
     from soft_tendon_env.evaluation.pictures import draw_errors
 
-    what, texts = f"{len(settings.seeds)} episodes of {settings.seconds:g} s", dict[str, str]()
+    what, texts = f"{settings.episodes} episodes of {settings.seconds:g} s", dict[str, str]()
     print(f"{what}; {machine()}")
     for task, experiment in experiments.items():
         experiment.play(f"{task}: policies x model errors", settings.workers, settings.cluster)

@@ -26,7 +26,6 @@ SHORTCUTS = {  # options in place of a field `options`, the table of an environm
     "scene": "environment's scene: a shipped scene's name, or the path of a TOML file",
     "fidelity": "environment's fidelity: fast, standard, fine, scene or a length such as 1mm",
     "target": "environment's target: random, hold, circle, ramp, steps or out_of_reach; by default the task's",
-    "difficulty": "environment's difficulty: easy, medium or hard; by default the target's own settings, which are easy",
     "set": "environment's options by dotted keys, values as in TOML: randomize.stiffness=1.1 control_period=0.01",
 }
 POLICY = "a controller's name; an agent's folder; ppo, sac, dagger or apg, which ship for the task; agent, the best of these"

@@ -1,7 +1,7 @@
 """`soft-tendon reproduce-paper`: Figures 2 to 6 of the paper, as pictures and numbers, beside what it says of them."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
@@ -9,15 +9,12 @@ from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.tools.configuration import Configuration
 
-Figure = Literal[2, 3, 4, 5, 6]
-ALL: tuple[Figure, ...] = (2, 3, 4, 5, 6)
 LONGEST = 10.0  # [s] of all motions
 
 
 class ReproducePaper(Configuration):
     """Draw figures 2 to 6 of the paper, and print what it says of them beside what is measured."""
 
-    figures: tuple[Figure, ...] = Field(default=ALL, min_length=1, description="figures to draw; 3 and 4 belong together, 5 and 6 too")
     seconds: Annotated[float, Field(ge=1.0, le=LONGEST, description="end every motion after this time [s], to try it out")] = LONGEST
     write_docs: str | None = Field(default=None, description="file in which all goes between <!-- figures --> and <!-- /figures -->")
     out: str = Field(default="out/paper", description="folder of pictures and numbers")
@@ -27,11 +24,11 @@ def run(settings: ReproducePaper) -> None:
     """Draw, print and write."""
     with mistakes():
         require("pictures")
-        if settings.write_docs is not None and (settings.seconds < LONGEST or {*settings.figures} != {*ALL}):
-            raise ValueError(f"--write-docs needs all figures and {LONGEST:g} seconds")
+        if settings.write_docs is not None and settings.seconds < LONGEST:
+            raise ValueError(f"--write-docs needs all {LONGEST:g} seconds")
         page, out = Page(settings.write_docs, ["figures"]), writable_folder(Path(settings.out))
     from soft_tendon_env.paper.reproduce import document, reproduce
 
-    results = reproduce(settings.figures, settings.seconds, out)
+    results = reproduce(settings.seconds, out)
     if settings.write_docs is not None:
         page.write("figures", document(results))

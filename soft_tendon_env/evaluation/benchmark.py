@@ -36,16 +36,12 @@ class BenchmarkPolicy(Configuration):
         policy: a controller with a state estimator, such as filtered:predictive or adaptive:tracking@fast; the folder of an agent, or
             agent, ppo, sac, dagger or apg, of those that ship; a folder of runs of `soft-tendon sweep`; or `module:name`.
         name: in tables, by default `policy`.
-        regimes: in which it is evaluated, by default all whose observations suffice for it.
-        settings: in which it is evaluated, by default all.
         told: the model of a controller includes the effects of the setting, with the numbers of `Condition.scene`, not those that an
             episode draws: fluid at rest, no load where loads are drawn about zero.
     """
 
     policy: str
     name: str = Field(default_factory=lambda given: given.get("policy", ""), min_length=1)
-    regimes: RegimeNames = ()
-    settings: SettingNames = ()
     told: bool = False
 
     def members(self, task: str) -> dict[int | None, PolicyName]:
@@ -108,19 +104,19 @@ class Benchmark(Workers):
             except (ValueError, OSError) as error:
                 notes.append(f"{entrant.name} is left out: {error}")
         if not cells:
-            raise ValueError(f"nobody can play: {'; '.join(notes) or 'all entrants are for other regimes or settings'}")
+            raise ValueError(f"nobody can play: {'; '.join(notes)}")
         return cells, notes
 
     def _cells_of(self, entrant: BenchmarkPolicy) -> Iterator[tuple[Label, Cell]]:
         reasons, plays, episodes = dict[str, None](), False, tuple(SEEDS["arena"][: self.episodes])
         for seed, policy in entrant.members(self.task).items():
-            for regime in (name for name in self.regimes if name in (entrant.regimes or self.regimes)):
+            for regime in self.regimes:
                 observed = interface_options(policy, regime)
                 if reason := misfit(policy, {"scene": self.scene, **observed}, regime):
                     reasons[f"{regime}: {reason}"] = None
                     continue
                 plays, noise = True, {"noise": dict(REGIMES[regime].noise)}
-                for setting in (name for name in self.settings if name in (entrant.settings or self.settings)):
+                for setting in self.settings:
                     given = {**observed, "scene": self.scene, "fidelity": PLANT, "randomize": noise}
                     given |= {"target": TARGET, "difficulty": self.difficulty}
                     believed = {"scene": self.scene, **(SETTINGS[setting].scene(load_scene(self.scene)) if entrant.told else {})}

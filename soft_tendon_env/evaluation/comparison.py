@@ -12,7 +12,7 @@ from typing import Any
 
 from soft_tendon_env import recording
 from soft_tendon_env.envs import Options
-from soft_tendon_env.evaluation.conditions import NOMINAL, model_error
+from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, NOMINAL, model_error
 from soft_tendon_env.evaluation.entrants import model_in_the_loop
 from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.metrics import EpisodeScore, record
@@ -65,8 +65,9 @@ def make_cell(settings: EpisodeSettings, seeds: Seeds, task: str, policy: str, o
 def compare(settings: Settings, task: str, arms: Arms, folder: Path) -> Experiment[tuple[str, str]]:
     """Experiment of every policy with every model error, and under TIME alone on the arm of its model. Raises ValueError, OSError for
     policies that cannot act there."""
+    seeds = EVALUATION_SEEDS[: settings.episodes]
     labels = [(policy, TIME) for policy in arms] + [(policy, error) for policy in arms for error in settings.errors]
-    return Experiment({(policy, of): make_cell(settings, settings.seeds, task, policy, arms[policy], of) for policy, of in labels}, folder)
+    return Experiment({(policy, of): make_cell(settings, seeds, task, policy, arms[policy], of) for policy, of in labels}, folder)
 
 
 def standings_of(experiment: Experiment[tuple[str, str]], files: Files) -> tuple[Standings, Summaries]:

@@ -2,16 +2,16 @@
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator
 
 from soft_tendon_env.envs import IDS, Options
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, MODEL_ERRORS, SETTINGS, model_error
 from soft_tendon_env.policies.agent import EnvironmentOptions
 from soft_tendon_env.policies.names import ALL
 from soft_tendon_env.policies.regimes import REGIMES
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
+from soft_tendon_env.tools.configuration import Configuration, not_among
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 
@@ -68,25 +68,10 @@ class Settings(EpisodeSettings, Workers):
         errors: names of model errors (soft_tendon_env.evaluation.MODEL_ERRORS), several at once with commas between, as in
             stiffness+20%,payload-20g,noise; or "all", one by one.
         episodes: number of episodes, on the first of the evaluation seeds.
-        seeds: seeds of the episodes, in place of the evaluation seeds.
     """
 
     errors: tuple[str, ...] = Field(default=tuple(MODEL_ERRORS), min_length=1)
-    episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1)
-    seeds: Seeds = Field(default_factory=lambda given: EVALUATION_SEEDS[: given.get("episodes", 0)], min_length=1)
-
-    @model_validator(mode="after")
-    def _agree(self) -> Self:
-        if {"episodes", "seeds"} <= self.model_fields_set and self.episodes != len(self.seeds):
-            raise ConfigurationError([Problem(("episodes",), f"is {self.episodes}: it should be {len(self.seeds)}, as there are seeds")])
-        return self
-
-    @field_validator("episodes")
-    @classmethod
-    def _are_there(cls, episodes: int) -> int:
-        if episodes > len(EVALUATION_SEEDS):
-            raise ValueError(f"should be at most {len(EVALUATION_SEEDS)}, or give --seeds")
-        return episodes
+    episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1, le=len(EVALUATION_SEEDS))
 
     @field_validator("errors")
     @classmethod
@@ -110,16 +95,3 @@ def episode_steps(seconds: float, skip: float, options: Mapping[str, Any]) -> in
     if round(steps) < 1 or math.ceil(skip / period - 1e-9) > round(steps):
         raise ValueError(f"seconds is {seconds:g}: it should be at least one control period, {period:g} s, and skip, which is {skip:g}")
     return round(steps)
-
-
-class Comparison(Settings):
-    """Policies and tasks of a comparison: the keys of a file of `soft-tendon compare --config`.
-
-    Attributes:
-        tasks: names of the tasks that policies are compared on.
-        policies: names of controllers, "all" of them, agent, ppo, sac, dagger or apg (which ship), folders of
-            agents, or folders of runs.
-    """
-
-    tasks: tuple[TaskName, ...] = Field(default_factory=lambda: tuple(IDS), min_length=1, json_schema_extra={"flag": "--task"})
-    policies: tuple[str, ...] = Field(default=(ALL,), min_length=1)

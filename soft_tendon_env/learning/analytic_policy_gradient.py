@@ -43,8 +43,8 @@ class APGSettings:
         smoothness: weight of the mean square change of actions; unknown latency needs 10 to 20, or 6 with a memory.
         max_grad_norm: greatest norm of a gradient.
         max_row_gradient: greatest gradient by a row's action, in those of the median row: arms that oscillate would lead all others.
-        identification: weight of the mean square error at which a linear layer reads from the memory what `randomize` has drawn; this teaches
-            the memory, and takes no part in the policy. 0: there is none.
+        identification: weight of the mean square error at which a linear layer reads from the memory what `randomize` has drawn; this
+            teaches the memory, and takes no part in the policy. 0: there is none.
         cost: function of Trajectories to a scalar, in place of TrackingCost.
     """
 

@@ -13,13 +13,10 @@ from soft_tendon_env.evaluation.provenance import write_json
 from soft_tendon_env.paper import shape, tip, validation
 from soft_tendon_env.paper.report import Result
 
-MODULES: Mapping[int, ModuleType] = {2: validation, 3: shape, 4: shape, 5: tip, 6: tip}
 
-
-def reproduce(figures: tuple[int, ...], seconds: float, out: Path) -> dict[ModuleType, Result]:
+def reproduce(seconds: float, out: Path) -> dict[ModuleType, Result]:
     """Draw the figures into a folder, print their tables, and write numbers.json. Raises OSError."""
-    modules = list(dict.fromkeys(MODULES[figure] for figure in figures))
-    results = {module: module.reproduce(seconds, out) for module in modules}
+    results = {module: module.reproduce(seconds, out) for module in (validation, shape, tip)}
     for result in results.values():
         print(f"\n{result.tables}")
     claims = [claim for result in results.values() for claim in result.claims]

@@ -19,11 +19,6 @@ ARM = load_scene("three_tendon")
 WITH_FIELDS = [name for name in scene_names() if (SHIPPED / f"{name}{SUFFIX}").exists()]
 
 
-def with_fields(scene, count):
-    passive = {"type": "snapshots", "fields": count} if count else []
-    return scene.replace({"strain": {"type": "statics_based", "passive": passive}})
-
-
 @pytest.fixture(scope="module")
 def quick():
     """Few and short, made twice."""
@@ -54,7 +49,7 @@ def test_errors_fall_with_the_number_of_fields(quick):
 @pytest.mark.cases("name", WITH_FIELDS)
 def test_abrupt_loads_make_no_phantom_tensions(name):
     """The greatest tension, and 2.5 times that, at once on one, two and all tendons, at steps of 10 and 20 ms."""
-    scene = with_fields(load_scene(name), 9)
+    scene = load_scene(name).replace({"strain": {"type": "statics_based", "passive": {"type": "snapshots", "fields": 9}}})
     greatest = np.array([tendon.tension_limits[1] for tendon in scene.tendons])
     for step, factor, pulled in itertools.product((0.01, 0.02), (1.0, 2.5), (1, 2, greatest.size)):
         model = model_on(scene.replace({"integrator": {"step": step}}), 6)

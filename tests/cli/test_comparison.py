@@ -9,51 +9,40 @@ import gymnasium as gym
 import pytest
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.evaluation import comparison, entrants, settings
+from soft_tendon_env.evaluation import EVALUATION_SEEDS, comparison, entrants, settings
 from soft_tendon_env.policies.agent import save_agent
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
-
-
-@pytest.fixture(scope="session")
-def ppo(tmp_path_factory):
-    """The file of an agent that has learned nothing, without options beside it."""
-    from stable_baselines3 import PPO
-
-    file = tmp_path_factory.mktemp("ppo") / "model.zip"
-    PPO("MlpPolicy", gym.make(IDS["TipPose"], **SMALL), n_steps=8, batch_size=4, seed=0, device="cpu").save(file)
-    return file
+ARM = [f"{key}={value}" for key, value in SMALL.items()]
 
 
 @pytest.fixture
-def runs(tmp_path, ppo):
+def runs(tmp_path):
     """A folder of two runs, as `soft-tendon sweep` leaves it: the agents have learned nothing, each in another way."""
     from stable_baselines3 import PPO
 
+    agent = PPO("MlpPolicy", gym.make(IDS["TipPose"], **SMALL), n_steps=8, batch_size=4, seed=0, device="cpu")
     for seed in (2, 10):
         run = tmp_path / "ppo_tip_pose" / f"seed_{seed}"
         (run / "best").mkdir(parents=True)
         (run / "config.json").write_text(json.dumps({"task": "TipPose", "algorithm": "PPO", "seed": seed, "options": SMALL}))
         shutil.copy(run / "config.json", run / "best" / "config.json")
-        agent = PPO.load(ppo, device="cpu")
         agent.policy.action_net.bias.data[:] = 0.3 if seed == 2 else -0.3
         save_agent(run / "best", agent.policy, None)
     return tmp_path / "ppo_tip_pose"
 
 
-def test_options_go_before_the_config_file(tmp_path, command):
-    """And model errors that are given together are drawn together."""
-    config, both = tmp_path / "own.toml", "tension-10%,latency-20ms"
-    config.write_text('errors = ["noise"]\nepisodes = 2\nseconds = 0.2\nskip = 0.1\n[options]\nscene = "three_tendon"\nfidelity = "fast"\n')
-    given = ("--task", "Shape", "--policies", "feedforward", "tracking", "--errors", "nominal", both, "--seeds", "7", "2000000")
-    command("compare", "--config", config, *given, "--set", "control_period=0.04", "randomize.payload=[0, 0.1]", "--out", tmp_path)
-    results = json.loads((tmp_path / "Shape.json").read_text())["results"]
+def test_model_errors_that_are_given_together_are_drawn_together(tmp_path, command):
+    both, short = "tension-10%,latency-20ms", ("--episodes", "2", "--seconds", "0.2", "--skip", "0.1")
+    given = ("--task", "Shape", "--policies", "feedforward", "tracking", "--errors", "nominal", both, *short)
+    command("compare", *given, "--set", *ARM, "control_period=0.04", "randomize.payload=[0, 0.1]", "--out", tmp_path)
+    record = json.loads((tmp_path / "Shape.json").read_text())
+    results = record["results"]
     assert [(result["policy"], result["model_error"]) for result in results[:2]] == [("feedforward", "nominal"), ("feedforward", both)]
-    assert [[episode["seed"] for episode in result["episodes"]] for result in results] == [[7, 2_000_000]] * 4
+    assert [[episode["seed"] for episode in result["episodes"]] for result in results] == [list(EVALUATION_SEEDS[:2])] * 4
     assert {episode["steps"] for result in results for episode in result["episodes"]} == {5}
     assert results[1]["summary"]["metrics"]["effort"] < results[0]["summary"]["metrics"]["effort"]
-    record = json.loads((tmp_path / "Shape.json").read_text())
-    assert record["settings"]["seeds"] == [7, 2_000_000] and record["environments"]["tracking"]["fidelity"] == "fast", "of the file"
+    assert record["settings"]["episodes"] == 2 and record["environments"]["tracking"]["fidelity"] == "fast"
 
 
 def test_a_folder_of_runs_is_one_policy(tmp_path, runs, capsys, command):

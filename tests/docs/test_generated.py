@@ -4,15 +4,12 @@ import re
 import sys
 from pathlib import Path
 
+import generated
 import pytest
 
 from soft_tendon_env.evaluation.pages import Stamp
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "docs"))
-import generated  # noqa: E402
-
-sys.path.remove(str(ROOT / "docs"))
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 

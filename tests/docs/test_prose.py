@@ -10,9 +10,9 @@ A refusal that a page documents has a comment behind its sentence, which is run 
 
 import ast
 import re
-import sys
 from pathlib import Path
 
+import generated
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -20,10 +20,6 @@ import pytest
 import soft_tendon_env as ste
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "docs"))
-import generated  # noqa: E402
-
-sys.path.remove(str(ROOT / "docs"))
 GUIDES = ("tutorials", "how_to", "explanation")
 """Folders of pages in which a length in mm is a result, and links to the table that has it; given lengths stand as code."""
 WRITTEN = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]

@@ -1,6 +1,5 @@
 """The hooks of the documentation site: equations, links to sources, and tables that the package fills."""
 
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,14 +8,11 @@ import pytest
 ROOT = Path(__file__).parents[2]
 pytest.importorskip("mkdocs", reason="the extra docs is not installed")
 pytest.importorskip("latex2mathml", reason="the extra docs is not installed")
-from mkdocs.exceptions import PluginError  # noqa: E402
-
-sys.path.insert(0, str(ROOT / "docs"))
 import site_environments  # noqa: E402
 import site_hooks  # noqa: E402
 import site_math  # noqa: E402
+from mkdocs.exceptions import PluginError  # noqa: E402
 
-sys.path.remove(str(ROOT / "docs"))
 CONFIG = SimpleNamespace(config_file_path=str(ROOT / "mkdocs.yml"))
 
 

@@ -147,6 +147,8 @@ def test_a_base_that_moves_takes_the_arm_along(build):
     resting = model.scene.replace({"effects.moving_base.velocity": [0.0, 0.0, 0.0], "base.position": [1.0, 2.0, 3.0]})
     np.testing.assert_allclose(base_poses(model, np.array([0.3]), resting)[0, :3, 3], [1.0, 2.0, 3.0], atol=1e-15)
     np.testing.assert_allclose(base[0, :3, 3], [0.03, 0.06, 0.49], atol=1e-15)
+    lower, upper, *_ = view_box(resting)
+    assert ((lower < [1.0, 2.0, 3.0]) & (upper > [1.0 + model.length, 2.0, 3.0])).all()
 
 
 @pytest.mark.parametrize(("obstacle", "volume"), VOLUMES, ids=lambda value: value["type"] if isinstance(value, dict) else "")

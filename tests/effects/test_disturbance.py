@@ -18,10 +18,6 @@ def loads(*tables):
     return {"effects.disturbance.loads": list(tables)}
 
 
-def force_at(model, q=Q):
-    return model.terms(q, 0 * q).external_force
-
-
 @pytest.mark.no_jit
 @pytest.mark.cases("place", [0.0, 0.001, 0.12, 0.225, 0.2999, 0.3])
 def test_the_work_is_that_of_a_force_where_it_acts(uniform, slope, place):
@@ -30,7 +26,7 @@ def test_the_work_is_that_of_a_force_where_it_acts(uniform, slope, place):
     model = uniform(("torsion", "bend_y", "bend_z"), 0, changes)
     q = np.array([1.0, 4.0, -3.0])
     work = slope(lambda at: model.backbone_at(at, [place])[0, :3, 3], q, 1e-5).T @ FORCE
-    np.testing.assert_allclose(force_at(model, q), work, rtol=0.0, atol=1e-4 * 0.024)  # of the largest, that at the tip
+    np.testing.assert_allclose(model.terms(q, 0 * q).external_force, work, rtol=0.0, atol=1e-4 * 0.024)  # of the largest, that at the tip
 
 
 def test_a_pulse_is_there_from_its_start_to_its_end(build):

@@ -14,16 +14,11 @@ ONE = {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_tim
 TWO = {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}, {"modulus": 2.0, "relaxation_time": 0.01}]}
 
 
-def loaded(stiffness, strain, scale):
-    """The load at which the law has this strain."""
-    return stiffness * strain * (1.0 + (strain / scale) ** 2)
-
-
 @pytest.mark.no_jit
 @pytest.mark.parametrize("curvature", [0.5, 4.0, 12.0])
 def test_uniform_bending(uniform, curvature):
     """M = E I k (1 + (k / k0)^2), under a moment that follows the tip."""
-    moment = loaded(YOUNG * INERTIA, curvature, 4.0)
+    moment = YOUNG * INERTIA * curvature * (1.0 + (curvature / 4.0) ** 2)  # of the law at this strain
     load = {"effects.tip_load": {"moment": [0.0, 0.0, moment], "frame": "tip"}, "quadrature.intervals": 4}
     found = static_equilibrium(uniform(("bend_z", "stretch", "shear_y"), 0, {**LAW, **load}), np.zeros(3))
     assert found.converged

@@ -57,22 +57,14 @@ WRONG = {
 }
 
 
-def options_of(case, **more):
-    changes, ranges = CASES[case]
-    scene = {"scene": "three_tendon", "quadrature.intervals": 6, **changes}
-    return {"scene": scene, "fidelity": "fast", "randomize": ranges, **more}
-
-
-def scene_with(env, row=0):
-    """The scene of an environment with the numbers that were drawn for a row."""
-    return env.episodes.arms.model_of(row).scene.replace({"quadrature.intervals": env.episodes.model.grid.per_piece})
-
-
 @pytest.mark.parametrize("case", [pytest.param(case, marks=[pytest.mark.slow] * (case == "contact")) for case in CASES])
 def test_a_row_moves_like_the_scene_with_the_numbers_drawn(case):
-    env = TipPoseEnv(**options_of(case), action="tension")
+    changes, ranges = CASES[case]
+    scene = {"scene": "three_tendon", "quadrature.intervals": 6, **changes}
+    env = TipPoseEnv(scene=scene, fidelity="fast", randomize=ranges, action="tension")
     env.reset(seed=3)
-    model = build_model(scene_with(env))
+    drawn = env.episodes.arms.model_of(0).scene
+    model = build_model(drawn.replace({"quadrature.intervals": env.episodes.model.grid.per_piece}))
     simulation = Simulation(model)
     simulation.reset(static_equilibrium(model, np.zeros(3), settle=True).q)
     np.testing.assert_allclose(env.episodes.arms.reading.tip_pose[0], simulation.tip_pose, atol=1e-8)

@@ -89,8 +89,6 @@ def test_a_target_from_outside_is_an_option(forgotten):
         assert env.unwrapped.target_at([0.0]).tip_pose[0, 0, 3] == 0.2
     with pytest.raises(ConfigurationError, match="target.distance is missing"):
         Options(target="near")
-    with pytest.raises(ConfigurationError, match="target.distance is 'far'"):
-        Options(target={"type": "near", "distance": "far"})
     with pytest.raises(ConfigurationError, match="target is 'near', which is a pose alone: Shape needs one that is made of tensions"):
         gym.make("TendonRod-Shape-v1", **SMALL, target={"type": "near", "distance": 0.2})
 

@@ -1,8 +1,5 @@
 """What the hard cases share: arms with one segment, motions to compare, and the measured numbers for docs/appendix/hard_cases.md."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -61,22 +58,3 @@ def one_pulled():
 def tip_distance():
     """tip_distance(a, b): the largest distance [m] between the tips of two poses (4, 4), or of two tracks of poses (samples, 4, 4)."""
     return lambda a, b: float(np.linalg.norm(a[..., :3, 3] - b[..., :3, 3], axis=-1).max())
-
-
-@pytest.fixture(scope="session")
-def script():
-    """script("table"): a script of this folder as a module."""
-
-    def load(name):
-        spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        return module
-
-    return load
-
-
-@pytest.fixture(scope="session")
-def random_scenes(script):
-    """The module random_scenes.py."""
-    return script("random_scenes")

@@ -5,6 +5,7 @@ The answer wanted is that of an experiment: load the arm slowly, and see where i
 
 import numpy as np
 import pytest
+import random_scenes
 
 import soft_tendon_env as ste
 
@@ -26,7 +27,7 @@ def payload_of(mass, acceleration=(0.0, 0.0, -9.81)):
         pytest.param("paper moments 0-2", 0.3, (-3.0, 0.0, -9.0), marks=pytest.mark.slow),
     ],
 )
-def test_payloads_that_fold_the_arm(build, measured, tip_distance, random_scenes, name, payload, acceleration):
+def test_payloads_that_fold_the_arm(build, measured, tip_distance, name, payload, acceleration):
     """A payload that the arm can hardly carry, slack and under 12 random tensions: Newton at the full load lands on other equilibria,
     unstable or stable, up to half a metre away. Expected: the stable equilibrium that loading in moves of 0.02 rad reaches, to 1e-6 of the
     length."""

@@ -4,13 +4,14 @@ import collections
 
 import numpy as np
 import pytest
+import random_scenes
 
 import soft_tendon_env as ste
 from soft_tendon_env.scene.scene import rod_length
 
 
 @pytest.mark.parametrize("numbers", [range(12), pytest.param(range(12, 60), marks=pytest.mark.slow)], ids=["first", "others"])
-def test_statics_of_random_scenes(measured, random_scenes, numbers):
+def test_statics_of_random_scenes(measured, numbers):
     """60 random scenes: routings of all kinds, one to three segments, stiffness over four decades, gravity in any direction, payloads, dead
     and follower forces, moments, tensions up to the limits; slack ropes and columns that buckle among them. Expected: the equilibrium is
     the end of a slow loading to 1e-6 of the length, or is not converged, with the load and a reason; the tip is where a quadrature of three
@@ -30,7 +31,7 @@ def test_statics_of_random_scenes(measured, random_scenes, numbers):
 
 
 @pytest.mark.parametrize("numbers", [range(4), pytest.param(range(4, 30), marks=pytest.mark.slow)], ids=["first", "others"])
-def test_a_random_scene_pushed_off_its_equilibrium_comes_back(measured, random_scenes, numbers):
+def test_a_random_scene_pushed_off_its_equilibrium_comes_back(measured, numbers):
     """The first random scenes, released at 3 degrees from their equilibrium in a random direction, with five times their damping. Expected:
     where the arm converged, it comes back within ten minutes, to 1e-5 of the length."""
     farthest, count = 0.0, 0

@@ -25,7 +25,6 @@ def test_holds_are_read_in_the_scenes_frame(arm, holds, placed, tensions):
         ("[markers.a]\narc_length = 0.9", "markers.a.arc_length is 0.9: it should be at most the rod's length, 0.3 m"),
         ("[markers.a]\narc_length = 90", "markers.a.arc_length is 90: it should be at most the rod's length, 0.3 m; is it in mm?"),
         ("[markers.a]\narc_length = 0.1\noffset = [0, 0, 12]", "markers.a.offset is 12: it should be at most the rod's length"),
-        ("[markers.a]\narc = 0.1", "markers.a.arc is an unknown key"),
         ("[markers.a]\narc_length = 0.1\n[columns.a_x]\nsign = 2", "columns.a_x.sign is 2: it should be 1 or -1"),
         ("[markers.a]\narc_length = 0.1\n[frame]\nquaternion = [1, 1, 0, 0]", "should have length 1, not 1.414"),
     ],

@@ -68,8 +68,7 @@ def test_a_memory_is_taught_what_was_drawn(tmp_path):
     agent.learn(128)
     assert (agent.policy.gate.weight != memory).any()
     agent.save(tmp_path / "agent")
-    again = APG.load(tmp_path / "agent", env=env)
-    assert torch.equal(again._identifier.weight, agent._identifier.weight)
+    assert torch.equal(APG.load(tmp_path / "agent", env=env)._identifier.weight, agent._identifier.weight)
     with pytest.raises(ValueError, match="needs a policy with a memory"):
         APG("MlpPolicy", env, settings=APGSettings(identification=1.0), **SMALL)
 

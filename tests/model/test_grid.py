@@ -13,10 +13,6 @@ from soft_tendon_env.scene.strain import STRAINS, Modes
 ANGULAR = ("torsion", "bend_y", "bend_z")
 
 
-def rod_of(scene, grid, free):
-    return make_rod(scene, grid, free, at_points(scene, grid))
-
-
 def grid_of(name, intervals):
     scene = load_scene(name)
     return scene, make_grid(scene, intervals)
@@ -40,7 +36,7 @@ def test_intervals_fill_the_rod_and_none_crosses_a_breakpoint(name, intervals):
 def test_node_inertia_sums_to_the_rod_without_the_base_node_and_takes_up_the_payload():
     scene, grid = grid_of("paper", 6)
     payload = {"effects.tip_load.mass": 0.3, "effects.tip_load.inertia": [1e-3, 2e-3, 3e-3]}
-    bare, loaded = (rod_of(s, grid, STRAINS) for s in (scene, scene.replace(payload)))
+    bare, loaded = (make_rod(s, grid, STRAINS, at_points(s, grid)) for s in (scene, scene.replace(payload)))
     base_share = 0.5 * newton_cotes(6)[0] * 100 * np.pi * 0.03**2
     mass = 100 * np.pi * (0.03**2 + 0.03 * 0.02 + 0.02**2) / 3  # a cone's frustum
     np.testing.assert_allclose(bare.mass + base_share, mass, rtol=1e-12)
@@ -73,11 +69,6 @@ def inner(left, right, scene, grid):
     return np.einsum("imzc,mzc,jmzc->ij", left, compliance * grid.weights[..., None], right)
 
 
-def tendon_fields(scene, grid):
-    here = at_points(scene, grid)
-    return actuation_columns(here.geometry, here.curvature, STRAIGHT)
-
-
 def passive_fields(strain, grid):
     return strain.passive.reshape(-1, grid.packs, 2, 6, LANES).transpose(0, 1, 4, 2, 3).reshape(-1, *grid.points.shape, 6)
 
@@ -86,7 +77,8 @@ def passive_fields(strain, grid):
 def test_orthogonal_passive_fields(order, span, count):
     """Orthogonal to every actuation field and to each other in compliance, each of unit energy."""
     scene, grid = scene_and_grid("paper", **{"strain.passive": [{"strains": list(ANGULAR), "order": order, "span": span}]})
-    strain, actuation = make_strain(scene, grid, at_points(scene, grid)), tendon_fields(scene, grid)
+    here = at_points(scene, grid)
+    strain, actuation = make_strain(scene, grid, here), actuation_columns(here.geometry, here.curvature, STRAIGHT)
     passive = passive_fields(strain, grid)
     assert len(passive) == strain.size - strain.active == count
     np.testing.assert_allclose(inner(passive, passive, scene, grid), np.eye(len(passive)), atol=1e-11)

@@ -1,5 +1,7 @@
 """`soft-tendon reproduce-paper`: short motions, and what it prints and writes."""
 
+import contextlib
+import io
 import json
 import math
 
@@ -14,15 +16,13 @@ from soft_tendon_env.paper.report import claims_table
 ACTUATED = ("fully actuated", "underactuated")
 
 
-@pytest.fixture
-def reproduced(tmp_path, capsys):
-    """reproduced(*arguments): the numbers that were written, and what was printed."""
-
-    def run(*arguments):
-        main(["reproduce-paper", *arguments, "--out", str(tmp_path)])
-        return json.loads((tmp_path / "numbers.json").read_text()), capsys.readouterr().out
-
-    return run
+@pytest.fixture(scope="module")
+def reproduced(tmp_path_factory):
+    """Of two seconds: the folder, the numbers that were written, and what was printed."""
+    out, printed = tmp_path_factory.mktemp("paper"), io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        main(["reproduce-paper", "--seconds", "2", "--out", str(out)])
+    return out, json.loads((out / "numbers.json").read_text()), printed.getvalue()
 
 
 def is_picture(path):
@@ -31,22 +31,22 @@ def is_picture(path):
 
 
 @pytest.mark.slow
-def test_models_and_shapes(reproduced, tmp_path):
-    numbers, printed = reproduced("--figures", "2", "3", "4", "--seconds", "1")
+def test_models_and_shapes(reproduced):
+    out, numbers, printed = reproduced
     full, under = numbers["tip_mismatch_mm"]["paper"], numbers["tip_mismatch_mm"]["paper_16dof"]
     assert 0.0 < under["largest"] < 0.2 * full["largest"], "mm; six passive coordinates more"
     for name in ("paper", "paper_16dof"):
         laws = numbers["shape_error"][name]
         assert 0.0 < laws["feedback"]["rms"] < 0.6 * laws["feedforward"]["rms"]
-    assert all(is_picture(tmp_path / f"figure_{figure}.png") for figure in (2, 3, 4))
+    assert all(is_picture(out / f"figure_{figure}.png") for figure in (2, 3, 4))
     rows = [line.split("|") for line in printed.splitlines() if line.startswith("| 2(") or line.startswith("| 3(")]
-    assert len(rows) == len(numbers["claims"]) == 4
+    assert len(rows) == 4
     assert {row[-2].strip() for row in rows if row[1].strip().startswith("2(")} == {"yes"}
 
 
 @pytest.mark.slow
-def test_tip_converges_to_the_circle(reproduced, tmp_path):
-    numbers, printed = reproduced("--figures", "5", "--seconds", "2")
+def test_tip_converges_to_the_circle(reproduced):
+    out, numbers, printed = reproduced
     holds = {(claim["figure"], claim["paper"]): claim["holds"] for claim in numbers["claims"]}
     for name in ("fully actuated", "underactuated", "underactuated, as printed", *(f"{of}, sampled" for of in ACTUATED)):
         own, figure = numbers["tip_error"][name], "5(c)" if name.startswith("fully") else "6(c)"
@@ -55,7 +55,7 @@ def test_tip_converges_to_the_circle(reproduced, tmp_path):
         assert holds[figure, f"tip error stays below 1 mm, {name}"] == lasting
         assert lasting == (not name.startswith("underactuated") or "sampled" in name), "(39) asks for forces that tensions cannot make"
     assert "breaks down" in printed
-    assert is_picture(tmp_path / "figure_5.png") and is_picture(tmp_path / "figure_6.png")
+    assert is_picture(out / "figure_5.png") and is_picture(out / "figure_6.png")
 
 
 @pytest.mark.parametrize("scene", ["paper", "paper_16dof"])

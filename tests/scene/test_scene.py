@@ -39,8 +39,6 @@ def scene():
 
 
 REFUSED = [
-    ({"segments.0.length": "0.2"}, "segments[0].length is '0.2': it should be a valid number"),
-    ({"segments.0.length": float("nan")}, "segments[0].length is nan: it should be a finite number"),
     ({"segments.0.radius": {"type": "table", "arc_length": [0.0, 0.1], "radius": [0.01, 0.01]}}, "should cover the segment, 0 to 0.2, but"),
     ({"segments.0.curvature": [0.0, 1.0]}, "segments[0].curvature[2] is missing: it is required"),
     ({"tendons.1.routing.type": "helx"}, "tendons[1].routing.type is 'helx': did you mean 'helix'? valid: converging, helix, straight"),
@@ -55,16 +53,10 @@ REFUSED = [
         {"strain.strains": ["bend_y"], "strain.passive": [{"strains": ["stretch"], "order": 0, "span": "rod"}]},
         "should name strains that the rod has, bend_y; not stretch",
     ),
-    (
-        {"quadratur.intervals": 6},
-        "quadratur is an unknown key (given {'intervals': 6}): did you mean 'quadrature'? valid: base, description",
-    ),
     ({"integrator": {"columns": 1, "tolerance": 1e-4}}, "integrator.tolerance is 0.0001: it needs the error estimate of at least 2"),
     ({"base.quaternion": [0.0, 0.0, 0.0, 0.0]}, "base.quaternion is [0.0, 0.0, 0.0, 0.0]: it should have length 1, not 0: (w, x, y, z)"),
     ({"base.quaternion": [1.0, 0.0, 0.0]}, "base.quaternion is [1.0, 0.0, 0.0]: it should have four numbers, not 3: (w, x, y, z)"),
-    ({"base.quaternion": [1.0, 0.0, 0.0, float("nan")]}, "base.quaternion[3] is nan: it should be a finite number"),
     ({"base.position": [0.0, 0.0, 800.0]}, "coordinates should be within ±500 m, 1000 lengths of the rod; is it in mm?"),
-    ({"segments.2.length": 1.0}, "segments.2.length cannot be set: '2' is no position in segments; valid: 0 to 1"),
 ]
 
 
@@ -181,10 +173,7 @@ def test_paper_tendons_follow_the_papers_table():
 @pytest.mark.cases(
     "content, message",
     [
-        (b'name = "x"\nsegments = ]\n', "is not valid TOML: .*line 2"),
-        (b"name = '\xff'", "is not valid TOML: .*invalid start byte"),
         (b"", "segments is missing: it is required"),
-        (b"nme = 'x'", "nme is an unknown key .*did you mean 'name'"),
         (b"name = 2024-01-01", "name is datetime.date.*: it should be a valid string"),
     ],
 )

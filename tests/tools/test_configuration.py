@@ -80,7 +80,8 @@ def test_changes_are_values_of_toml_or_texts():
 
 
 @pytest.mark.cases(
-    "content, said", [(None, "cannot be read: No such file"), (b"a = ", "is not valid TOML"), (b"a = '\xff'", "is not valid TOML")]
+    "content, said",
+    [(None, "cannot be read: No such file"), (b"a = ", "is not valid TOML"), (b"a = '\xff'", "is not valid TOML: .*start")],
 )
 def test_files_that_cannot_be_read_are_named(tmp_path, content, said):
     path = tmp_path / "arm.toml"

@@ -97,10 +97,7 @@ def test_a_study_goes_on_and_repeats_itself(tmp_path):
         (ControllerSearch, {"search": {"settling_time": {"low": 0.0, "high": 0.5, "log": True}}}, "settling_time is no range: "),
         (ControllerSearch, {"search": {"settling": {"low": 0.1, "high": 1.0}}}, "search.settling is no parameter.*'settling_time'"),
         (ControllerSearch, {"policy": "agent"}, "policy is 'agent': it should be a controller"),
-        (ControllerSearch, {"policy": "trackin"}, "policy is 'trackin', no policy"),
-        (ControllerSearch, {"options": {"fidelty": "fast"}}, "options.fidelty is an unknown key"),
         (TrainingSearch, {"training": "ppo"}, "training is neither the path of a .toml file nor a training"),
-        (TrainingSearch, {"set": {"stepz": 3}}, "stepz is an unknown key"),
         (TrainingSearch, {"search": {"hyperparameters.gama": {"low": 0.1, "high": 0.9}}}, "gama is an unknown key"),
     ],
 )

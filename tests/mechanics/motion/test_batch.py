@@ -21,11 +21,6 @@ def arms_of(model, rows=1, period=0.02, threads=1):
     return Arms(model, rows, period, STATIONS, SENSORS, threads)
 
 
-def place_at_rest(arms, seed=0):
-    arms.place(np.arange(arms.size), np.zeros((arms.size, arms.model.coordinate_count)))
-    return np.random.default_rng(seed)
-
-
 def assert_reads(reading, row, model, q, q_dot, atol=1e-12):
     terms = model.terms(q, q_dot)
     np.testing.assert_allclose(reading.tip_pose[row], model.tip_pose(q), atol=atol)
@@ -37,7 +32,7 @@ def assert_reads(reading, row, model, q, q_dot, atol=1e-12):
 def test_a_failed_step_keeps_the_last_good_motion(build):
     model = build("three_tendon", {"quadrature.intervals": 4, "integrator.step": 0.01, "integrator.max_halvings": 0})
     arms = arms_of(model, rows=2)
-    place_at_rest(arms)
+    arms.place(np.arange(arms.size), np.zeros((arms.size, arms.model.coordinate_count)))
     tension = np.tile([2.0, 0.0, 0.0], (2, 2, 1))
     arms.step(tension, np.arange(2))
     tension[1, 1] = [1e6, 0.0, 0.0]  # the second half of row 1's period

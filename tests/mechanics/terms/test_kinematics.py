@@ -35,10 +35,6 @@ def at_nodes(model, field):
     return packed.swapaxes(-1, -2).reshape(len(packed), -1, 6)[:, model.grid.real]
 
 
-def node_arc_lengths(model):
-    return (model.grid.start + model.grid.length)[model.grid.real]
-
-
 @pytest.fixture
 def constant_strain(build):
     """An arm whose six coordinates are the six strains, the same everywhere, less the reference."""
@@ -61,7 +57,7 @@ def test_body_jacobian_at_all_nodes_against_differences(name, changes, build, ra
     """g^-1 dg/dq_j = J_j^ at every node; the tip's is what `terms` gives."""
     model = build(name, changes)
     q, q_dot = random_state(model, 1)
-    nodes, work = node_arc_lengths(model), workspace_at(model, q, q_dot)
+    nodes, work = (model.grid.start + model.grid.length)[model.grid.real], workspace_at(model, q, q_dot)
     J, pose = at_nodes(model, work.J), model.backbone_at(q, nodes)
     step = 1e-4 * np.abs(q).max()
     for j in range(0, q.size, 1 if q.size < 25 else 7):
