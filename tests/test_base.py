@@ -104,7 +104,7 @@ def test_model_predictive_control_behind_a_kalman_filter_does_not_know_where_the
         arm, sent = Simulation(model), [np.zeros(3)] * observer.history
         arm.reset_at_rest()
         for k in range(12):
-            lengths = model.tendon_lengths(arm.state.q) - model.tendon_lengths(np.zeros(model.coordinate_count))
+            lengths = model.tendon_lengths(arm.state.q)
             last = observer.estimate(Measurement(arm.tip_pose, np.array(sent[-observer.history :]), 0.02 * k, tendon_length=lengths), last)
             decision = controller.act(ControllerInput(*last[:3], sent[-1], goal, 0.02 * k, last.input_error), memory)
             memory, sent = decision.memory, [*sent, decision.tension]

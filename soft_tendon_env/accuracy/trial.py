@@ -32,7 +32,7 @@ from soft_tendon_env.tools.messages import say_once
 
 SEED, SECONDS, RESTS = 500, 2.0, 16  # of the motions, one of each usual kind; equilibria under random tensions, besides the slack arm's
 MARGIN = 2.0  # by which the error on these stays below what is asked for, since other motions may be worse
-REFERENCE = 0.1  # of what is asked for: error aimed at in full physics
+REFERENCE, UNSURE = 0.1, 10.0  # of what is asked for: error aimed at in full physics, and the largest that anything is judged by
 FIELDS, ROD, PIECE, EXPLICIT = (6, 9, 12, 18, 24), (1, 2, 3, 4, 6, 8, 10, 12), (1, 2, 3, 4, 5, 6, 7, 9), (4, 6, 9)
 """Numbers of the arm's own passive fields, Legendre orders over the rod, over each part of it, and of explicit strain, that are tried."""
 FEW, RICH, FINER, SETTLED, SOME, TIGHTER, MOST, RICHEST, MOST_LEVELS = 3, 5, 10.0, 0.15, 3, 5.0, 5, 3, 3
@@ -60,6 +60,7 @@ class Choice(NamedTuple):
     integrator: dict[str, Any]
     coordinates: int
     error: float  # bound of the tip's distance from full physics, as a share of the length; inf: full physics has none of the motions
+    left_out: int = 0  # motions and equilibria that full physics does not have, or leaves open, as those of a column that may fall either way
 
     def of(self, scene: Scene) -> Scene:
         """The scene with this choice."""
@@ -89,7 +90,8 @@ class Choice(NamedTuple):
         else:
             name = "the tensions alone"
         bound = f"{100 * self.error:.2g} % of the length, {1e3 * self.error * rod_length(scene):.2g} mm"
-        return f"{name}, {self.coordinates} coordinates, were within {bound}, in a trial"
+        left_out = f" without {self.left_out} inputs under which the arm's motion is not unique" if self.left_out else ""
+        return f"{name}, {self.coordinates} coordinates, were within {bound}, in a trial{left_out}"
 
 
 def bare_rod(scene: Scene) -> dict[str, Any]:
@@ -146,7 +148,8 @@ class Trial:
         inputs = [*rests, *(motion_tensions(scene, kind, SEED, seconds) for kind in USUAL)]
         found = reference_motions(self.scene, inputs, REFERENCE * self.unit, MOST_LEVELS)
         tests = zip(inputs, found.tips, found.tip_errors, strict=True)
-        self.tests = [(tensions, tips, error) for tensions, tips, error in tests if tips is not None]
+        self.tests = [(tensions, tips, error) for tensions, tips, error in tests if tips is not None and error <= UNSURE * self.unit]
+        self.left_out = len(inputs) - len(self.tests)
 
     def model(self, choice: Choice) -> Model:
         """Model of a choice with the fewest of its quadrature intervals."""
@@ -193,7 +196,7 @@ def settle(trial: Trial, asked: Accuracy) -> Choice:
     rich["borders"] = [*scene.strain.borders, *part_borders(scene)]
     moments = {"strains": [strain for strain in STRAINS[:3] if strain in free] or free, "order": FEW, "span": "rod"}
     quadrature = {"tolerance": asked.quadrature, "least": RICH - 1}
-    found = Choice(rich, quadrature, {"tolerance": asked.tolerance * rod_length(scene)}, 0, np.inf)
+    found = Choice(rich, quadrature, {"tolerance": asked.tolerance * rod_length(scene)}, 0, np.inf, trial.left_out)
     parts = (breakpoints(found.of(scene)).size - 1) / (breakpoints(scene).size - 1)  # of each piece
     found.quadrature["least"] = max(math.ceil(asked.least / parts), RICH - 1)
     while found.quadrature["least"] < MOST_INTERVALS and not trial.agree(found, found.finer(2.0), 1):

@@ -126,3 +126,19 @@ def test_quadrature_and_steps_are_settled(monkeypatch):
     found = settle(trial, accuracy_of(curled, "standard"))
     assert found.quadrature["least"] > PRESETS["standard"].least
     assert trial.agree(found, found.finer(3.0), 1, 0.5) and trial.agree(found, found.finer(1.0, 10.0), 2, 0.5)
+
+
+def test_what_full_physics_is_unsure_of_counts_or_is_left_out(monkeypatch):
+    still = np.zeros(3)
+    path = tip_path(build_model(ARM), still)
+    for error, bound, left_out in ((1e-7, 1e-7, 0), (1e-4, 1e-4, 0), (1.0, None, 17)):
+        made = type("Made", (), {"tips": (path,) * 17, "tip_errors": (error,) * 17})
+        monkeypatch.setattr(module, "reference_motions", lambda *_, made=made: made)
+        monkeypatch.setattr(module, "USUAL", ())
+        trial = Trial(ARM, 2e-3)
+        assert trial.left_out == left_out
+        if bound:
+            trial.tests = trial.tests[:1]
+            assert trial.distance(build_model(ARM)) == pytest.approx(bound)
+    found = Choice(bare_rod(ARM), {"least": 6}, {"tolerance": 1e-5}, 3, 0.012, 17)
+    assert "without 17 inputs under which the arm's motion is not unique" in found.describe(ARM)
