@@ -1,7 +1,8 @@
 """A robot of your own: a class with two names and three methods. This one talks to a microcontroller in lines of text over a socket.
 
-python examples/own_robot.py                                    runs a controller on it; a simulated arm answers at the other end
-soft-tendon run filtered:tracking --robot own_robot:LineArm     runs it on yours, from this folder
+python examples/own_robot.py runs a controller on it; a simulated arm answers at the other end. On yours, from this folder:
+soft-tendon run filtered:tracking --task Reach --scene three_tendon --robot own_robot:LineArm
+    --set "observation=['tip_position','tip_rotation','tendon_lengths']"
 """
 
 import socket

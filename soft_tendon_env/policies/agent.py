@@ -130,8 +130,8 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
     """Trained agent as a policy for an environment like its own, single or vector; nothing is unpickled.
 
     name: of an agent that ships for the environment's task, or an agent's folder. other_effects: whether the arm may have effects that it
-    was not trained with. Warns (TrainingWarning) of another task, arm, preset or control period than in its training. Raises TypeError for
-    environments of other packages, ValueError, OSError, ModuleNotFoundError.
+    was not trained with. Warns (TrainingWarning) of another task or preset than in its training. Raises TypeError for environments
+    of other packages, ValueError, also for another arm or control period, OSError, ModuleNotFoundError.
     """
     import torch
 
