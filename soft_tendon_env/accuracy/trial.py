@@ -60,9 +60,7 @@ class Choice(NamedTuple):
     integrator: dict[str, Any]
     coordinates: int
     error: float  # bound of the tip's distance from full physics, as a share of the length; inf: full physics has none of the motions
-    left_out: int = (
-        0  # motions and equilibria that full physics does not have, or leaves open, as those of a column that may fall either way
-    )
+    left_out: int = 0  # motions and equilibria that full physics does not have, or leaves open: a column may fall either way
 
     def of(self, scene: Scene) -> Scene:
         """The scene with this choice."""
