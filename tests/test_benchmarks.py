@@ -44,4 +44,5 @@ def test_benchmark_prints_a_table_and_writes_csv_and_picture(name, tmp_path):
     with open(tmp_path / f"{name}.csv", newline="") as file:
         header, *rows = csv.reader(file)
     assert rows and all(len(row) == len(header) for row in rows)
-    assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    if name != "scores":  # a table alone
+        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
