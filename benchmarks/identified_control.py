@@ -182,7 +182,7 @@ def error_of(policy: str, robot: Scene, scene: Scene, seed: int, seconds: float)
 def agent_arm(estimate: Estimate) -> tuple[Scene, dict[str, Any]]:
     """Scene and randomisation of an agent's training: the delay is drawn in place of the scene's, since a teacher knows it only so."""
     at = next(i for i, own in enumerate(estimate.parameters) if own.name == DELAY)
-    late = [estimate.intervals.low[at], estimate.intervals.high[at]]
+    late = [float(estimate.intervals.low[at]), float(estimate.intervals.high[at])]
     return estimate.scene.replace({"effects.actuators": None}), {**randomize(estimate), "latency": late}
 
 
