@@ -12,6 +12,7 @@ from typing import Annotated, Any, Self
 import gymnasium as gym
 from pydantic import AfterValidator, Field, field_validator
 
+from soft_tendon_env.accuracy.fidelity import AS_SCENE
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.options import given_scene, resolved_scene
@@ -206,11 +207,23 @@ def _physics(scene: Scene, names: set[str]) -> dict[str, Any]:
     return {**{key: getattr(scene, key) for key in PHYSICS}, "effects": effects}
 
 
+def _as_written(options: Options) -> Scene:
+    """The scene of options with the strain, quadrature and integrator that it has, so that no trial of the arm is needed."""
+    return resolved_scene(options.model_copy(update={"fidelity": AS_SCENE}))
+
+
+def _is_of(options: Options, scene: Scene) -> bool:
+    """Whether a scene is that of options but for its name: the same physical arm, and then the same at their fidelity."""
+    if _physics(_as_written(options), set()) != _physics(scene, set()):
+        return False
+    return resolved_scene(options).replace({"name": scene.name}) == scene
+
+
 def _check_agent(name: str, config: AgentConfig, episodes: Episodes, other_effects: bool) -> None:
     """Raises ValueError where an agent was trained on another arm, with another control period, or with another meaning of observations or
     actions. other_effects: those of the arm may be others. Warns (TrainingWarning) of another task, or arm as it is computed."""
     now, scene, layout, trained = episodes.options, episodes.model.scene, layout_of(episodes), Options(**config.options)
-    before, names = resolved_scene(trained), disturbances(trained)
+    before, names = _as_written(trained), disturbances(trained)
     there, known = _physics(scene, names), _physics(before, names)
     for key in PHYSICS:
         if known[key] != there[key] and not (other_effects and key == "effects"):
@@ -219,12 +232,11 @@ def _check_agent(name: str, config: AgentConfig, episodes: Episodes, other_effec
     groups = [", ".join(f"{group} ({size})" for group, size in of.items()) for of in (config.layout or layout, layout)]
     values = {"observation": (groups[0], groups[1]), **{key: (getattr(trained, key), getattr(now, key)) for key in SAME}}
     if {"coordinates", "rates", "target_coordinates"} & layout.keys():
-        values["strain"] = (config.strain or strain_of(before), strain_of(scene))
+        values["strain"] = (config.strain or strain_of(resolved_scene(trained)), strain_of(scene))
     for key, (one, other) in values.items():
         if one != other:
             raise ValueError(f"{name} was trained with {key} = {one!r}, this environment has {other!r}")
-    alike = before, resolved_scene(Options(**undisturbed(config.options)))
-    same = scene.replace({"name": "arm"}) in [one.replace({"name": "arm"}) for one in alike]
+    same = any(_is_of(options, scene) for options in (trained, Options(**undisturbed(config.options))))
     soft = {"task": (config.task or episodes.task.name, episodes.task.name)}
     soft |= {key: (getattr(trained, key), getattr(now, key)) for key in ARM if key != "control_period" and not same}
     if not other_effects and (other := [f"{key} = {one!r}, judged with {two!r}" for key, (one, two) in soft.items() if one != two]):
