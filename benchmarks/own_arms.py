@@ -141,13 +141,14 @@ def row(
 
 
 def draw(rows: list[tuple[str, ...]], path: Path) -> None:
-    figure, axes = plt.subplots(figsize=(6, 4), constrained_layout=True)
+    figure, axes = plt.subplots(figsize=(8, 4), constrained_layout=True)
+    axes.set_prop_cycle(color=plt.get_cmap("Paired").colors)  # twelve
     for name in dict.fromkeys(row[0] for row in rows):
         chosen = [row for row in rows if row[0] == name]
         axes.loglog([float(row[2]) for row in chosen], [max(float(row[3]), float(row[4])) for row in chosen], "o-", label=name)
     axes.axline((0.1, 0.1), (1.0, 1.0), color="0.5", label="asked")
     axes.set(xlabel="asked [% of the length]", ylabel="largest error of the tip [%]")
-    axes.legend(frameon=False, fontsize=7)
+    axes.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     write_picture(figure, path)
 
 
