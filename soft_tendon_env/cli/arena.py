@@ -9,13 +9,16 @@ from pydantic import Field
 from soft_tendon_env.cli.errors import mistakes, require, writable_folder
 from soft_tendon_env.evaluation.benchmark import Benchmark, benchmark_tables, standings_by_regime
 from soft_tendon_env.evaluation.conditions import SETTINGS
-from soft_tendon_env.evaluation.experiment import Experiment
+from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.tables import records, write_csv
+from soft_tendon_env.policies.names import Controller, PolicyName
 from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.files import CONFIGS
 from soft_tendon_env.tools.parallel import check_cluster
+
+CONTROLLER_PACE, AGENT_PACE = 0.2, 0.05  # seconds of a core per second of an episode of the paper's arm, on an AMD EPYC
 
 
 class Arena(Benchmark):
@@ -49,7 +52,9 @@ def run(settings: Arena) -> None:
     what = f"{settings.episodes} episodes of {settings.seconds:g} s"
     for note in notes:
         print(f"note: {note}")
-    print(f"{len(experiment.cells)} cells, {len(experiment.missing())} of them to be played, {what} each; {machine()}", flush=True)
+    missing = experiment.missing()
+    hours = sum(_hours(experiment.cells[label]) for label in missing) / settings.workers
+    print(f"{len(experiment.cells)} cells, {len(missing)} of them to be played, {what}, about {hours:.2g} hours; {machine()}", flush=True)
     experiment.play("arena", settings.workers, settings.cluster)
     from soft_tendon_env.evaluation.pictures import draw_errors
 
@@ -64,3 +69,9 @@ def run(settings: Arena) -> None:
     draw_errors({f"information: {regime}": of for regime, of in found.items()}, picture)
     parts = [f"{what.capitalize()}.", *(f"Note: {note}." for note in notes)]
     page.write(marker, "\n\n".join([*parts, f"![Errors of all policies by setting and regime]({picture.name})", text]))
+
+
+def _hours(cell: Cell) -> float:
+    """Time [h] that a cell is expected to take a core."""
+    is_controller = isinstance(PolicyName.parse(cell.policy, cell.task), Controller)
+    return len(cell.seeds) * cell.seconds * (CONTROLLER_PACE if is_controller else AGENT_PACE) / 3600.0

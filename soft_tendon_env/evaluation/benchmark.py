@@ -7,11 +7,11 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from soft_tendon_env.envs import Options
-from soft_tendon_env.envs.options import Difficulty, groups_of
+from soft_tendon_env.envs.options import groups_of
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.conditions import SEEDS, SETTINGS
-from soft_tendon_env.evaluation.entrants import agents_of, model_in_the_loop
+from soft_tendon_env.evaluation.entrants import agents_of, model_in_the_loop, trained_alike
 from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.settings import RegimeNames, SettingNames, TaskName, Workers, episode_steps
 from soft_tendon_env.evaluation.summaries import Mean, Standing, Standings, difference
@@ -25,8 +25,8 @@ from soft_tendon_env.tools.types import NotNegative, Positive
 
 PLANT = "fine"
 """Fidelity of the arm that the benchmark is played on."""
-TARGET = "random"
-"""Target that all follow."""
+TARGET = {"target": "random", "difficulty": "medium"}
+"""Options of the target that all follow, but in the settings "easy" and "hard"."""
 
 
 class BenchmarkPolicy(Configuration):
@@ -47,6 +47,8 @@ class BenchmarkPolicy(Configuration):
     def members(self, task: str) -> dict[int | None, PolicyName]:
         """Policies of which it consists, by seed of training; None: the only one. Raises ValueError, OSError for what is none."""
         (files,) = agents_of(task, [self.policy]).values()
+        if files.keys() == {None}:
+            files = trained_alike(PolicyName.parse(self.policy, task))
         return {seed: PolicyName.parse(file, task) for seed, file in files.items()}
 
 
@@ -69,9 +71,9 @@ class Benchmark(Workers):
         scene: a shipped scene's name, or the path of a TOML file: the arm that every policy may know.
         entrants: tables of the policies that are compared, see soft_tendon_env.evaluation.benchmark.BenchmarkPolicy.
         settings: names of model errors and loads, see soft_tendon_env.evaluation.conditions.
-        difficulty: of the targets, see soft_tendon_env.envs.Options.
         regimes: names of sensor sets that policies observe, see soft_tendon_env.policies.regimes.
-        episodes: number of episodes of every policy in every condition, on the first of the test seeds.
+        episodes: number of episodes of every policy in every condition, on the first of the test seeds. Seeds of a training have the same
+            share of them each.
         seconds: length of an episode [s].
         skip: time at the beginning of an episode that errors leave out [s].
     """
@@ -80,7 +82,6 @@ class Benchmark(Workers):
     scene: str = "paper"
     entrants: tuple[BenchmarkPolicy, ...] = Field(min_length=1)
     settings: SettingNames = tuple(SETTINGS)
-    difficulty: Difficulty = "medium"
     regimes: RegimeNames = tuple(REGIMES)
     episodes: int = Field(default=20, ge=1, le=len(SEEDS["arena"]))
     seconds: Positive = 6.0
@@ -91,7 +92,7 @@ class Benchmark(Workers):
         names = [entrant.name for entrant in self.entrants]
         if twice := [name for name in names if names.count(name) > 1]:
             raise ConfigurationError([Problem(("entrants",), f"has {twice[0]!r} several times: give each a name of its own")])
-        episode_steps(self.seconds, self.skip, {"target": TARGET})
+        episode_steps(self.seconds, self.skip, TARGET)
         return self
 
     def cells(self) -> tuple[dict[Label, Cell], list[str]]:
@@ -108,8 +109,11 @@ class Benchmark(Workers):
         return cells, notes
 
     def _cells_of(self, entrant: BenchmarkPolicy) -> Iterator[tuple[Label, Cell]]:
-        reasons, plays, episodes = dict[str, None](), False, tuple(SEEDS["arena"][: self.episodes])
-        for seed, policy in entrant.members(self.task).items():
+        reasons, plays, members = dict[str, None](), False, entrant.members(self.task)
+        share = max(self.episodes // len(members), 1)
+        for place, (seed, policy) in enumerate(members.items()):
+            first = place * share % self.episodes
+            episodes = tuple(SEEDS["arena"][first : first + share])
             for regime in self.regimes:
                 observed = interface_options(policy, regime)
                 if reason := misfit(policy, {"scene": self.scene, **observed}, regime):
@@ -117,8 +121,7 @@ class Benchmark(Workers):
                     continue
                 plays, noise = True, {"noise": dict(REGIMES[regime].noise)}
                 for setting in self.settings:
-                    given = {**observed, "scene": self.scene, "fidelity": PLANT, "randomize": noise}
-                    given |= {"target": TARGET, "difficulty": self.difficulty}
+                    given = {**observed, **TARGET, "scene": self.scene, "fidelity": PLANT, "randomize": noise}
                     believed = {"scene": self.scene, **(SETTINGS[setting].scene(load_scene(self.scene)) if entrant.told else {})}
                     options = SETTINGS[setting].options(given)
                     cell = Cell(self.task, policy.text, options, episodes, self.seconds, self.skip, controller_scene=believed)

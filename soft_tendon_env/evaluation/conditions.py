@@ -15,18 +15,20 @@ AND = ","  # between the names of conditions that hold together
 
 @dataclass(frozen=True)
 class Condition:
-    """Difference of an arm from nominal, unknown to the policy: values of `randomize`, and changes of the scene by dotted keys."""
+    """Difference of an episode from nominal, unknown to the policy: values of `randomize`, changes of the scene by dotted keys, and other
+    options of the environment."""
 
     description: str = ""
     randomize: Mapping[str, Any] = field(default_factory=dict)
     scene: Callable[[Scene], dict[str, Any]] = lambda scene: {}
+    others: Mapping[str, Any] = field(default_factory=dict)
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """The given options of an environment under this condition, which overrides what they have drawn."""
         scene = given.get("scene", "paper")
         changes = self.scene(given_scene(scene))
         arm = {"scene": {**(scene if isinstance(scene, Mapping) else {"scene": scene}), **changes}} if changes else {}
-        return {**given, **arm, "randomize": {**plain(given.get("randomize", {})), **self.randomize}}
+        return {**given, **arm, **self.others, "randomize": {**plain(given.get("randomize", {})), **self.randomize}}
 
 
 MODEL_ERRORS: dict[str, Condition] = {
@@ -66,6 +68,8 @@ def _obstacles(scene: Scene) -> dict[str, Any]:
 
 SETTINGS: dict[str, Condition] = {
     NOMINAL: MODEL_ERRORS[NOMINAL],
+    "easy": Condition("nominal, and targets that are slower and nearer", others={"difficulty": "easy"}),
+    "hard": Condition("nominal, and targets that are quicker and farther off", others={"difficulty": "hard"}),
     "model_errors": Condition(
         "stiffness, damping, payload up to 20 g, tension gains and latency up to 20 ms, together",
         {"stiffness": (0.8, 1.2), "damping": (0.5, 2.0), "payload": (0.0, 0.02), "tension_gain": (0.9, 1.1), "latency": (0.0, 0.02)},

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from soft_tendon_env.control import CONTROLLERS
+from soft_tendon_env.policies.agent import find_agent, is_agent
 from soft_tendon_env.policies.names import ALL, BEST, Agent, Controller, PolicyName
 from soft_tendon_env.tools.files import read_json
 
@@ -20,10 +21,19 @@ def agents_of(task: str, names: Sequence[str]) -> dict[str, dict[int | None, str
     return {name: seed_files(Path(name), task) or {None: PolicyName.parse(name, task).text} for name in every}
 
 
+def trained_alike(policy: PolicyName) -> dict[int | None, str]:
+    """Agents of one training by its seed: an agent, and those in folders seed_1, seed_2, ... beside its files; None: it is alone, or not
+    an agent. Raises ValueError, OSError."""
+    folder = find_agent(policy.text, policy.task) if isinstance(policy, Agent) else None
+    if folder is None or not any(folder.glob("seed_*")):
+        return {None: policy.text}
+    return {read_run(path)["seed"]: str(path) for path in (folder, *seed_folders(folder).values())}
+
+
 def seed_files(folder: Path, task: str) -> dict[int | None, str]:
-    """Best agents of the runs of a folder by seed; none of what is no such folder. Raises ValueError, OSError unless all were trained on
-    the task, and alike."""
-    runs = seed_folders(folder) if any(folder.glob("seed_*")) else {}
+    """Best agents of the runs of a folder by seed; none of what is no such folder, as an agent's own. Raises ValueError, OSError unless all
+    were trained on the task, and alike."""
+    runs = seed_folders(folder) if any(folder.glob("seed_*")) and not is_agent(str(folder)) else {}
     first: dict[str, Any] = {"task": task}
     for run in runs.values():
         config = read_run(run)

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import shutil
 import sys
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from soft_tendon_env.cli.main import main
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.evaluation.benchmark import Benchmark, misfit
 from soft_tendon_env.evaluation.conditions import SEEDS, SETTINGS
+from soft_tendon_env.policies.agent import find_agent
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.regimes import REGIMES
 
@@ -51,7 +53,21 @@ def test_everybody_plays_all_settings_on_the_same_episodes():
     assert {(label.regime, label.setting) for label in found if label.policy == STILL} == {("tip", setting) for setting in SETTINGS}
     assert len({cell.key("code") for cell in found.values()}) == len(found)
     assert {cell.seeds for cell in found.values()} == {tuple(SEEDS["arena"][:2])}
-    assert {(cell.options["target"], cell.options["difficulty"]) for cell in found.values()} == {("random", "medium")}
+    assert {cell.options["target"] for cell in found.values()} == {"random"}
+    for label, cell in found.items():
+        assert cell.options["difficulty"] == (label.setting if label.setting in ("easy", "hard") else "medium")
+
+
+def test_agents_of_one_training_share_its_episodes(tmp_path):
+    """Beside the files of an agent, or of a folder of runs."""
+    shipped = find_agent("dagger", "Reach")
+    for seed in range(3):
+        folder = tmp_path / f"seed_{seed}" if seed else tmp_path
+        shutil.copytree(shipped, folder, dirs_exist_ok=True)
+        (folder / "config.json").write_text(json.dumps({**json.loads((shipped / "config.json").read_text()), "seed": seed}))
+    found = Benchmark(**{**SHORT, "scene": "paper", "task": "Reach", "entrants": ({"policy": str(tmp_path)},), "episodes": 7}).cells()[0]
+    seeds = {label.seed: cell.seeds for label, cell in found.items()}
+    assert seeds == {seed: tuple(SEEDS["arena"][2 * seed : 2 * seed + 2]) for seed in range(3)}
 
 
 @pytest.mark.cases(
