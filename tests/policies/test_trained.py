@@ -8,6 +8,7 @@ import pytest
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate_rows, summarise
+from soft_tendon_env.evaluation.entrants import ALIKE, read_run
 from soft_tendon_env.policies import load_agent, policy_options
 from soft_tendon_env.policies.agent import shipped_as
 
@@ -19,6 +20,7 @@ BARS = {
 }
 
 
+SEEDS = sorted(TRAINED.glob("*/*/seed_*"))
 SHIPPED = sorted((path.parent.parent.name, path.parent.name) for path in TRAINED.glob("*/*/weights.pt"))
 
 
@@ -39,3 +41,11 @@ def test_agents_that_ship_bring_the_arm_where_it_should_be(name, task):
     assert summary.metrics["chatter"] < 0.05
     if task == "Reach":
         assert summary.reached == 1.0
+
+
+@pytest.mark.parametrize("folder", SEEDS, ids=lambda folder: "-".join(folder.parts[-3:]))
+def test_seeds_beside_an_agent_had_the_same_training(folder):
+    one, other = (read_run(place) for place in (folder.parent, folder))
+    assert {key: one[key] for key in ALIKE} == {key: other[key] for key in ALIKE}
+    assert (folder / "weights.pt").read_bytes() != (folder.parent / "weights.pt").read_bytes()
+    assert folder.name == f"seed_{other['seed']}" != f"seed_{one['seed']}"
