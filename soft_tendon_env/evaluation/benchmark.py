@@ -1,5 +1,6 @@
 """Benchmark of policies on arms that none of them was made for: the same task, information and episodes for all."""
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
@@ -72,8 +73,8 @@ class Benchmark(Workers):
         entrants: tables of the policies that are compared, see soft_tendon_env.evaluation.benchmark.BenchmarkPolicy.
         settings: names of model errors and loads, see soft_tendon_env.evaluation.conditions.
         regimes: names of sensor sets that policies observe, see soft_tendon_env.policies.regimes.
-        episodes: number of episodes of every policy in every condition, on the first of the test seeds. Seeds of a training have the same
-            share of them each.
+        episodes: number of episodes of every policy in every condition, on the first of the test seeds. Seeds of a training have
+            as many each, and all of them together.
         seconds: length of an episode [s].
         skip: time at the beginning of an episode that errors leave out [s].
     """
@@ -110,9 +111,9 @@ class Benchmark(Workers):
 
     def _cells_of(self, entrant: BenchmarkPolicy) -> Iterator[tuple[Label, Cell]]:
         reasons, plays, members = dict[str, None](), False, entrant.members(self.task)
-        share = max(self.episodes // len(members), 1)
+        share = math.ceil(self.episodes / len(members))
         for place, (seed, policy) in enumerate(members.items()):
-            first = place * share % self.episodes
+            first = min(place * share, self.episodes - share)
             episodes = tuple(SEEDS["arena"][first : first + share])
             for regime in self.regimes:
                 observed = interface_options(policy, regime)

@@ -23,27 +23,38 @@ def agents_of(task: str, names: Sequence[str]) -> dict[str, dict[int | None, str
 
 def trained_alike(policy: PolicyName) -> dict[int | None, str]:
     """Agents of one training by its seed: an agent, and those in folders seed_1, seed_2, ... beside its files; None: it is alone, or not
-    an agent. Raises ValueError, OSError."""
+    an agent. Raises ValueError, OSError unless all were trained alike."""
     folder = find_agent(policy.text, policy.task) if isinstance(policy, Agent) else None
     if folder is None or not any(folder.glob("seed_*")):
         return {None: policy.text}
-    return {read_run(path)["seed"]: str(path) for path in (folder, *seed_folders(folder).values())}
+    seed, others = read_run(folder).get("seed"), seed_folders(folder)
+    if seed in others:
+        raise ValueError(f"{others[seed]} has the seed of the agent beside it, {folder}")
+    found: dict[int | None, Path] = {seed: folder, **others}
+    check_alike([*found.values()], policy.task)
+    return {seed: str(path) for seed, path in found.items()}
 
 
 def seed_files(folder: Path, task: str) -> dict[int | None, str]:
     """Best agents of the runs of a folder by seed; none of what is no such folder, as an agent's own. Raises ValueError, OSError unless all
     were trained on the task, and alike."""
     runs = seed_folders(folder) if any(folder.glob("seed_*")) and not is_agent(str(folder)) else {}
-    first: dict[str, Any] = {"task": task}
+    check_alike([*runs.values()], task)
     for run in runs.values():
-        config = read_run(run)
-        first = {**{key: config.get(key) for key in ALIKE}, **first}
-        if other := [key for key in ALIKE if config.get(key) != first[key]]:
-            found = ", ".join(f"{key} = {config.get(key)!r}, not {first[key]!r}" for key in other)
-            raise ValueError(f"{run} has {found}: compare it apart")
         if not (run / BEST).is_dir():
             raise FileNotFoundError(f"{run} has no agent in {BEST}: finish its training with `soft-tendon sweep`, or take it away")
     return {seed: str(run / BEST) for seed, run in runs.items()}
+
+
+def check_alike(folders: Sequence[Path], task: str) -> None:
+    """Raises ValueError, OSError unless the runs or agents in all folders were trained on the task, and alike."""
+    first: dict[str, Any] = {"task": task}
+    for folder in folders:
+        config = read_run(folder)
+        first = {**{key: config.get(key) for key in ALIKE}, **first}
+        if other := [key for key in ALIKE if config.get(key) != first[key]]:
+            found = ", ".join(f"{key} = {config.get(key)!r}, not {first[key]!r}" for key in other)
+            raise ValueError(f"{folder} has {found}: compare it apart")
 
 
 def seed_folders(folder: Path) -> dict[int, Path]:

@@ -15,6 +15,7 @@ from soft_tendon_env.cli.main import main
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.evaluation.benchmark import Benchmark, misfit
 from soft_tendon_env.evaluation.conditions import SEEDS, SETTINGS
+from soft_tendon_env.evaluation.entrants import trained_alike
 from soft_tendon_env.policies.agent import find_agent
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.regimes import REGIMES
@@ -67,7 +68,15 @@ def test_agents_of_one_training_share_its_episodes(tmp_path):
         (folder / "config.json").write_text(json.dumps({**json.loads((shipped / "config.json").read_text()), "seed": seed}))
     found = Benchmark(**{**SHORT, "scene": "paper", "task": "Reach", "entrants": ({"policy": str(tmp_path)},), "episodes": 7}).cells()[0]
     seeds = {label.seed: cell.seeds for label, cell in found.items()}
-    assert seeds == {seed: tuple(SEEDS["arena"][2 * seed : 2 * seed + 2]) for seed in range(3)}
+    assert seeds == {seed: tuple(SEEDS["arena"][first : first + 3]) for seed, first in enumerate((0, 3, 4))}
+    config = json.loads((tmp_path / "seed_2" / "config.json").read_text())
+    for changed, text in (({"steps": 1}, "seed_2 has steps = 1, not"), ({"task": "Shape"}, "seed_2 has task")):
+        (tmp_path / "seed_2" / "config.json").write_text(json.dumps({**config, **changed}))
+        with pytest.raises(ValueError, match=text):
+            trained_alike(PolicyName.parse(str(tmp_path), "Reach"))
+    (tmp_path / "seed_2").rename(tmp_path / "seed_0")
+    with pytest.raises(ValueError, match="seed_0 has the seed of the agent beside it"):
+        trained_alike(PolicyName.parse(str(tmp_path), "Reach"))
 
 
 @pytest.mark.cases(
