@@ -73,8 +73,8 @@ class Benchmark(Workers):
         entrants: tables of the policies that are compared, see soft_tendon_env.evaluation.benchmark.BenchmarkPolicy.
         settings: names of model errors and loads, see soft_tendon_env.evaluation.conditions.
         regimes: names of sensor sets that policies observe, see soft_tendon_env.policies.regimes.
-        episodes: number of episodes of every policy in every condition, on the first of the test seeds. Seeds of a training have
-            as many each, and all of them together.
+        episodes: number of episodes of every policy in every condition, on the first of the test seeds. The seeds of a training
+            share them, as many to each: some are played by two where the number cannot be divided.
         seconds: length of an episode [s].
         skip: time at the beginning of an episode that errors leave out [s].
     """

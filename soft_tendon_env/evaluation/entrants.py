@@ -30,7 +30,7 @@ def trained_alike(policy: PolicyName) -> dict[int | None, str]:
     seed, others = read_run(folder).get("seed"), seed_folders(folder)
     if seed in others:
         raise ValueError(f"{others[seed]} has the seed of the agent beside it, {folder}")
-    found: dict[int | None, Path] = {seed: folder, **others}
+    found = dict[int | None, Path]([(seed, folder), *others.items()])
     check_alike([*found.values()], policy.task)
     return {seed: str(path) for seed, path in found.items()}
 
