@@ -55,7 +55,7 @@ def theirs(seed: int) -> BaseAlgorithm:
 
 
 def ours(seed: int) -> BaseAlgorithm:
-    """PPO as `configs/ppo_tip_pose.toml` has it."""
+    """PPO as `configs/ppo_tip_pose_nominal.toml` has it."""
     env = VecNormalize(make_env("error"), norm_obs=False, gamma=0.95)
     kept: dict[str, Any] = {"n_steps": 32, "batch_size": 512, "n_epochs": 10, "target_kl": 0.03, "gamma": 0.95}
     network = {"net_arch": [128, 128], "log_std_init": -1.0}

@@ -103,4 +103,4 @@ def test_commands_of_the_wheel_work_from_an_empty_folder(unpacked, tmp_path):
     assert str(unpacked / "soft_tendon_env") in said("doctor")
     assert "| nominal " in said(*"evaluate agent --episodes 1 --seconds 0.4 --skip 0.1 --errors nominal".split())
     quick = ("steps=64", "arms=2", "seconds=0.4", "evaluation.episodes=1", "evaluation.skip=0.1", "hyperparameters.batch_size=64")
-    said("train", "ppo_tip_pose", "--set", *quick)
+    said("train", "ppo_tip_pose_nominal", "--set", *quick)

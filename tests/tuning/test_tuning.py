@@ -33,7 +33,7 @@ SHORT = {"steps": 128, "arms": 4, "seconds": 0.4, "options.scene": "three_tendon
 SHORT |= {"hyperparameters.batch_size": 128}
 NETWORK = "hyperparameters.policy_kwargs.net_arch"
 TRAINING = {
-    "training": "ppo_tip_pose",
+    "training": "ppo_tip_pose_nominal",
     "set": SHORT,
     "episodes": 2,
     "search": {"learning_rate[0]": {"low": 1e-4, "high": 1e-2, "log": True}, NETWORK: {"choices": [[8], [16, 16]]}},
