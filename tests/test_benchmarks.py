@@ -19,6 +19,7 @@ TINY = {
     "identification": ("--quick",),
     "identified_control": ("--quick",),
     "integrator": ("--quick",),
+    "learning_curves": ("--quick",),
     "peers": ("--quick", "--peers", "own"),
     "peer_learning": ("--quick", "--ways", "ours", "apg"),
     "robot_loop": ("--seconds", "0.5"),

@@ -3,7 +3,7 @@
 Numbers are interquartile means over seeds with 95 % intervals, see summaries.py, at the steps at which all seeds were evaluated.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,10 +38,11 @@ class Curves(NamedTuple):
         return np.array([[row[key] for row in rows] for rows in self.rows])
 
 
-def read_curves(folder: Path) -> Curves:
-    """Curves of a folder's runs, as far as all have come. Raises ValueError, OSError where nothing can be shown."""
+def read_curves(folder: Path, seeds: Iterable[Path] | None = None) -> Curves:
+    """Curves of a folder's runs, or those of the folders `seeds`, as far as all have come. Raises ValueError, OSError where nothing can be
+    shown."""
     runs, task = list[dict[float, dict[str, float]]](), ""
-    for run in seed_folders(folder).values():
+    for run in seed_folders(folder).values() if seeds is None else seeds:
         try:
             found = read_run(run)["task"], {row["steps"]: row for row in read_numbers(run / "evaluations.csv")}
         except (ValueError, OSError) as error:
