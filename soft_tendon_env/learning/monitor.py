@@ -16,6 +16,7 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation import VALIDATION_SEEDS, evaluate_rows, summarise
 from soft_tendon_env.evaluation.provenance import write_json
+from soft_tendon_env.evaluation.summaries import tracking_cost
 from soft_tendon_env.evaluation.tables import number
 from soft_tendon_env.learning.checkpoints import (
     config_record,
@@ -38,9 +39,9 @@ Watch = Callable[[Mapping[str, float]], None]
 
 
 def quality(row: Mapping[str, Any]) -> tuple[float, ...]:
-    """Sort key of rows, the smaller the better: fewer divergences, then more goals reached, then a smaller typical error."""
-    error = row["typical"]
-    return row["diverged"], -row.get("reached", 0.0), np.inf if error is None or np.isnan(error) else error
+    """Sort key of rows, the smaller the better: more goals reached, then a smaller cost, see `tracking_cost`, then a smaller typical error."""
+    typical = row["typical"]
+    return -row.get("reached", 0.0), row["cost"], np.inf if typical is None or np.isnan(typical) else typical
 
 
 def format_row(row: Mapping[str, float]) -> str:
@@ -107,7 +108,7 @@ class TrainingMonitor(ABC):
         seeds = VALIDATION_SEEDS[: self.envs.num_envs]
         scores = evaluate_rows(policy, self.envs, seeds, self.training.evaluation.skip)
         summary, first = summarise(scores), np.array([next(iter(score.errors.values())).rms for score in scores if score.diverged is None])
-        row |= {"return": summary.mean_return, "diverged": summary.diverged}
+        row |= {"return": summary.mean_return, "diverged": summary.diverged, "cost": tracking_cost(scores)}
         row |= {"typical": float(np.exp(np.log(first).mean())) if first.size else np.nan}
         row |= {} if summary.reached is None else {"reached": summary.reached}
         for name, error in summary.errors.items():
