@@ -39,7 +39,7 @@ Watch = Callable[[Mapping[str, float]], None]
 
 
 def quality(row: Mapping[str, Any]) -> tuple[float, ...]:
-    """Sort key of rows, the smaller the better: more goals reached, then a smaller cost, see `tracking_cost`, then a smaller typical error."""
+    """Sort key of rows, the smaller the better: more goals reached, then a smaller `tracking_cost`, then a smaller typical error."""
     typical = row["typical"]
     return -row.get("reached", 0.0), row["cost"], np.inf if typical is None or np.isnan(typical) else typical
 
