@@ -1,15 +1,16 @@
-"""Learning curves of the agents that ship for TipPose, over the seeds of their trainings: a picture and a table of docs/results.
+"""Learning curves of the agents that ship for TipPose, over the seeds of their trainings: a picture and a CSV file of docs/results.
 
     python benchmarks/learning_curves.py [--quick] [--write-docs] [--out out]
 
-Errors are geometric means over the validation episodes of a training, with interquartile means and intervals over its seeds.
+Errors are geometric means over the validation episodes of a training that did not diverge, with interquartile means and intervals over its
+seeds.
 """
 
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import markdown_table, parser_of, write_block, write_csv
+from _results import markdown_table, parser_of, write_csv
 
 from soft_tendon_env.drawing.palette import styles
 from soft_tendon_env.evaluation.entrants import trained_alike
@@ -21,7 +22,7 @@ from soft_tendon_env.policies import PolicyName
 from soft_tendon_env.policies.agent import find_agent
 
 TASK, ALGORITHMS, CURVE = "TipPose", ("ppo", "sac", "apg"), "evaluations.csv"
-PAGE = Path(__file__).parent.parent / "docs" / "results" / "learned_against_model_based.md"
+RESULTS = Path(__file__).parent.parent / "docs" / "results"
 HEADER = ("training", "seeds", "steps", "minutes", "error [mm]", "low [mm]", "high [mm]")
 
 
@@ -40,10 +41,10 @@ def main() -> None:
     axes.set(xlabel="time of training [min]", ylabel="position [mm] RMS, validation episodes")
     axes.grid(alpha=0.3)
     axes.legend(frameon=False)
-    for folder in [arguments.out, *([PAGE.parent] if arguments.write_docs else [])]:
+    for folder in [arguments.out, *([RESULTS] if arguments.write_docs else [])]:
         write_csv(folder / "learning_curves.csv", HEADER, rows)
         figure.savefig(folder / "learning_curves.png", dpi=130)
-    write_block(arguments, PAGE, "learning curves", markdown_table(HEADER, ends))
+    print(f"\n{markdown_table(HEADER, ends)}\n")
 
 
 def rows_of(algorithm: str) -> list[tuple[str, int, int, float, float, float, float]]:
