@@ -216,3 +216,8 @@ def test_shipped_configs_are_valid_and_named_by_what_they_are(path):
     assert {"TipPose": "tip_pose", "Shape": "shape", "Reach": "reach"}[chosen.task] in path.stem
     assert path.read_text().splitlines()[0].endswith(f"soft-tendon train {path.stem}") and path.stem.startswith(chosen.algorithm.lower())
     assert not chosen.normalise.observations or chosen.options["tip_speed_limit"], "or arms that whirl would change what all others see"
+
+
+def test_agents_for_all_settings_trained_on_the_same_arms_and_targets():
+    alike = [config.read_training(config.find_config(f"{algorithm}_tip_pose")).options for algorithm in ("apg", "ppo")]
+    assert all(alike[0][key] == alike[1][key] for key in ("scene", "target", "randomize", "fidelity"))
