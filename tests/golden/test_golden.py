@@ -20,6 +20,8 @@ TOLERANCE = 1e-8 if IS_HERE else 1e-5
 """Largest difference as a share of an array's largest number; other processors and libraries round differently, and motions grow that."""
 REWRITTEN = {"gradients": 1e-8}
 """Of parts whose way of computing has changed since."""
+ARBITRARY = {"three_tendon stands": 1e-5}
+"""Of arrays by the beginning of their names: the direction in which a symmetric column falls follows from rounding."""
 
 
 MOTIONS = [("motions", scene) for scene in golden_numbers.PRESETS]
@@ -33,4 +35,5 @@ def test_numbers_are_those_of_before(part, scene):
     found, tolerance = golden_numbers.PARTS[part](*scene.split()), max(TOLERANCE, REWRITTEN.get(part, 0.0))
     assert found.keys() == wanted.keys()
     for name, array in wanted.items():
-        np.testing.assert_allclose(found[name], array, rtol=0.0, atol=tolerance * max(1e-6, np.abs(array).max()), err_msg=name)
+        largest = max(tolerance, ARBITRARY.get(name.rpartition(" ")[0], 0.0)) * max(1e-6, np.abs(array).max())
+        np.testing.assert_allclose(found[name], array, rtol=0.0, atol=largest, err_msg=name)
