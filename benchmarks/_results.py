@@ -28,9 +28,9 @@ def parser_of(doc: str) -> argparse.ArgumentParser:
     return parser
 
 
-def folders(arguments: argparse.Namespace) -> list[Path]:
-    """Folders that get the CSV file and the picture."""
-    return [arguments.out, *([APPENDIX] if arguments.write_docs else [])]
+def folders(arguments: argparse.Namespace, docs: Path = APPENDIX) -> list[Path]:
+    """Folders that get the CSV file and the picture. docs: that of the documentation."""
+    return [arguments.out, *([docs] if arguments.write_docs else [])]
 
 
 def write_block(arguments: argparse.Namespace, page: Path, name: str, text: str) -> None:

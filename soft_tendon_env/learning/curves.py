@@ -38,11 +38,10 @@ class Curves(NamedTuple):
         return np.array([[row[key] for row in rows] for rows in self.rows])
 
 
-def read_curves(folder: Path, seeds: Iterable[Path] | None = None) -> Curves:
-    """Curves of a folder's runs, or those of the folders `seeds`, as far as all have come. Raises ValueError, OSError where nothing can be
-    shown."""
+def read_curves(folder: Path, seeds: Iterable[Path]) -> Curves:
+    """Curves of a folder's runs, one per seed, as far as all have come. Raises ValueError where nothing can be shown."""
     runs, task = list[dict[float, dict[str, float]]](), ""
-    for run in seed_folders(folder).values() if seeds is None else seeds:
+    for run in seeds:
         try:
             found = read_run(run)["task"], {row["steps"]: row for row in read_numbers(run / "evaluations.csv")}
         except (ValueError, OSError) as error:
@@ -93,7 +92,7 @@ def show_curves(folders: Sequence[Path]) -> bool:
     found = dict[str, list[Curves]]()
     for folder in folders:
         try:
-            curves = read_curves(folder)
+            curves = read_curves(folder, seed_folders(folder).values())
             found.setdefault(curves.task, []).append(curves)
         except (ValueError, OSError) as error:
             print(f"not shown: {error}")
