@@ -20,7 +20,7 @@ from soft_tendon_env.learning.curves import Curves, read_curves
 from soft_tendon_env.policies import PolicyName
 from soft_tendon_env.policies.agent import find_agent
 
-TASK, ALGORITHMS = "TipPose", ("ppo", "apg")
+TASK, ALGORITHMS = "TipPose", ("ppo", "sac", "apg")
 RESULTS = Path(__file__).parent.parent / "docs" / "results"
 HEADER = ("training", "seeds", "steps", "minutes", "error [mm]", "low [mm]", "high [mm]")
 

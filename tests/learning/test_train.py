@@ -219,5 +219,5 @@ def test_shipped_configs_are_valid_and_named_by_what_they_are(path):
 
 
 def test_agents_for_all_settings_trained_on_the_same_arms_and_targets():
-    alike = [config.read_training(config.find_config(f"{algorithm}_tip_pose")).options for algorithm in ("apg", "ppo")]
-    assert all(alike[0][key] == alike[1][key] for key in ("scene", "target", "randomize", "fidelity"))
+    first, *others = [config.read_training(config.find_config(f"{algorithm}_tip_pose")).options for algorithm in ("apg", "ppo", "sac")]
+    assert all(first[key] == other[key] for key in ("scene", "target", "randomize", "fidelity") for other in others)
