@@ -90,7 +90,7 @@ def test_rows_are_single_environments_with_everything_random(kind, arms, everyth
     options = {**made, "randomize": everything, "observation": "measurable", "history": 2, "sensors": [0.1, 0.3], "action": "increment"}
     vector = TipPoseVectorEnv(16, LONGEST, "same_step", 2, **options)
     assert vector.episodes.arms.threads == 2
-    compare(lambda: TipPoseEnv(**options), vector, 20, 16, "same_step", same, steps=10)
+    compare(lambda: TipPoseEnv(**options), vector, 20, 16, "same_step", same, steps=6)
     vector.close()
 
 
