@@ -32,9 +32,9 @@ def test_statics_of_random_scenes(measured, numbers):
     assert kinds.total() > kinds["converged"] > 0.5 * kinds.total()
 
 
-@pytest.mark.parametrize("numbers", [range(4), pytest.param(range(4, 30), marks=pytest.mark.slow)], ids=["first", "others"])
+@pytest.mark.parametrize("numbers", [{3, 5}, pytest.param({*range(30)} - {3, 5}, marks=pytest.mark.slow)], ids=["quick", "others"])
 def test_a_random_scene_pushed_off_its_equilibrium_comes_back(measured, numbers):
-    """The first random scenes, released at 3 degrees from their equilibrium in a random direction, with five times their damping. Expected:
+    """Random scenes, released at 3 degrees from their equilibrium in a random direction, with five times their damping. Expected:
     where the arm converged, it comes back within ten minutes, to 1e-5 of the length."""
     farthest, count = 0.0, 0
     for number in numbers:
