@@ -14,7 +14,7 @@ from soft_tendon_env.cli.options import TASK
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import provenance, tables
 from soft_tendon_env.evaluation.settings import TaskName
-from soft_tendon_env.policies.agent import SHIPPED, find_agent, is_agent, load_agent, read_config
+from soft_tendon_env.policies.agent import find_agent, is_agent, load_agent, read_config, shipped
 from soft_tendon_env.policies.network import WEIGHTS
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import rod_length
@@ -43,7 +43,7 @@ def run(settings: Export) -> None:
         if wrong := [flags for field, flags in others.items() if field in settings.model_fields_set]:
             raise ValueError(f"{' and '.join(wrong)} cannot be given {'with' if settings.mjcf else 'without'} --mjcf")
         if not settings.mjcf and not is_agent(name := settings.agent_or_scene):
-            raise ValueError(f"{name} should be the folder of an agent, or {', '.join(SHIPPED)}, which ship; for a scene give --mjcf")
+            raise ValueError(f"{name} should be the folder of an agent, or {', '.join(shipped())}, which ship; for a scene give --mjcf")
     (export_arm if settings.mjcf else export_policy)(settings)
 
 

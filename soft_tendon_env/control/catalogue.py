@@ -51,11 +51,11 @@ def entry_of(description: str, make: Callable[..., Controller]) -> Entry:
 
 ROBUST, LATE = "; tuned on arms that differ from the model, under noise", "; half a second ahead, for arms that answer late"
 PRESETS: dict[str, tuple[str, str, dict[str, float]]] = {
-    "robust_predictive": ("predictive", ROBUST, {"settling_time": 0.41, "effort": 1e-3, "smoothness": 1.13}),
+    "robust_predictive": ("predictive", ROBUST, {"settling_time": 0.2, "smoothness": 1.1}),
     "long_horizon_predictive": ("predictive", LATE, {"settling_time": 0.4, "horizon": 12, "hold": 2, "smoothness": 1.5}),
 }
-"""Tuned controllers: which one, what its description adds, and its numbers. The robust one was found by a search like that of
-configs/tune_predictive.toml. Horizons of 0.12, 0.24 and 0.48 s have 66, 33 and 22 mm in water."""
+"""Tuned controllers: which one, what its description adds, and its numbers. The robust one was found by `soft-tendon tune predictive` for
+`adaptive:`. Horizons of 0.12, 0.24 and 0.48 s have 66, 33 and 22 mm in water."""
 
 
 def tip_pose_objective(model: Model) -> TipPose:

@@ -52,12 +52,12 @@ class Uncertainty(NamedTuple):
     offset_start: float = 0.01
     offset_time: float = 5.0  # [s] in which they are forgotten
     gain: float = 0.025  # gains of the tendons
-    gain_start: float = 0.15
+    gain_start: float = 0.03
     gain_time: float = 30.0  # [s] in which they are forgotten
     tip: float = 1.5e-3  # displacement of the tip, as a share of the rod's length; a radian counts as this length
     tip_start: float = 2e-3
-    latency: float = 5e-3  # [s]
-    latency_start: float = 2e-2
+    latency: float = 5e-4  # [s]
+    latency_start: float = 8e-3
     state_start: float = 1e-2  # coordinates, in units of `coordinate_scale`; their rates ten times that
 
 

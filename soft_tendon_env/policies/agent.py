@@ -27,8 +27,6 @@ from soft_tendon_env.tools.types import Positive
 
 CONFIG = "config.json"
 AGENT = "agent"  # name of the best agent that ships for a task, as agents.toml in the folder of them all has it
-SHIPPED = (AGENT, "ppo", "sac", "dagger", "apg")
-"""Names of agents that ship: all but "agent" are those of their algorithms."""
 ARM = ("scene", "fidelity", "control_period", "tension_limits")  # options that define the arm
 INTERFACE = ("observation", "preview", "history", "sensors", "action", "tension_rate")
 """Options that say what a policy observes and how its actions are read."""
@@ -76,9 +74,14 @@ class AgentConfig(Configuration):
         return algorithm
 
 
+def shipped() -> tuple[str, ...]:
+    """Names of the agents that ship: their folders', and `agent` for the best of a task."""
+    return AGENT, *sorted(path.name for path in trained_folder().iterdir() if path.is_dir())
+
+
 def is_shipped(name: str) -> bool:
     """True for the name of an agent that ships, unless there is a folder or a file of that name."""
-    return name in SHIPPED and not Path(name).exists()
+    return name in shipped() and not Path(name).exists()
 
 
 def is_agent(name: str) -> bool:
@@ -94,13 +97,13 @@ def trained_folder() -> Path:
 def shipped_as(name: str, task: str) -> str:
     """Name by its algorithm of an agent that ships for a task: what "agent" stands for. Raises ValueError, FileNotFoundError for none."""
     found = read_toml(trained_folder() / "agents.toml").get(task) if name == AGENT else name
-    if found in (there := [known for known in SHIPPED if (trained_folder() / known / task / WEIGHTS).is_file()]):
+    if found in (there := [known for known in shipped() if (trained_folder() / known / task / WEIGHTS).is_file()]):
         return str(found)
     raise FileNotFoundError(f"the agent {name!r} does not ship for {task}; what does: {', '.join(there) or 'none'}")
 
 
 def find_agent(name: str, task: str) -> Path:
-    """Folder of an agent by its name: one of `SHIPPED` for the task, or a folder. Raises ValueError, FileNotFoundError."""
+    """Folder of an agent by its name: one of `shipped` for the task, or a folder. Raises ValueError, FileNotFoundError."""
     folder = trained_folder() / shipped_as(name, task) / task if is_shipped(name) else Path(name)
     if not (folder / WEIGHTS).is_file():
         raise FileNotFoundError(f"{name}: there is no file {folder / WEIGHTS}")

@@ -19,7 +19,7 @@ from soft_tendon_env.control.kalman import USUAL
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.options import Options, given_scene
-from soft_tendon_env.policies.agent import ARM, INTERFACE, SHIPPED, AgentConfig, find_agent, is_agent, load_agent, read_config, undisturbed
+from soft_tendon_env.policies.agent import ARM, INTERFACE, AgentConfig, find_agent, is_agent, load_agent, read_config, shipped, undisturbed
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.estimators import ESTIMATORS
 from soft_tendon_env.policies.protocol import Policy
@@ -81,7 +81,7 @@ class PolicyName:
             raise ValueError(f"policy is {text!r}: what stands behind {prefix!r} should be {wanted}")
         if path.suffix == ".zip":
             raise ValueError(f"policy is {text!r}: {ZIP.format(path=text)}")
-        agents = f"the folder of an agent (of a training: {path / BEST}), {', '.join(SHIPPED)}, which ship, module:name"
+        agents = f"the folder of an agent (of a training: {path / BEST}), {', '.join(shipped())}, which ship, module:name"
         raise ValueError(f"policy is {text!r}, no policy: it should be {agents}, or {wanted}")
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -241,7 +241,7 @@ def load_policy(name: str, env: Any) -> Policy:
     """The policy for an environment with the options that it needs, see `policy_options`.
 
     name: a controller's, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where its model has another fidelity; an agent's folder;
-    "agent", "ppo", "sac", "dagger" or "apg", of those that ship for the environment's task; module:name of what makes one.
+    "agent" or another of those that ship for the environment's task, see agents/trained; module:name of what makes one.
     Raises TypeError for environments of other packages, ValueError, OSError, ModuleNotFoundError.
     """
     return PolicyName.parse(name, episodes_of(env).task.name).load(env)
