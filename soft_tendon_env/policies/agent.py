@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import gymnasium as gym
+import numpy as np
 from pydantic import AfterValidator, Field, field_validator
 
 from soft_tendon_env.accuracy.fidelity import AS_SCENE
@@ -186,12 +187,14 @@ def layout_of(episodes: Episodes) -> dict[str, int]:
 
 def disturbances(options: Options) -> set[str]:
     """Names of effects that a training draws from nothing on, or from the least that there is: an arm has them or not."""
-    found = dict[str, bool]()
-    for drawn in options.randomize.ranges(given_scene(options.scene)):
+    found, scene = dict[str, bool](), given_scene(options.scene)
+    for drawn in options.randomize.ranges(scene):
         for key, value in zip(drawn.keys, drawn.values, strict=True):
-            table, name, *_ = key.split(".")
+            table, name, number, *_ = key.split(".")
             if table == "effects":
-                found[name] = found.get(name, True) and value in (0.0, drawn.least)
+                effect = getattr(scene.effects, name)  # None: it is there where its number is drawn alone
+                others = effect and any(np.any(getattr(effect, strength)) for strength in effect.strengths if strength != number)
+                found[name] = found.get(name, True) and value in (0.0, drawn.least) and not others  # still water is there without a current
     return {name for name, holds in found.items() if holds}
 
 
