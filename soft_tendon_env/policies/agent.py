@@ -96,7 +96,7 @@ def trained_folder() -> Path:
 
 
 def shipped_as(name: str, task: str) -> str:
-    """Name by its algorithm of an agent that ships for a task: what "agent" stands for. Raises ValueError, FileNotFoundError for none."""
+    """Name of the folder of an agent that ships for a task: what "agent" stands for. Raises ValueError, FileNotFoundError for none."""
     found = read_toml(trained_folder() / "agents.toml").get(task) if name == AGENT else name
     if found in (there := [known for known in shipped() if (trained_folder() / known / task / WEIGHTS).is_file()]):
         return str(found)
