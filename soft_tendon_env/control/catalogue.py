@@ -55,7 +55,7 @@ PRESETS: dict[str, tuple[str, str, dict[str, float]]] = {
     "long_horizon_predictive": ("predictive", LATE, {"settling_time": 0.4, "horizon": 12, "hold": 2, "smoothness": 1.5}),
 }
 """Tuned controllers: which one, what its description adds, and its numbers. The robust one was found by `soft-tendon tune predictive` for
-`adaptive:`. Horizons of 0.12, 0.24 and 0.48 s have 66, 33 and 22 mm in water."""
+`adaptive:`, the other is for water, see benchmarks/scenes.toml."""
 
 
 def tip_pose_objective(model: Model) -> TipPose:

@@ -127,13 +127,14 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
 def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
     """Set dotted keys (`"tendons.3.end"` or `"tendons[3].end"`) in nested plain tables, in place.
 
-    A `*` stands for every entry of a table or an array, `"segments.*.density"`. Absent tables are created, positions in arrays must exist;
-    whether the keys are valid shows when the table is parsed. Raises `TypeError`, `ConfigurationError`.
+    A `*` stands for every entry of a table or an array, `"segments.*.density"`. A key that has dots stands in double quotes. Absent
+    tables are created, positions in arrays must exist; whether keys are valid shows later. Raises `TypeError`, `ConfigurationError`.
     """
     for path, value in changes.items():
         if not isinstance(path, str):
             raise TypeError(f"changes has the key {shown(path)}: keys should be strings such as 'quadrature.intervals'")
-        _set(table, re.sub(r"\[(\d+|\*)\]", r".\1", path).split("."), value, "")
+        parts = re.split(r'\.(?=(?:[^"]*"[^"]*")*[^"]*$)', re.sub(r"\[(\d+|\*)\]", r".\1", path))  # at dots that are not in quotes
+        _set(table, [part.strip('"') for part in parts], value, "")
 
 
 def _set(node: Any, parts: list[str], value: Any, where: str) -> None:

@@ -51,7 +51,7 @@ OPTIONS = [
     ("fields three_tendon --out fields.txt", "--out is fields.txt: it should be the path of a .json file, such as"),
     ("accuracy three_tendon --set segments.0.radios=1", "--set: segments[0].radios is an unknown key"),
     (" ".join((*IDENTIFY, "segments.*.dens")), "segments.*.dens is no number of the scene: did you mean 'segments.*.density'?"),
-    ("export three_tendon", "three_tendon should be the folder of an agent, or agent, apg, apg_water, dagger, ppo, sac, which ship; for a"),
+    ("export three_tendon", "three_tendon should be the folder of an agent, or agent, apg, apg_obstacles, apg_water, dagger, ppo, sac"),
     ("export agent --mjcf", "'agent': is neither the path of a .toml file nor a scene that ships"),
     ("export agent --links 3", "--links cannot be given without --mjcf"),
     ("tune predictive --trials 0", "--trials is 0: it should be greater than or equal to 1"),

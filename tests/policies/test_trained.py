@@ -30,7 +30,7 @@ SHIPPED = sorted((path.parent.parent.name, path.parent.name) for path in TRAINED
 )
 def test_agents_that_ship_bring_the_arm_where_it_should_be(name, task):
     options = policy_options(name, task, {})
-    assert ("fluid" in str(options)) == name.endswith("water")
+    assert [effect in str(options) for effect in ("fluid", "contact")] == [name.endswith(scene) for scene in ("water", "obstacles")]
     policy = load_agent(name, gym.make(IDS[task], **options))
     envs = gym.make_vec(IDS[task], num_envs=len(EVALUATION_SEEDS), **options)
     summary = summarise(evaluate_rows(policy, envs, EVALUATION_SEEDS))

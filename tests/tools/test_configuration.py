@@ -77,6 +77,8 @@ def test_what_is_refused(changes, said):
 
 def test_changes_are_values_of_toml_or_texts():
     assert parsed_changes(["a.b=[1, 2.5]", "c = fast", 'd="x=y"', "e=true"]) == {"a.b": [1, 2.5], "c": "fast", "d": "x=y", "e": True}
+    override(table := {"a": {"b": 1}}, parsed_changes(['a."b.c"=2']))
+    assert table == {"a": {"b": 1, "b.c": 2}}
 
 
 @pytest.mark.cases(
