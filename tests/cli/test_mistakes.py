@@ -16,6 +16,7 @@ TEXTS = {
 }
 """Files of the folder that commands are called in."""
 IDENTIFY = ("identify", "three_tendon", "holds.csv", "--out", ".", "--markers", "markers.toml", "--parameters")
+AGENTS = "agent, apg, apg_obstacles, apg_water, dagger, ppo, sac"
 OPTIONS = [
     ("trian", "'trian' is no command: did you mean 'train'?"),
     ("evaluate", "Missing from soft-tendon evaluate: POLICY a controller's name"),
@@ -51,7 +52,7 @@ OPTIONS = [
     ("fields three_tendon --out fields.txt", "--out is fields.txt: it should be the path of a .json file, such as"),
     ("accuracy three_tendon --set segments.0.radios=1", "--set: segments[0].radios is an unknown key"),
     (" ".join((*IDENTIFY, "segments.*.dens")), "segments.*.dens is no number of the scene: did you mean 'segments.*.density'?"),
-    ("export three_tendon", "three_tendon should be the folder of an agent, or agent, apg, apg_obstacles, apg_water, dagger, ppo, sac"),
+    ("export three_tendon", f"three_tendon should be the folder of an agent, or {AGENTS}, which ship; for a"),
     ("export agent --mjcf", "'agent': is neither the path of a .toml file nor a scene that ships"),
     ("export agent --links 3", "--links cannot be given without --mjcf"),
     ("tune predictive --trials 0", "--trials is 0: it should be greater than or equal to 1"),

@@ -4,6 +4,7 @@ import pytest
 
 from soft_tendon_env.policies.names import Agent, Controller, PolicyName, UserPolicy
 
+AGENTS = "agent, apg, apg_obstacles, apg_water, dagger, "
 BEHIND = "what stands behind 'filtered:' should be a controller of TipPose; .*valid: .*predictive"
 
 
@@ -41,7 +42,7 @@ def test_every_name_is_one_of_three(here, text, kind, known):
 @pytest.mark.cases(
     "text, said",
     [
-        ("run", "policy is 'run', no policy: it should be the folder of an agent .of a training: run/best., agent, apg, apg_obst"),
+        ("run", f"policy is 'run', no policy: it should be the folder of an agent .of a training: run/best., {AGENTS}"),
         ("nobody", "policy is 'nobody', no policy: .* or a controller of TipPose"),
         ("nothing:there", "policy is 'nothing:there': it should be module:name of what makes a policy; No module"),
         ("os:nothing", "should be module:name of what makes a policy"),

@@ -18,8 +18,6 @@ BARS = {
     "Shape": {"backbone_error": 0.002},
     "Reach": {"position_error": 0.003},
 }
-
-
 SEEDS = sorted(TRAINED.glob("*/*/seed_*"))
 SHIPPED = sorted((path.parent.parent.name, path.parent.name) for path in TRAINED.glob("*/*/weights.pt"))
 
