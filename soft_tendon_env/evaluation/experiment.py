@@ -9,6 +9,7 @@ import sys
 import sysconfig
 import warnings
 from collections.abc import Hashable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -133,16 +134,14 @@ class Experiment(Generic[Label]):
         where, left = origin(), self.missing()
         self._folder.mkdir(parents=True, exist_ok=True)
 
-        def keep(label: Label, scores: list[EpisodeScore]) -> None:
-            with replacing(self._paths[label]) as path:  # NaN and infinity stand in the file, as json has them
-                path.write_text(json.dumps({"cell": self.cells[label]._asdict(), **where, "scores": [*map(record, scores)]}))
+        def keep(labels: list[Label], place: int, scores: list[EpisodeScore]) -> None:
+            with replacing(self._paths[labels[place]]) as path:  # NaN and infinity stand in the file, as json has them
+                path.write_text(json.dumps({"cell": self.cells[labels[place]]._asdict(), **where, "scores": [*map(record, scores)]}))
 
-        for label in left:
-            if self.cells[label].alone:
-                keep(label, measure(self.cells[label]))
-        others = [label for label in left if not self.cells[label].alone]
-        runs = [self.cells[label] for label in others]
-        run_all(measure, runs, workers, title, unit="cell", cluster=cluster, done=lambda place, scores: keep(others[place], scores))
+        for alone, processes, address in ((True, 1, None), (False, workers, cluster)):
+            labels = [label for label in left if self.cells[label].alone == alone]
+            runs, done = [self.cells[label] for label in labels], partial(keep, labels)
+            run_all(measure, runs, processes, title, unit="cell", cluster=address, done=done)
 
     def scores(self, label: Label) -> list[EpisodeScore]:
         """Scores of a cell's episodes. Raises ValueError for a damaged result, OSError."""

@@ -39,7 +39,7 @@ def run_all(
     Args:
         call: a function of a module, as other processes have to find it, of values that can be pickled.
         workers: processes of one thread each, which first import what --import names, and run the script that was started, for what it
-            registers (but not below its `if __name__ == "__main__"`); 1: this process alone.
+            registers (but not below its `if __name__ == "__main__"`); 1: this process alone, with one thread too.
         label, unit: of the progress bar, which SOFT_TENDON_ENV_QUIET=1 leaves out.
         cluster: address of a Ray cluster, or "auto" for the one that this machine belongs to; None: this machine alone.
         threads: threads of this process in place of processes of this machine, for calls that spend their time in kernels or wait.
@@ -78,11 +78,12 @@ _SCRIPTS = set[Path]()  # that were run in this process
 
 
 def _on_this_machine(jobs: Sequence[tuple[Any, ...]], workers: int, threads: bool) -> Generator[tuple[int, Any], None, None]:
-    """Results of `_run`, each with its place, as they come."""
+    """Results of `_run`, each with its place, as they come. Linear algebra has one thread, here too: sums of several have other digits."""
     import joblib
+    from threadpoolctl import threadpool_limits
 
     kind, options = ("threading", {}) if workers == 1 or threads else ("loky", {"inner_max_num_threads": 1})
-    with joblib.parallel_config(kind, n_jobs=workers, **options):
+    with threadpool_limits(1), joblib.parallel_config(kind, n_jobs=workers, **options):
         yield from joblib.Parallel(batch_size=1, return_as="generator_unordered")(joblib.delayed(_run)(*job) for job in jobs)
 
 
