@@ -130,7 +130,7 @@ def _misfit(robot: Robot, episodes: Episodes) -> str:
     needed = {**{fields[name]: name for name in groups if name in fields}, "tip_pose": "the errors of the task"}
     needed |= {"tip_twist": "the option tip_speed_limit"} if options.tip_speed_limit is not None else {}
     if missing := [f"{name} ({why})" for name, why in needed.items() if name not in robot.senses]:
-        return f"without {', '.join(missing)}, which is observed. Controllers behind a state estimator: filtered:NAME"
+        return f"without {', '.join(missing)}, which is observed: take it out of the option observation; controllers: filtered:NAME"
     if episodes.task.shapes or (odd := [name for name in groups if name not in {*fields, *TARGET_GROUPS, HISTORY}]):
         return f"measured at its tip and by its sensors alone{'' if episodes.task.shapes else ': not ' + ', '.join(odd)}"
     return ""

@@ -78,7 +78,7 @@ def test_a_robot_that_was_stopped_truncates_and_begins_again(arm_of_test, drawin
 @pytest.mark.cases(
     "options, changes, message",
     [
-        ({"observation": "full"}, {}, "without q (coordinates), q_dot (rates), tip_twist (tip_twist), which is observed. Controllers"),
+        ({"observation": "full"}, {}, "without q (coordinates), q_dot (rates), tip_twist (tip_twist), which is observed: take it out"),
         ({}, {"senses": ("tendon_length",)}, "without tip_pose (the errors of the task)"),
         ({}, {"command_unit": "m"}, "which takes 'm', and the scene's arm takes 'N'"),
         ({"randomize": {"stiffness": 0.9}}, {}, "the option randomize should have no more than the noise"),
