@@ -173,33 +173,33 @@ def benchmark_tables(benchmark: Benchmark, found: Mapping[str, Standings]) -> st
     models = {label: model_in_the_loop(*policy) for label, policy in first.items()}
     learned, texts = {label for label, (policy, _) in first.items() if not isinstance(policy, Controller)}, list[str]()
     for regime, of in found.items():
-        apart = gaps(of, learned)
-        told = f"{REGIMES[regime].description.capitalize()}.{verdict(apart)}"
-        factor = error_unit(next(iter(of.values())).error).factor
-        row = {setting: "{} ({} to {})".format(*(number(factor * value) for value in gap)) for setting, gap in apart.items()}
-        below = [{"": "best learned minus best controller", **row}] if apart else []
+        errors = {error_unit(name).label.removesuffix(" error"): f"{name}_rms" for name in next(iter(of.values())).episodes[0].errors}
+        apart = {label: gaps(of, learned, key) for label, key in {**errors, "return": "return"}.items()}
+        told = "".join([f"{REGIMES[regime].description.capitalize()}.", *(verdict(label, gap) for label, gap in apart.items())])
+        factor, gap = error_unit(next(iter(of.values())).error).factor, next(iter(apart.values()))
+        row = {setting: "{} ({} to {})".format(*(number(factor * value) for value in mean)) for setting, mean in gap.items()}
+        below = [{"": "best learned minus best controller", **row}] if gap else []
         texts.append(f"### {regime}\n\n{told}\n\n{error_table(of, models, below)}")
     return "\n\n".join([*texts, ERRORS_LEGEND])
 
 
-def gaps(of: Standings, learned: set[str]) -> dict[str, Mean]:
-    """Error of the best learned policy minus that of the best controller, by setting where both kinds play."""
-    found = dict[str, Mean]()
+def gaps(of: Standings, learned: set[str], key: str) -> dict[str, Mean]:
+    """By how much the best learned policy has more of an error, or less return, than the best controller, by setting where both play."""
+    found, sign = dict[str, Mean](), -1.0 if key == "return" else 1.0
     for setting in dict.fromkeys(setting for _, setting in of):
         kinds = [[standing for (name, at), standing in of.items() if at == setting and (name in learned) == kind] for kind in (True, False)]
         if all(kinds):
-            errors = [[standing.mean(f"{standing.error}_rms").value for standing in kind] for kind in kinds]
-            one, other = (kind[int(np.argsort(of_kind, kind="stable")[0])] for kind, of_kind in zip(kinds, errors, strict=True))  # NaN last
-            found[setting] = difference(one, other, f"{one.error}_rms")
+            means = [[sign * standing.mean(key).value for standing in kind] for kind in kinds]
+            one, other = (kind[int(np.argsort(of_kind, kind="stable")[0])] for kind, of_kind in zip(kinds, means, strict=True))  # NaN last
+            value, *ends = (sign * end for end in difference(one, other, key))
+            found[setting] = Mean(value, *sorted(ends))
     return found
 
 
-def verdict(apart: Mapping[str, Mean]) -> str:
-    """Sentence that says where the interval of the gap leaves out zero, and on which side."""
-    kinds = {
-        "ahead": [setting for setting, gap in apart.items() if gap.high < 0.0],
-        "behind": [setting for setting, gap in apart.items() if gap.low > 0.0],
-    }
-    kinds["not separated"] = [setting for setting in apart if setting not in kinds["ahead"] + kinds["behind"]]
+def verdict(label: str, gap: Mapping[str, Mean]) -> str:
+    """Sentence that says where the interval of a gap leaves out zero, and on which side; none without a gap."""
+    ahead = [setting for setting, mean in gap.items() if mean.high < 0.0]
+    behind = [setting for setting, mean in gap.items() if mean.low > 0.0]
+    kinds = {"ahead": ahead, "behind": behind, "not separated": [setting for setting in gap if setting not in ahead + behind]}
     said = "; ".join(f"{kind} in {', '.join(settings)}" for kind, settings in kinds.items() if settings)
-    return f" The best learned policy against the best controller: {said}." if said else ""
+    return f" By {label} the best learned policy is, against the best controller, {said}." if said else ""

@@ -100,7 +100,7 @@ class EpisodeScore:
         chatter where it diverged."""
         errors = {f"{name}_{kind}": value for name, of in self.errors.items() for kind, value in of._asdict().items()}
         lost = {*errors, "chatter"} if self.diverged is not None else set[str]()
-        found = {**errors, **self.metrics, "seconds": self.action_time}
+        found = {**errors, **self.metrics, "return": self.total_reward, "seconds": self.action_time}
         return {name: math.inf if name in lost else value for name, value in found.items()}
 
 
