@@ -165,8 +165,7 @@ def standings_by_regime(benchmark: Benchmark, experiment: Experiment[Label]) -> 
 
 
 def benchmark_tables(benchmark: Benchmark, found: Mapping[str, Standings]) -> str:
-    """A table per regime: errors by policy and setting, the gap between the best that has learned and the best controller, and in words
-    where it is ahead."""
+    """A table per regime: errors by policy and setting, the gap of the best learned to the best controller, and who is ahead."""
     played = {name for of in found.values() for name, _ in of}
     players = [entrant for entrant in benchmark.entrants if entrant.name in played]
     first = {entrant.name: (next(iter(entrant.members(benchmark.task).values())), entrant.told) for entrant in players}
@@ -175,11 +174,10 @@ def benchmark_tables(benchmark: Benchmark, found: Mapping[str, Standings]) -> st
     for regime, of in found.items():
         errors = {error_unit(name).label.removesuffix(" error"): f"{name}_rms" for name in next(iter(of.values())).episodes[0].errors}
         apart = {label: gaps(of, learned, key) for label, key in {**errors, "return": "return"}.items()}
-        told = "".join([f"{REGIMES[regime].description.capitalize()}.", *(verdict(label, gap) for label, gap in apart.items())])
         factor, gap = error_unit(next(iter(of.values())).error).factor, next(iter(apart.values()))
         row = {setting: "{} ({} to {})".format(*(number(factor * value) for value in mean)) for setting, mean in gap.items()}
         below = [{"": "best learned minus best controller", **row}] if gap else []
-        texts.append(f"### {regime}\n\n{told}\n\n{error_table(of, models, below)}")
+        texts.append(f"### {regime}\n\n{REGIMES[regime].description.capitalize()}.{verdict(apart)}\n\n{error_table(of, models, below)}")
     return "\n\n".join([*texts, ERRORS_LEGEND])
 
 
@@ -196,10 +194,12 @@ def gaps(of: Standings, learned: set[str], key: str) -> dict[str, Mean]:
     return found
 
 
-def verdict(label: str, gap: Mapping[str, Mean]) -> str:
-    """Sentence that says where the interval of a gap leaves out zero, and on which side; none without a gap."""
-    ahead = [setting for setting, mean in gap.items() if mean.high < 0.0]
-    behind = [setting for setting, mean in gap.items() if mean.low > 0.0]
-    kinds = {"ahead": ahead, "behind": behind, "not separated": [setting for setting in gap if setting not in ahead + behind]}
-    said = "; ".join(f"{kind} in {', '.join(settings)}" for kind, settings in kinds.items() if settings)
-    return f" By {label} the best learned policy is, against the best controller, {said}." if said else ""
+def verdict(apart: Mapping[str, Mapping[str, Mean]]) -> str:
+    """Sentences that say, by every label, where the interval of its gap leaves out zero, and on which side; none without gaps."""
+    texts = list[str]()
+    for label, gap in apart.items():
+        sides = {setting: "ahead" if mean.high < 0.0 else "behind" if mean.low > 0.0 else "not separated" for setting, mean in gap.items()}
+        named = {side: [setting for setting in gap if sides[setting] == side] for side in sorted({*sides.values()})}
+        said = "; ".join(f"{side} in {', '.join(of) if len(of) < len(gap) else 'all'}" for side, of in named.items())
+        texts += [f" By {label}: {said}."] if said else []
+    return "".join([" The best learned policy against the best controller.", *texts] if texts else [])
