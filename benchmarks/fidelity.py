@@ -77,7 +77,7 @@ def cost(scene: Scene, steps: int) -> float:
     """CPU seconds of one environment step."""
     quarter = max(tendon.tension_limits[1] for tendon in scene.tendons) / 4.0
     options = {"scene": scene, "fidelity": "scene", "action": "tension", "tension_limits": [0.0, quarter], "threads": 1}
-    envs = gym.make_vec("TendonRod-TipPose-v1", num_envs=ROWS, **options)
+    envs = gym.make_vec("TendonRod-TipPose-v0", num_envs=ROWS, **options)
     envs.reset(seed=0)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (steps // HELD, *envs.action_space.shape)).astype(np.float32)
     envs.step(actions[0])

@@ -156,7 +156,7 @@ def identified(robot: Scene, seed: int) -> Estimate:
         logs = [Path(folder) / f"steps{i}.csv" for i in range(MOTIONS)]
         for i, log in enumerate(logs):
             arm = SimulatedRobot(i, real_time=False, scene=robot, fidelity=TRUE, randomize={"noise": {"position": NOISE}})
-            env = gym.make("TendonRod-Reach-v1", scene=DRAWING, fidelity=BELIEVED, action="tension", observation=["tip_position"])
+            env = gym.make("TendonRod-Reach-v0", scene=DRAWING, fidelity=BELIEVED, action="tension", observation=["tip_position"])
             real = RobotEnv(env, arm, settle=STILL, log=log)
             real.reset(seed=0)
             for action in random.uniform(-1.0, 2.0 * LARGEST - 1.0, (STEPS, 3)):

@@ -170,7 +170,7 @@ def step_costs(family: Family, sizes: Sequence[int], turns: int) -> list[float]:
 
 def stepping(rows: int, threads: int = 1, **options: Any) -> Callable[[], gym.vector.VectorEnv]:
     """Steps an environment for PERIODS with small random actions; returns it."""
-    envs = gym.make_vec("TendonRod-TipPose-v1", num_envs=rows, threads=threads, max_episode_steps=None, action="tension", **options)
+    envs = gym.make_vec("TendonRod-TipPose-v0", num_envs=rows, threads=threads, max_episode_steps=None, action="tension", **options)
     envs.reset(seed=0)
     actions = np.random.default_rng(0).uniform(-1.0, -0.8, (PERIODS, *envs.action_space.shape)).astype(np.float32)
     envs.step(actions[0])

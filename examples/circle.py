@@ -1,4 +1,4 @@
-"""The arm's tip along the paper's circle: an episode of TendonRod-TipPose-v1, recorded to Rerun.
+"""The arm's tip along the paper's circle: an episode of TendonRod-TipPose-v0, recorded to Rerun.
 
     python examples/circle.py [--fidelity standard] [--seconds 8] [--out out]
 
@@ -30,7 +30,7 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
     recording = arguments.out / "circle.rrd"
     env = gym.make(
-        "TendonRod-TipPose-v1",
+        "TendonRod-TipPose-v0",
         target={"type": "circle", "period": TURN},
         tension_limits=[-LIMIT, LIMIT],
         fidelity=arguments.fidelity,

@@ -32,7 +32,7 @@ if __name__ == "__main__":
     )  # fmt: skip
     folder = Path("out/fading_ppo")
     model = train(training, folder)
-    env = gym.make("TendonRod-TipPose-v1", max_episode_steps=100, **training.options)
+    env = gym.make("TendonRod-TipPose-v0", max_episode_steps=100, **training.options)
     policy = load_policy(str(folder / "best"), env)
     error = summarise(evaluate(policy, env, EVALUATION_SEEDS[:4], skip=0.5)).errors["position_error"]
     print(f"after {model.num_timesteps} steps the tip is {1e3 * error.rms:.1f} mm off, and the bonus {model.ent_coef:.4f}")

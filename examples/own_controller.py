@@ -27,7 +27,7 @@ CONTROLLERS["Reach"]["resolved_rate"] = entry_of("tensions along the pseudoinver
 
 
 if __name__ == "__main__":
-    env = gym.make("TendonRod-Reach-v1", scene="three_tendon", **observation_options("resolved_rate", "Reach"))
+    env = gym.make("TendonRod-Reach-v0", scene="three_tendon", **observation_options("resolved_rate", "Reach"))
     policy = make_policy("resolved_rate", env)
     observation, info = env.reset(seed=0)
     print(f"the goal is {1e3 * info['position_error']:.0f} mm away")

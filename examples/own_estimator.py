@@ -37,6 +37,6 @@ ESTIMATORS["lengths"] = EstimatorEntry("lengths:", LengthObserver)
 
 if __name__ == "__main__":
     options = policy_options("lengths:tracking", "TipPose", {"scene": "three_tendon", "fidelity": "fast"})
-    env = gym.make("TendonRod-TipPose-v1", max_episode_steps=150, **options)
+    env = gym.make("TendonRod-TipPose-v0", max_episode_steps=150, **options)
     (score,) = evaluate(load_policy("lengths:tracking", env), env, seeds=[0])
     print(f"by tendon lengths and the tip's pose: {1e3 * score.errors['position_error'].rms:.2f} mm root mean square")

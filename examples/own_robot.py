@@ -64,7 +64,7 @@ def main() -> None:
     StandIn.arm = SimulatedRobot(**ARM, randomize={"stiffness": 0.9})
     server = socketserver.TCPServer(("127.0.0.1", 0), StandIn)
     threading.Thread(target=server.serve_forever, daemon=True).start()
-    env = gym.make("TendonRod-Reach-v1", **ARM, action="tension", observation=OBSERVED)
+    env = gym.make("TendonRod-Reach-v0", **ARM, action="tension", observation=OBSERVED)
     policy = load_policy("filtered:tracking", env)
     rehearse(policy, env)
     robot = RobotEnv(env, LineArm(port=server.server_address[1]), settle=0.5, patience=25)

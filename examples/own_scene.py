@@ -28,6 +28,6 @@ if __name__ == "__main__":
     ste.save_scene(SCENE, file)
     rest = ste.static_equilibrium(ste.build_model(ste.load_scene(file), "scene"), [8.0, 0.0])
     print("under 8 N the tip rests at", rest.tip_pose[:3, 3].round(4), "m")
-    env = gym.make("TendonRod-Reach-v1", scene=file)  # a path, a Scene, or the name of one that ships
+    env = gym.make("TendonRod-Reach-v0", scene=file)  # a path, a Scene, or the name of one that ships
     env.reset(seed=0)
     print("the goal is", round(1e3 * env.step(env.action_space.sample())[4]["position_error"], 1), "mm away")

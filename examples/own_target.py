@@ -35,6 +35,6 @@ class FigureEightCourse(PoseCourse):
 
 if __name__ == "__main__":
     options = observation_options("tracking_position", "TipPose")
-    env = gym.make("TendonRod-TipPose-v1", scene="three_tendon", target={"type": "figure_eight", "period": 6.0}, **options)
+    env = gym.make("TendonRod-TipPose-v0", scene="three_tendon", target={"type": "figure_eight", "period": 6.0}, **options)
     (score,) = evaluate(make_policy("tracking_position", env), env, seeds=[0], skip=2.0)
     print(f"on the figure of eight: {1e3 * score.errors['position_error'].rms:.2f} mm root mean square from 2 s on")

@@ -25,7 +25,7 @@ from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate_rows, summaris
 
 def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--id", default="TendonRod-TipPose-v1", help="of an environment whose observation is one array")
+    parser.add_argument("--id", default="TendonRod-TipPose-v0", help="of an environment whose observation is one array")
     parser.add_argument("--steps", type=int, default=400_000, help="of all rows together")
     parser.add_argument("--rows", type=int, default=64, help="arms side by side")
     parser.add_argument("--rollout", type=int, default=32, help="steps of every row between two updates")

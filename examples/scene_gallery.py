@@ -25,7 +25,7 @@ SHARE = 0.5  # of its limit, with which the first tendon pulls
 SIZE = 1280, 960  # [pixels]
 HEAD = """# Scenes that ship
 
-A scene describes an arm: geometry, material, tendons, effects. Name one in `gym.make("TendonRod-TipPose-v1", scene="three_tendon")` or
+A scene describes an arm: geometry, material, tendons, effects. Name one in `gym.make("TendonRod-TipPose-v0", scene="three_tendon")` or
 `load_scene("three_tendon")`. `soft-tendon scenes NAME` prints it as TOML, as a start for your own.
 """
 

@@ -26,7 +26,7 @@ STEPS_PER_FRAME = 2
 def main() -> None:
     arguments = parse_arguments()
     env = gym.make(
-        f"TendonRod-{arguments.task}-v1",
+        f"TendonRod-{arguments.task}-v0",
         render_mode="rgb_array",
         target=TARGETS[arguments.task],
         fidelity=arguments.fidelity,

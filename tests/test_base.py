@@ -80,7 +80,7 @@ def test_inverse_statics_and_the_loss_of_stability_move_along():
 def test_targets_and_observations_move_along(task, target):
     found = []
     for scene in twins(LOADS):
-        env = gym.make(f"TendonRod-{task}-v1", scene=scene, fidelity="scene", target=target)
+        env = gym.make(f"TendonRod-{task}-v0", scene=scene, fidelity="scene", target=target)
         env.reset(seed=2)
         for _ in range(5):
             observation, *_ = env.step([0.2, -0.5, -1.0])
@@ -117,13 +117,13 @@ def test_model_predictive_control_behind_a_kalman_filter_does_not_know_where_the
 
 def test_a_base_far_off_or_drawn_is_observed_where_it_is():
     drawn = {"base.position": [[-6.0, -5.0], 0.0, [8.0, 9.0]], "base.rotation": [[-5.0, 5.0]] * 3}
-    env = gym.make("TendonRod-TipPose-v1", scene="three_tendon", fidelity="fast", observation=["tip_position"], randomize=drawn)
+    env = gym.make("TendonRod-TipPose-v0", scene="three_tendon", fidelity="fast", observation=["tip_position"], randomize=drawn)
     places = {tuple(env.unwrapped.episodes.arms.model_of(0).scene.base.position) for seed in range(3) if env.reset(seed=seed)}
     observation, *_ = env.step(np.zeros(3))
     assert len(places) == 3 and env.observation_space.contains(observation)
     np.testing.assert_allclose(0.3 * observation, env.unwrapped.episodes.observed.tip_pose[0, :3, 3], atol=1e-5)
     with pytest.raises(ConfigurationError, match="base.quaternion is no parameter: its four numbers are one rotation: base.rotation"):
-        gym.make("TendonRod-TipPose-v1", scene="three_tendon", randomize={"base.quaternion": [1.0, 0.0, 0.0, 0.0]})
+        gym.make("TendonRod-TipPose-v0", scene="three_tendon", randomize={"base.quaternion": [1.0, 0.0, 0.0, 0.0]})
     with pytest.raises(ValueError, match="agent was trained on an arm with other base"):
         scene = load_scene("paper").replace({"base": BASE.model_dump()})
-        load_agent("agent", gym.make("TendonRod-TipPose-v1", scene=scene))
+        load_agent("agent", gym.make("TendonRod-TipPose-v0", scene=scene))

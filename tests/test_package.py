@@ -20,7 +20,7 @@ import sys
 import gymnasium, soft_tendon_env
 import soft_tendon_env.cli.main as cli
 cli.usage()
-assert {f"TendonRod-{task}-v1" for task in ("Reach", "Shape", "TipPose")} <= {*gymnasium.registry}
+assert {f"TendonRod-{task}-v0" for task in ("Reach", "Shape", "TipPose")} <= {*gymnasium.registry}
 assert not {"numba", "scipy", "soft_tendon_env.envs"} & {*sys.modules}
 import soft_tendon_env.envs
 extras = {"torch", "stable_baselines3", "sb3_contrib", "ray", "rerun", "matplotlib", "pandas", "tqdm"}

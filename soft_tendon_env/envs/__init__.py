@@ -1,4 +1,4 @@
-"""Gymnasium environments of a tendon-driven soft arm: `TendonRod-TipPose-v1`, `TendonRod-Shape-v1`, `TendonRod-Reach-v1`.
+"""Gymnasium environments of a tendon-driven soft arm: `TendonRod-TipPose-v0`, `TendonRod-Shape-v0`, `TendonRod-Reach-v0`.
 
 Every registered task has the classes `<name>Env` and `<name>VectorEnv` in environments.py.
 """

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from soft_tendon_env.envs.observation import GROUPS, Group
 from soft_tendon_env.envs.targets import TARGETS
 from soft_tendon_env.envs.tracking import ANGLE, BACKBONE, COORDINATES, OWN_TERMS, POSITION, TERMS, Term, Tracking, TrackingError
-from soft_tendon_env.registration import MAX_EPISODE_STEPS, ids_of, register_environment
+from soft_tendon_env.registration import MAX_EPISODE_STEPS, id_of, register_environment
 from soft_tendon_env.tools.configuration import not_among, not_registered
 
 STATIONS = 20  # places along the backbone at which shapes are compared, the tip the last
@@ -65,7 +65,7 @@ class Task:
     @property
     def id(self) -> str:
         """Gymnasium's id of the environments."""
-        return ids_of(self.name)[-1]
+        return id_of(self.name)
 
 
 TASKS: dict[str, Task] = {}

@@ -34,14 +34,14 @@ def evaluate(policy: Policy, env: gym.Env[Any, Any], seeds: Iterable[int], skip:
     """
     if isinstance(env, TendonRodEnv):
         raise ValueError("env should end its episodes: make it with gym.make, or wrap it in gymnasium.wrappers.TimeLimit")
-    checked_type("env", env.unwrapped, TendonRodEnv, "made by gym.make('TendonRod-TipPose-v1')")
+    checked_type("env", env.unwrapped, TendonRodEnv, "made by gym.make('TendonRod-TipPose-v0')")
     return [score(episode, skip) for seed in seeds for episode in play(policy, env, [seed])]
 
 
 def evaluate_rows(policy: Policy, envs: gym.vector.VectorEnv[Any, Any, Any], seeds: Sequence[int], skip: float = 1.0) -> list[EpisodeScore]:
     """Scores as from `evaluate`, with all episodes side by side: row i of a vector environment plays the one of seeds[i]. The time of an
     action is that of all rows divided by their number. Raises as `evaluate`, ValueError unless there is a row per seed."""
-    inner = checked_type("envs", envs.unwrapped, TendonRodVectorEnv, "made by gym.make_vec('TendonRod-TipPose-v1', num_envs=...)")
+    inner = checked_type("envs", envs.unwrapped, TendonRodVectorEnv, "made by gym.make_vec('TendonRod-TipPose-v0', num_envs=...)")
     if len(seeds) != envs.num_envs:
         raise ValueError(f"seeds should be one for each of the {envs.num_envs} rows, not {len(seeds)}")
     if envs.metadata["autoreset_mode"] is not AutoresetMode.NEXT_STEP or inner.max_episode_steps is None:

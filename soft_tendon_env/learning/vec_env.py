@@ -1,7 +1,7 @@
 """The environments with many arms for Stable-Baselines3, which has no adapter of its own for Gymnasium's vector environments.
 
     from soft_tendon_env.learning.vec_env import make_sb3_vec_env
-    agent = PPO("MlpPolicy", make_sb3_vec_env("TendonRod-TipPose-v1", 64, fidelity="fast"))
+    agent = PPO("MlpPolicy", make_sb3_vec_env("TendonRod-TipPose-v0", 64, fidelity="fast"))
 
 Nothing else of the package imports this module, since it needs `pip install "soft_tendon_env[agents]"`.
 """

@@ -1,6 +1,6 @@
 """Motions of an arm under a control law that is continuous in time, and the sampled form of (39).
 
-The last is the package's tip tracker in TendonRod-TipPose-v1, on the same circle, at a control period that can be kept.
+The last is the package's tip tracker in TendonRod-TipPose-v0, on the same circle, at a control period that can be kept.
 """
 
 from collections.abc import Callable

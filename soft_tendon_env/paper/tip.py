@@ -5,7 +5,7 @@ inverse of B and on the passive coordinates: "as printed" are the paper's, the p
 is the pseudo-inverse in the elastic energy, with passive coordinates orthogonal to the tendons' fields. Each stable variant keeps a
 steady-state error, because (39) asks for forces that tensions cannot make.
 
-"Sampled" is the package's tip tracker in TendonRod-TipPose-v1, with a control period of 20 ms, tensions of at most 60 N, an integral, and
+"Sampled" is the package's tip tracker in TendonRod-TipPose-v0, with a control period of 20 ms, tensions of at most 60 N, an integral, and
 feedforward. Its gains become the paper's as the period goes to zero.
 
 "Later" is the second turn. The threshold of 1 mm is ours.

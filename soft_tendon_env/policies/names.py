@@ -1,7 +1,7 @@
 """Policies by name: names are parsed once into a type, a controller, a trained agent, or a user's policy.
 
 name = PolicyName.parse("filtered:predictive@fast", "TipPose")
-env = gym.make("TendonRod-TipPose-v1", **name.options({}))
+env = gym.make("TendonRod-TipPose-v0", **name.options({}))
 policy = name.load(env)
 """
 

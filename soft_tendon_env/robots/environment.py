@@ -1,6 +1,6 @@
 """Robot behind the Gymnasium interface of a simulated arm, for policies and Stable-Baselines3 as they are, and runs of policies on it.
 
-`env = RobotEnv(gym.make("TendonRod-Reach-v1", scene="my_arm.toml", observation="measurable", sensors=3), MyRobot())`
+`env = RobotEnv(gym.make("TendonRod-Reach-v0", scene="my_arm.toml", observation="measurable", sensors=3), MyRobot())`
 """
 
 import itertools
@@ -67,7 +67,7 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
     ) -> None:
         super().__init__(env)
         check_robot(robot)
-        episodes = checked_type("env", env.unwrapped, TendonRodEnv, "made by gym.make('TendonRod-TipPose-v1')").episodes
+        episodes = checked_type("env", env.unwrapped, TendonRodEnv, "made by gym.make('TendonRod-TipPose-v0')").episodes
         if reason := _misfit(robot, episodes):
             raise ConfigurationError([Problem(("robot",), f"is {type(robot).__name__}, {reason}")], "environment")
         fastest = np.inf if rate is None else checked_number("rate", rate, 1e-9, "a positive number, or None")

@@ -50,7 +50,7 @@ QUICK = [
         marks=pytest.mark.slow,  # trials of nine accuracies
     ),
     (("fields", "three_tendon", "--within", "9cm"), ["three_tendon, digest ", 'passive = { type = "snapshots", fields = '], []),
-    (("doctor", "--scene", "three_tendon"), ["TendonRod-Reach-v1 one step in ", " ms\n", "all is well\n"], []),
+    (("doctor", "--scene", "three_tendon"), ["TendonRod-Reach-v0 one step in ", " ms\n", "all is well\n"], []),
 ]
 
 
@@ -85,7 +85,7 @@ def test_a_task_that_does_not_work_is_broken_and_the_others_are_tried(command, c
     with pytest.raises(SystemExit, match="1"):
         command("doctor", "--scene", "three_tendon")
     printed = capsys.readouterr().out
-    assert "TendonRod-Shape-v1 BROKEN: ZeroDivisionError" in printed and "TendonRod-TipPose-v1 one step in " in printed
+    assert "TendonRod-Shape-v0 BROKEN: ZeroDivisionError" in printed and "TendonRod-TipPose-v0 one step in " in printed
 
 
 @pytest.mark.cases("name", COMMANDS)

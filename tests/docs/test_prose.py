@@ -4,7 +4,7 @@ refusals that are tried.
 A refusal that a page documents has a comment behind its sentence, which is run and has to be refused in one line, or names the test:
 
     An unknown task is refused. <!-- refused: soft-tendon evaluate tracking --task None -->
-    <!-- refused: gym.make("TendonRod-TipPose-v1", fidelity="exact") -->
+    <!-- refused: gym.make("TendonRod-TipPose-v0", fidelity="exact") -->
     <!-- refused: tests/envs/test_contacts.py::test_name -->
 """
 

@@ -41,7 +41,7 @@ def test_drawn_motions_keep_the_whole_arm_clear_of_obstacles():
     assert 0.0 < nearest < 0.05
 
 
-@pytest.mark.parametrize("id, scene", [("TendonRod-Reach-v1", "paper_among_obstacles"), ("TendonRod-TipPose-v1", "underwater")])
+@pytest.mark.parametrize("id, scene", [("TendonRod-Reach-v0", "paper_among_obstacles"), ("TendonRod-TipPose-v0", "underwater")])
 def test_the_scenes_that_ship_are_lived_in(id, scene):
     """32 rows of random actions; targets that the arm can hold, outside of what is in its way."""
     envs = gym.make_vec(id, num_envs=32, scene=scene, fidelity="fast", action="tension", max_episode_steps=60)

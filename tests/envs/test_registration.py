@@ -28,14 +28,14 @@ def test_every_task_has_its_classes_and_its_id(name):
     assert pickle.loads(pickle.dumps(one)) is one and pickle.loads(pickle.dumps(many)) is many
 
 
-def test_an_earlier_version_has_the_defaults_of_then():
-    with pytest.warns(DeprecationWarning, match="out of date.*`v1`"):
-        before, now = gym.make("TendonRod-TipPose-v0", **SMALL), gym.make("TendonRod-TipPose-v1", **SMALL)
-    for env, action, terms in ((before, "tension", {"position", "angle"}), (now, "increment", {"graded_position", "graded_angle"})):
-        found = {name.removeprefix("reward_") for name in env.reset(seed=0)[1] if name.startswith("reward_")}
-        assert env.unwrapped.episodes.options.action == action and found == {*terms, "effort", "smoothness"}
+def test_a_task_has_one_id_with_increments_and_graded_rewards(recwarn):
+    env = gym.make("TendonRod-TipPose-v0", **SMALL)
+    terms = {name.removeprefix("reward_") for name in env.reset(seed=0)[1] if name.startswith("reward_")}
+    assert env.unwrapped.episodes.options.action == "increment"
+    assert terms == {"graded_position", "graded_angle", "effort", "smoothness"}
+    assert not [warning for warning in recwarn if "out of date" in str(warning.message)]
     with pytest.raises(gym.error.VersionNotFound):
-        gym.make("TendonRod-TipPose-v2")
+        gym.make("TendonRod-TipPose-v1")
 
 
 def test_a_task_from_outside_is_an_environment(forgotten):
@@ -84,13 +84,13 @@ def test_a_target_from_outside_is_an_option(forgotten):
         options = Options(target=given)
         assert options.target == Near(distance=0.2)
         assert options.model_dump()["target"] == {"type": "near", "distance": 0.2}
-        env = gym.make("TendonRod-TipPose-v1", **SMALL, target=given)
+        env = gym.make("TendonRod-TipPose-v0", **SMALL, target=given)
         env.reset(seed=0)
         assert env.unwrapped.target_at([0.0]).tip_pose[0, 0, 3] == 0.2
     with pytest.raises(ConfigurationError, match="target.distance is missing"):
         Options(target="near")
     with pytest.raises(ConfigurationError, match="target is 'near', which is a pose alone: Shape needs one that is made of tensions"):
-        gym.make("TendonRod-Shape-v1", **SMALL, target={"type": "near", "distance": 0.2})
+        gym.make("TendonRod-Shape-v0", **SMALL, target={"type": "near", "distance": 0.2})
 
 
 def test_a_target_needs_a_name_of_its_own():

@@ -109,7 +109,7 @@ def test_rows_are_recorded_in_every_mode(mode, samples, file):
 
 @pytest.fixture
 def env():
-    return gym.make("TendonRod-Shape-v1", fidelity="fast", max_episode_steps=STEPS)
+    return gym.make("TendonRod-Shape-v0", fidelity="fast", max_episode_steps=STEPS)
 
 
 def actions(seed=0):

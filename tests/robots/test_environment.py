@@ -38,9 +38,9 @@ def play_episode(env, seed=3, steps=40):
 )
 def test_a_simulated_robot_moves_as_the_arm_of_an_environment(scene, drawn, task):
     options = {"scene": scene, "fidelity": "fast", "observation": "measurable", "sensors": 3, "history": 2}
-    alike = gym.make(f"TendonRod-{task}-v1", **options, randomize=drawn)
+    alike = gym.make(f"TendonRod-{task}-v0", **options, randomize=drawn)
     robot = SimulatedRobot(scene=scene, fidelity="fast", sensors=3, randomize=drawn, real_time=False)
-    real = RobotEnv(gym.make(f"TendonRod-{task}-v1", **options), robot, settle=0.0)
+    real = RobotEnv(gym.make(f"TendonRod-{task}-v0", **options), robot, settle=0.0)
     assert real.observation_space == alike.observation_space and real.action_space == alike.action_space
     for (expected, error), (found, distance) in zip(play_episode(alike), play_episode(real), strict=True):
         expected, found = (flat["observation"] if isinstance(flat, dict) else flat for flat in (expected, found))

@@ -104,7 +104,7 @@ def test_robots_that_there_are_not_are_refused(name, options, message):
 
 def test_identification_reads_the_log_of_a_run(tmp_path, columns_of_log):
     options, path = policy_options("filtered:tracking", "TipPose", SMALL), tmp_path / "first.csv"
-    env = gym.make("TendonRod-TipPose-v1", **options, randomize={"noise": NOISE})
+    env = gym.make("TendonRod-TipPose-v0", **options, randomize={"noise": NOISE})
     policy = load_policy("filtered:tracking", env)
     rehearse(policy, env)
     robot = SimulatedRobot(**SMALL, sensors=options["sensors"], randomize={"noise": NOISE}, real_time=False)
@@ -119,7 +119,7 @@ def test_identification_reads_the_log_of_a_run(tmp_path, columns_of_log):
 
 def test_episodes_begin_with_a_row_at_rest_and_rows_that_were_cut_off_are_left_out(tmp_path):
     path, random = tmp_path / "new" / "run.csv", np.random.default_rng(0)
-    env = gym.make("TendonRod-Reach-v1", **SMALL, observation=["tip_position", "tendon_lengths"])
+    env = gym.make("TendonRod-Reach-v0", **SMALL, observation=["tip_position", "tendon_lengths"])
     env = RobotEnv(env, SimulatedRobot(**SMALL, real_time=False, randomize={"noise": NOISE}), log=path)
     for length in (6, 1, 9):
         env.reset(seed=0)

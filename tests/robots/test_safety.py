@@ -142,7 +142,7 @@ class Arm:
     def read(self): return Measurement(time.perf_counter(), tip_pose=np.eye(4))
     def write(self, command): print(command.max(), flush=True)
     def close(self): pass
-env = gymnasium.make("TendonRod-Reach-v1", scene="three_tendon", fidelity="fast", observation=["tip_position"])
+env = gymnasium.make("TendonRod-Reach-v0", scene="three_tendon", fidelity="fast", observation=["tip_position"])
 env = RobotEnv(env, Arm(), settle=0.0, patience=50)
 env.reset(seed=0)
 for _ in range(20): env.step(np.ones(3))
